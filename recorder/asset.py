@@ -1,0 +1,38 @@
+"""Files that a recording carries so that it stands alone: models, meshes, the plan's source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class AssetFile:
+    """One file, known by its content.
+
+    Attributes:
+        path: where it lies on this machine.
+        name: the name that it has in the recording (no folders).
+        media_type: what it is.
+    """
+
+    path: Path
+    name: str
+    media_type: str = "application/octet-stream"
+
+    @cached_property
+    def content(self) -> bytes:
+        """The file's bytes, read once."""
+        return self.path.read_bytes()
+
+    @cached_property
+    def sha256(self) -> str:
+        """SHA-256 of the content in hex."""
+        return sha256(self.content).hexdigest()
+
+    @property
+    def key(self) -> str:
+        """The attachment's name in the recording: ``<sha256>/<name>``."""
+        return f"{self.sha256}/{self.name}"

@@ -1,0 +1,212 @@
+"""The journal: numbers records, keeps them in order, hands them to sinks.
+
+Lock order: a world's lock, then a journal's, never the other way round; a journal calls no user code and no world
+while it holds its lock. Whoever emits holds the lock of the world that changed, so the order in the log is the order
+in the world.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+import weakref
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Protocol
+
+from recorder.records import TOPICS, Record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from recorder.asset import AssetFile
+
+
+class Sink(Protocol):
+    """Where records go. Called under the journal's lock, in order; must not call back or keep the record object."""
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Takes a record and its serialized form.
+
+        Raises:
+            RecordingError: it can't be kept.
+        """
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file, once per content."""
+
+    def close(self) -> None:
+        """Ends; all that was taken is safe afterwards."""
+
+
+class Source(Protocol):
+    """A world as the journal sees it: something that can tell its whole state."""
+
+    def record_keyframe(self, journal: Journal) -> None:
+        """Appends the whole state to the given journal, assets included."""
+
+
+class Journal:
+    """One numbering of records, fanned out to sinks."""
+
+    def __init__(self, sinks: Sequence[Sink], clock_ns: Callable[[], int] = time.time_ns) -> None:
+        """Starts numbering at 0.
+
+        Args:
+            sinks: where records go.
+            clock_ns: nanoseconds since the Unix epoch.
+        """
+        self._sinks = tuple(sinks)
+        self._clock_ns = clock_ns
+        self._lock = threading.Lock()
+        self._next = 0
+        self._latest_ns = 0
+        self._attached: set[str] = set()
+
+    @property
+    def length(self) -> int:
+        """How many records there are; the next one's seq."""
+        return self._next
+
+    def append(self, record: Record) -> int:
+        """Numbers and keeps a record.
+
+        Args:
+            record: without seq and wall time.
+
+        Returns:
+            Its seq.
+
+        Raises:
+            RecordingError: a sink can't keep it.
+        """
+        topic = TOPICS[type(record)]
+        with self._lock:
+            self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
+            record.seq = seq = self._next
+            record.wall_time_ns = self._latest_ns
+            self._next += 1
+            payload = record.SerializeToString()
+            for sink in self._sinks:
+                sink.write(topic, record, payload)
+        return seq
+
+    def attach(self, assets: Iterable[AssetFile]) -> None:
+        """Keeps files, each content once.
+
+        Args:
+            assets: the files.
+
+        Raises:
+            RecordingError: a sink can't keep one.
+        """
+        for asset in assets:
+            with self._lock:
+                if asset.key not in self._attached:
+                    for sink in self._sinks:
+                        sink.attach(asset)
+                    self._attached.add(asset.key)
+
+    def close(self) -> None:
+        """Closes every sink; the first error is raised when all are closed."""
+        errors = []
+        with self._lock:
+            for sink in self._sinks:
+                try:
+                    sink.close()
+                except OSError as error:
+                    errors.append(error)
+        if errors:
+            raise errors[0]
+
+
+#: Id of the task that runs in this context, 0 for none; set by :mod:`recorder.span`.
+task_id: ContextVar[int] = ContextVar("pycram_task", default=0)
+
+_registry = threading.Lock()
+_open: tuple[Journal, ...] = ()
+_sources: weakref.WeakSet[Source] = weakref.WeakSet()
+
+
+def recording() -> bool:
+    """Whether any journal is open; without one nothing is read back or built."""
+    return bool(_open)
+
+
+def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
+    """Appends a record to every open journal.
+
+    Args:
+        record: without its envelope.
+        world: name of the world that it is about.
+        sim_step: simulated steps of that world.
+        task: id of its task; by default the current one.
+
+    Raises:
+        RecordingError: a sink can't keep it.
+    """
+    record.world = world
+    record.sim_step = sim_step
+    record.task = task_id.get() if task is None else task
+    record.thread = threading.current_thread().name
+    for journal in _open:
+        journal.append(record)
+
+
+def attach(assets: Iterable[AssetFile]) -> None:
+    """Keeps files in every open journal.
+
+    Args:
+        assets: the files.
+    """
+    files = list(assets)
+    for journal in _open:
+        journal.attach(files)
+
+
+def register(source: Source) -> None:
+    """Makes a world known, for as long as it lives, to journals that open later.
+
+    Args:
+        source: the world; held weakly.
+    """
+    with _registry:
+        _sources.add(source)
+
+
+def unregister(source: Source) -> None:
+    """Forgets a world that has ended.
+
+    Args:
+        source: the world.
+    """
+    with _registry:
+        _sources.discard(source)
+
+
+def open_journal(journal: Journal) -> None:
+    """From now on everything is appended to this journal; worlds that exist already give a keyframe first.
+
+    Args:
+        journal: the journal.
+    """
+    global _open  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
+    with _registry:
+        sources = list(_sources)
+        _open = (*_open, journal)
+    for source in sources:
+        source.record_keyframe(journal)
+
+
+def close_journal(journal: Journal) -> None:
+    """Ends a journal and closes its sinks.
+
+    Args:
+        journal: the journal.
+
+    Raises:
+        RecordingError: a sink could not keep all it had taken.
+    """
+    global _open  # noqa: PLW0603  see open_journal
+    with _registry:
+        _open = tuple(other for other in _open if other is not journal)
+    journal.close()

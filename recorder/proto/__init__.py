@@ -1,0 +1,1 @@
+"""The definition of the log and the modules compiled from it."""

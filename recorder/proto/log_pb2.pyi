@@ -1,0 +1,436 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class Argument(_message.Message):
+    __slots__ = ("name", "json")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    JSON_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    json: str
+    def __init__(self, name: _Optional[str] = ..., json: _Optional[str] = ...) -> None: ...
+
+class Failure(_message.Message):
+    __slots__ = ("type", "message", "data", "traceback")
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    TRACEBACK_FIELD_NUMBER: _ClassVar[int]
+    type: str
+    message: str
+    data: _containers.RepeatedCompositeFieldContainer[Argument]
+    traceback: str
+    def __init__(self, type: _Optional[str] = ..., message: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., traceback: _Optional[str] = ...) -> None: ...
+
+class Asset(_message.Message):
+    __slots__ = ("path", "sha256")
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    path: str
+    sha256: str
+    def __init__(self, path: _Optional[str] = ..., sha256: _Optional[str] = ...) -> None: ...
+
+class BodyState(_message.Message):
+    __slots__ = ("body", "position", "orientation", "velocity", "joints", "joint_positions", "joint_velocities")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    JOINT_POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    JOINT_VELOCITIES_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    joints: _containers.RepeatedScalarFieldContainer[str]
+    joint_positions: _containers.RepeatedScalarFieldContainer[float]
+    joint_velocities: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, body: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., joints: _Optional[_Iterable[str]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., joint_velocities: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Attachment(_message.Message):
+    __slots__ = ("carrier", "carrier_link", "body", "body_link", "position", "orientation")
+    CARRIER_FIELD_NUMBER: _ClassVar[int]
+    CARRIER_LINK_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    BODY_LINK_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    carrier: str
+    carrier_link: str
+    body: str
+    body_link: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class OpenWorld(_message.Message):
+    __slots__ = ("mode",)
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    mode: str
+    def __init__(self, mode: _Optional[str] = ...) -> None: ...
+
+class CloseWorld(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class LoadBody(_message.Message):
+    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    TYPE_FIELD_NUMBER: _ClassVar[int]
+    PATH_FIELD_NUMBER: _ClassVar[int]
+    ASSETS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    COLOR_FIELD_NUMBER: _ClassVar[int]
+    FIXED_BASE_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    type: str
+    path: str
+    assets: _containers.RepeatedCompositeFieldContainer[Asset]
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    color: _containers.RepeatedScalarFieldContainer[float]
+    fixed_base: bool
+    joints: _containers.RepeatedScalarFieldContainer[str]
+    robot_description: str
+    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ...) -> None: ...
+
+class RemoveBody(_message.Message):
+    __slots__ = ("body",)
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    def __init__(self, body: _Optional[str] = ...) -> None: ...
+
+class MoveBody(_message.Message):
+    __slots__ = ("body", "position", "orientation")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, body: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class MoveJoints(_message.Message):
+    __slots__ = ("body", "joints", "positions")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    joints: _containers.RepeatedScalarFieldContainer[str]
+    positions: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, body: _Optional[str] = ..., joints: _Optional[_Iterable[str]] = ..., positions: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class AttachBody(_message.Message):
+    __slots__ = ("carrier", "carrier_link", "body", "body_link")
+    CARRIER_FIELD_NUMBER: _ClassVar[int]
+    CARRIER_LINK_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    BODY_LINK_FIELD_NUMBER: _ClassVar[int]
+    carrier: str
+    carrier_link: str
+    body: str
+    body_link: str
+    def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ...) -> None: ...
+
+class DetachBody(_message.Message):
+    __slots__ = ("carrier", "body")
+    CARRIER_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    carrier: str
+    body: str
+    def __init__(self, carrier: _Optional[str] = ..., body: _Optional[str] = ...) -> None: ...
+
+class SetGravity(_message.Message):
+    __slots__ = ("gravity",)
+    GRAVITY_FIELD_NUMBER: _ClassVar[int]
+    gravity: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, gravity: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class SetRealtime(_message.Message):
+    __slots__ = ("enabled",)
+    ENABLED_FIELD_NUMBER: _ClassVar[int]
+    enabled: bool
+    def __init__(self, enabled: bool = ...) -> None: ...
+
+class SetColor(_message.Message):
+    __slots__ = ("body", "color")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    COLOR_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    color: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, body: _Optional[str] = ..., color: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class SetRobot(_message.Message):
+    __slots__ = ("body",)
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    def __init__(self, body: _Optional[str] = ...) -> None: ...
+
+class Simulate(_message.Message):
+    __slots__ = ("steps",)
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    steps: int
+    def __init__(self, steps: _Optional[int] = ...) -> None: ...
+
+class Reset(_message.Message):
+    __slots__ = ()
+    def __init__(self) -> None: ...
+
+class Sample(_message.Message):
+    __slots__ = ("sim_step", "bodies")
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    sim_step: int
+    bodies: _containers.RepeatedCompositeFieldContainer[BodyState]
+    def __init__(self, sim_step: _Optional[int] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ...) -> None: ...
+
+class Effect(_message.Message):
+    __slots__ = ("bodies", "removed", "attached", "detached", "samples")
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    REMOVED_FIELD_NUMBER: _ClassVar[int]
+    ATTACHED_FIELD_NUMBER: _ClassVar[int]
+    DETACHED_FIELD_NUMBER: _ClassVar[int]
+    SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    bodies: _containers.RepeatedCompositeFieldContainer[BodyState]
+    removed: _containers.RepeatedScalarFieldContainer[str]
+    attached: _containers.RepeatedCompositeFieldContainer[Attachment]
+    detached: _containers.RepeatedCompositeFieldContainer[Attachment]
+    samples: _containers.RepeatedCompositeFieldContainer[Sample]
+    def __init__(self, bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., removed: _Optional[_Iterable[str]] = ..., attached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., detached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., samples: _Optional[_Iterable[_Union[Sample, _Mapping]]] = ...) -> None: ...
+
+class Mutation(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "effect")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    OPEN_WORLD_FIELD_NUMBER: _ClassVar[int]
+    CLOSE_WORLD_FIELD_NUMBER: _ClassVar[int]
+    LOAD_BODY_FIELD_NUMBER: _ClassVar[int]
+    REMOVE_BODY_FIELD_NUMBER: _ClassVar[int]
+    MOVE_BODY_FIELD_NUMBER: _ClassVar[int]
+    MOVE_JOINTS_FIELD_NUMBER: _ClassVar[int]
+    ATTACH_BODY_FIELD_NUMBER: _ClassVar[int]
+    DETACH_BODY_FIELD_NUMBER: _ClassVar[int]
+    SET_GRAVITY_FIELD_NUMBER: _ClassVar[int]
+    SET_REALTIME_FIELD_NUMBER: _ClassVar[int]
+    SET_COLOR_FIELD_NUMBER: _ClassVar[int]
+    SET_ROBOT_FIELD_NUMBER: _ClassVar[int]
+    SIMULATE_FIELD_NUMBER: _ClassVar[int]
+    RESET_FIELD_NUMBER: _ClassVar[int]
+    EFFECT_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    open_world: OpenWorld
+    close_world: CloseWorld
+    load_body: LoadBody
+    remove_body: RemoveBody
+    move_body: MoveBody
+    move_joints: MoveJoints
+    attach_body: AttachBody
+    detach_body: DetachBody
+    set_gravity: SetGravity
+    set_realtime: SetRealtime
+    set_color: SetColor
+    set_robot: SetRobot
+    simulate: Simulate
+    reset: Reset
+    effect: Effect
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ...) -> None: ...
+
+class Keyframe(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    GRAVITY_FIELD_NUMBER: _ClassVar[int]
+    REALTIME_FIELD_NUMBER: _ClassVar[int]
+    LOADED_FIELD_NUMBER: _ClassVar[int]
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    ATTACHMENTS_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    mode: str
+    gravity: _containers.RepeatedScalarFieldContainer[float]
+    realtime: bool
+    loaded: _containers.RepeatedCompositeFieldContainer[LoadBody]
+    bodies: _containers.RepeatedCompositeFieldContainer[BodyState]
+    attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
+    robot: str
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
+
+class Task(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line")
+    class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        PHASE_UNSPECIFIED: _ClassVar[Task.Phase]
+        STARTED: _ClassVar[Task.Phase]
+        FINISHED: _ClassVar[Task.Phase]
+    PHASE_UNSPECIFIED: Task.Phase
+    STARTED: Task.Phase
+    FINISHED: Task.Phase
+    class Status(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        STATUS_UNSPECIFIED: _ClassVar[Task.Status]
+        RUNNING: _ClassVar[Task.Status]
+        SUCCEEDED: _ClassVar[Task.Status]
+        FAILED: _ClassVar[Task.Status]
+        CANCELLED: _ClassVar[Task.Status]
+    STATUS_UNSPECIFIED: Task.Status
+    RUNNING: Task.Status
+    SUCCEEDED: Task.Status
+    FAILED: Task.Status
+    CANCELLED: Task.Status
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    STATUS_FIELD_NUMBER: _ClassVar[int]
+    PARENT_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
+    SOLUTION_FIELD_NUMBER: _ClassVar[int]
+    RESULT_JSON_FIELD_NUMBER: _ClassVar[int]
+    FAILURE_FIELD_NUMBER: _ClassVar[int]
+    DURATION_NS_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    phase: Task.Phase
+    status: Task.Status
+    parent: int
+    kind: str
+    name: str
+    parameters: _containers.RepeatedCompositeFieldContainer[Argument]
+    solution: _containers.RepeatedCompositeFieldContainer[Argument]
+    result_json: str
+    failure: Failure
+    duration_ns: int
+    source_file: str
+    source_line: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ...) -> None: ...
+
+class HandlerCall(_message.Message):
+    __slots__ = ("handler",)
+    HANDLER_FIELD_NUMBER: _ClassVar[int]
+    handler: str
+    def __init__(self, handler: _Optional[str] = ...) -> None: ...
+
+class Event(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "sender", "arguments", "handlers")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SENDER_FIELD_NUMBER: _ClassVar[int]
+    ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
+    HANDLERS_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    name: str
+    sender: str
+    arguments: _containers.RepeatedCompositeFieldContainer[Argument]
+    handlers: _containers.RepeatedCompositeFieldContainer[HandlerCall]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., sender: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., handlers: _Optional[_Iterable[_Union[HandlerCall, _Mapping]]] = ...) -> None: ...
+
+class Query(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
+    ANSWER_JSON_FIELD_NUMBER: _ClassVar[int]
+    EVIDENCE_FIELD_NUMBER: _ClassVar[int]
+    DURATION_NS_FIELD_NUMBER: _ClassVar[int]
+    FAILURE_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    name: str
+    arguments: _containers.RepeatedCompositeFieldContainer[Argument]
+    answer_json: str
+    evidence: _containers.RepeatedCompositeFieldContainer[Argument]
+    duration_ns: int
+    failure: Failure
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ...) -> None: ...
+
+class Run(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "phase", "name", "succeeded", "failure", "duration_ns")
+    class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+        __slots__ = ()
+        PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
+        STARTED: _ClassVar[Run.Phase]
+        FINISHED: _ClassVar[Run.Phase]
+    PHASE_UNSPECIFIED: Run.Phase
+    STARTED: Run.Phase
+    FINISHED: Run.Phase
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    PHASE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    SUCCEEDED_FIELD_NUMBER: _ClassVar[int]
+    FAILURE_FIELD_NUMBER: _ClassVar[int]
+    DURATION_NS_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    phase: Run.Phase
+    name: str
+    succeeded: bool
+    failure: Failure
+    duration_ns: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ...) -> None: ...

@@ -1,0 +1,172 @@
+"""The record types, their topics, and how users' values stand in them.
+
+``proto/log.proto`` is the only definition; this module names its messages for Python and turns values (slots, answers,
+results) into the JSON text that the records carry.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import traceback
+from collections.abc import Mapping, Set
+from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+
+from recorder.proto import log_pb2
+from recorder.proto.log_pb2 import (
+    Argument,
+    Asset,
+    AttachBody,
+    Attachment,
+    BodyState,
+    CloseWorld,
+    DetachBody,
+    Effect,
+    Event,
+    Failure,
+    HandlerCall,
+    Keyframe,
+    LoadBody,
+    MoveBody,
+    MoveJoints,
+    Mutation,
+    OpenWorld,
+    Query,
+    RemoveBody,
+    Reset,
+    Run,
+    Sample,
+    SetColor,
+    SetGravity,
+    SetRealtime,
+    SetRobot,
+    Simulate,
+    Task,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = [
+    "TOPICS",
+    "Argument",
+    "Asset",
+    "AttachBody",
+    "Attachment",
+    "BodyState",
+    "CloseWorld",
+    "DetachBody",
+    "Effect",
+    "Event",
+    "Failure",
+    "HandlerCall",
+    "Keyframe",
+    "LoadBody",
+    "MoveBody",
+    "MoveJoints",
+    "Mutation",
+    "OpenWorld",
+    "Query",
+    "Record",
+    "Recordable",
+    "RemoveBody",
+    "Reset",
+    "Run",
+    "Sample",
+    "SetColor",
+    "SetGravity",
+    "SetRealtime",
+    "SetRobot",
+    "Simulate",
+    "Task",
+    "arguments",
+    "failure",
+    "to_json",
+]
+
+Record: TypeAlias = Run | Task | Mutation | Event | Query | Keyframe
+
+TOPICS: Mapping[type[Record], str] = {
+    Run: "/run",
+    Task: "/task",
+    Mutation: "/mutation",
+    Event: "/event",
+    Query: "/query",
+    Keyframe: "/keyframe",
+}
+"""The MCAP topic of each record type; one type each."""
+
+FILE_DESCRIPTOR = log_pb2.DESCRIPTOR
+
+
+@runtime_checkable
+class Recordable(Protocol):
+    """Something that says itself how it stands in a record (objects, designators, results)."""
+
+    def __record__(self) -> object:
+        """Returns None, a bool, number, string, list or dict."""
+
+
+def _plain(value: object) -> object:
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else {"float": repr(value)}
+    if isinstance(value, Recordable):
+        return _plain(value.__record__())
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, Set):
+        return sorted((_plain(item) for item in value), key=repr)
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    name = getattr(value, "__qualname__", None)
+    return {"callable": f"{value.__module__}.{name}"} if name else {"repr": repr(value)}
+
+
+def to_json(value: object) -> str:
+    """Any value as one line of JSON; floats keep all their bits.
+
+    Args:
+        value: what a user gave. Arrays become lists, recordable objects what they say of themselves, anything unknown
+            ``{"repr": ...}``.
+
+    Returns:
+        JSON text.
+    """
+    return json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+
+
+def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
+    """Named values as a record carries them.
+
+    Args:
+        values: values by name.
+
+    Returns:
+        One ``Argument`` each, in the given order.
+    """
+    pairs = values.items() if isinstance(values, Mapping) else values
+    return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+
+
+def failure(error: BaseException) -> Failure:
+    """An exception as a record carries it.
+
+    Args:
+        error: what was raised; its fields are its ``data`` mapping where it has one.
+
+    Returns:
+        Type, message, data and traceback.
+    """
+    data = getattr(error, "data", None)
+    return Failure(
+        type=type(error).__qualname__,
+        message=str(error),
+        data=arguments(data) if isinstance(data, Mapping) else [],
+        traceback="".join(traceback.format_exception(error)),
+    )

@@ -1,0 +1,1 @@
+"""Opens recordings: any step back, and why a plan failed."""
