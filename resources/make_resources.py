@@ -10,7 +10,9 @@ import argparse
 from pathlib import Path
 
 from make import crockery, cutlery, packages
-from make.files import write_things
+from make.files import write_text, write_things
+from make.floor import floor
+from make.kitchen import kitchen
 
 THINGS = (
     packages.milk,
@@ -31,9 +33,13 @@ THINGS = (
 def main() -> None:
     """Write all resources."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--into", type=Path, default=Path(__file__).parent, help="folder to write into (default: this script's)")
+    parser.add_argument(
+        "--into", type=Path, default=Path(__file__).parent, help="folder to write into (default: this script's)"
+    )
     folder: Path = parser.parse_args().into
     folder.mkdir(parents=True, exist_ok=True)
+    write_text(folder / "kitchen.urdf", kitchen())
+    write_text(folder / "plane.urdf", floor())
     write_things([make() for make in THINGS], folder)
 
 

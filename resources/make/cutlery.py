@@ -24,8 +24,20 @@ def spoon() -> Thing:
         """Height of the underside of the head; ``rho`` is 0 at its middle and 1 at its rim."""
         return 0.0085 * max(0.0, (rho - 0.45) / 0.55) ** 1.5
 
-    spine = _curve([(-0.1085, 0.0), (-0.092, 0.0), (-0.065, 0.0062), (-0.03, 0.0145), (0.0, 0.0164), (0.025, 0.0140), (0.046, 0.0085)])
-    breadth = _curve([(-0.1085, 0.0060), (-0.105, 0.0082), (-0.09, 0.0085), (-0.04, 0.0058), (0.02, 0.0042), (0.046, 0.0056)])
+    spine = _curve(
+        [
+            (-0.1085, 0.0),
+            (-0.092, 0.0),
+            (-0.065, 0.0062),
+            (-0.03, 0.0145),
+            (0.0, 0.0164),
+            (0.025, 0.0140),
+            (0.046, 0.0085),
+        ]
+    )
+    breadth = _curve(
+        [(-0.1085, 0.0060), (-0.105, 0.0082), (-0.09, 0.0085), (-0.04, 0.0058), (0.02, 0.0042), (0.046, 0.0056)]
+    )
     across = np.linspace(-1.0, 1.0, 13)
     rings: list[Points] = []
     for x in _stations(-0.1085, 0.1085, 49):
@@ -56,12 +68,36 @@ def spoon() -> Thing:
 def fork() -> Thing:
     """A table fork, 0.200 m long, with four tines."""
     thick = 0.0022
-    spine = _curve([(-0.1, 0.0), (-0.085, 0.0), (-0.03, 0.0115), (0.0, 0.0135), (0.03, 0.0090), (0.055, 0.0), (0.07, 0.0010), (0.1, 0.0080)])
-    breadth = _curve([(-0.1, 0.0060), (-0.096, 0.0082), (-0.08, 0.0082), (0.0, 0.0036), (0.025, 0.0044), (0.042, 0.0120), (0.058, 0.0122)])
+    spine = _curve(
+        [
+            (-0.1, 0.0),
+            (-0.085, 0.0),
+            (-0.03, 0.0115),
+            (0.0, 0.0135),
+            (0.03, 0.0090),
+            (0.055, 0.0),
+            (0.07, 0.0010),
+            (0.1, 0.0080),
+        ]
+    )
+    breadth = _curve(
+        [
+            (-0.1, 0.0060),
+            (-0.096, 0.0082),
+            (-0.08, 0.0082),
+            (0.0, 0.0036),
+            (0.025, 0.0044),
+            (0.042, 0.0120),
+            (0.058, 0.0122),
+        ]
+    )
     stem = loft([_strip(x, spine(x), breadth(x), thick) for x in _stations(-0.1, 0.058, 33)])
     tines = []
     for y in (-0.0102, -0.0034, 0.0034, 0.0102):
-        rings = [_strip(x, spine(x), 0.0018 if x < 0.09 else 0.0018 - 0.11 * (x - 0.09), thick) for x in _stations(0.055, 0.1, 10)]
+        rings = [
+            _strip(x, spine(x), 0.0018 if x < 0.09 else 0.0018 - 0.11 * (x - 0.09), thick)
+            for x in _stations(0.055, 0.1, 10)
+        ]
         tines.append(loft(rings).moved(y=y))
     solid = join([stem, *tines])
     pieces = _handle([-0.1, -0.085, -0.03, 0.0, 0.03, 0.045, 0.0575], spine, breadth, thick)
@@ -83,7 +119,14 @@ def knife() -> Thing:
     )
     core = [_oval(x, 0.0045, width - MARGIN, 0.0045 - MARGIN) for x, width in _grip()]
     flat = [
-        np.array([[x, low + MARGIN, 0.0042], [x, high - MARGIN, 0.0042], [x, high - MARGIN, 0.0048], [x, low + MARGIN, 0.0048]])
+        np.array(
+            [
+                [x, low + MARGIN, 0.0042],
+                [x, high - MARGIN, 0.0042],
+                [x, high - MARGIN, 0.0048],
+                [x, low + MARGIN, 0.0048],
+            ]
+        )
         for (x, low), (_, high) in zip(edge[:-1], back[:-1], strict=True)
     ]
     pieces = [loft(core), *(loft([first, second]) for first, second in zip(flat, flat[1:], strict=False))]
@@ -97,7 +140,9 @@ def _grip() -> list[tuple[float, float]]:
 
 def _handle(stations: list[float], spine: Curve, breadth: Curve, thick: float) -> list[Solid]:
     """Convex pieces of a curved strip, one between each two stations along x."""
-    rings = [_strip(x, spine(x) + 0.9 * MARGIN, breadth(x) - MARGIN, max(thick - 1.8 * MARGIN, 0.0002)) for x in stations]
+    rings = [
+        _strip(x, spine(x) + 0.9 * MARGIN, breadth(x) - MARGIN, max(thick - 1.8 * MARGIN, 0.0002)) for x in stations
+    ]
     return [loft([first, second]) for first, second in zip(rings, rings[1:], strict=False)]
 
 
@@ -118,7 +163,9 @@ def _sheet(underside: Points, thick: float) -> Points:
 
 def _oval(x: float, z: float, half_width: float, half_height: float) -> Points:
     turns = 2.0 * np.pi * (np.arange(12) + 0.5) / 12
-    return np.column_stack([np.full(12, x), half_width * np.cos(turns), z + half_height * np.sin(turns) / np.sin(turns).max()])
+    return np.column_stack(
+        [np.full(12, x), half_width * np.cos(turns), z + half_height * np.sin(turns) / np.sin(turns).max()]
+    )
 
 
 def _stations(start: float, end: float, count: int) -> list[float]:

@@ -48,7 +48,9 @@ def number(value: float) -> str:
 
 def objects_table(things: Sequence[Thing]) -> str:
     """The TOML table of all things: mass in kg, friction coefficient, visible parts with their colours (red, green, blue, alpha)."""
-    lines = ["# Written by make_resources.py. One table for each mesh NAME.stl in this folder; kilograms, colours as red, green, blue, alpha."]
+    lines = [
+        "# Written by make_resources.py. One table for each mesh NAME.stl in this folder; kilograms, colours as red, green, blue, alpha."
+    ]
     for thing in things:
         lines += ["", f"[{thing.name}]", f"mass = {thing.mass:.3f}", f"friction = {thing.friction:.2f}", "visual = ["]
         for part in thing.parts:

@@ -1,0 +1,169 @@
+"""URDF text: links made of boxes and cylinders in named materials, with inertia from those materials' densities.
+
+A shape that is seen but can't be touched (``solid=False``) has no mass either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import TypeAlias
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+from make.files import number
+from make.solids import Span
+
+Triple: TypeAlias = tuple[float, float, float]
+
+FRAME_MASS = 0.01
+"""Kilograms of a link without a shape: the engine would take 1 kg if none was given."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """A colour (red, green, blue from 0 to 1) and a density in kg per cubic metre."""
+
+    colour: Triple
+    density: float
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A box, or a cylinder within that box, in the frame of its link.
+
+    Attributes:
+        centre: Middle, metres.
+        size: Extents along x, y, z, metres.
+        material: Name in the table of materials.
+        solid: Whether it can be touched.
+        round_about: Axis ``x``, ``y`` or ``z`` of the cylinder that is seen; it is touched as a box all the same, which is cheaper.
+    """
+
+    centre: Triple
+    size: Triple
+    material: str
+    solid: bool = True
+    round_about: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A joint to a parent link: origin in metres and radians, axis in the joint's frame, limits in metres or radians."""
+
+    name: str
+    kind: str
+    parent: str
+    xyz: Triple
+    rpy: Triple
+    axis: Triple | None = None
+    limits: Span | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A link with its shapes and the joint that carries it; the root has none."""
+
+    name: str
+    shapes: tuple[Shape, ...] = ()
+    joint: Joint | None = None
+
+
+def span(x: Span, y: Span, z: Span, material: str, *, solid: bool = True, round_about: str = "") -> Shape:
+    """A shape between two corners."""
+    low, high = zip(x, y, z, strict=True)
+    cx, cy, cz = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    sx, sy, sz = (b - a for a, b in zip(low, high, strict=True))
+    return Shape((cx, cy, cz), (sx, sy, sz), material, solid, round_about)
+
+
+def document(name: str, links: Sequence[Link], materials: Mapping[str, Material], about: str) -> str:
+    """The whole URDF.
+
+    Args:
+        name: Name of the robot element.
+        links: Links in any order, one of them without a joint.
+        materials: All materials that the shapes name.
+        about: A line for the comment on top.
+    """
+    lines = ['<?xml version="1.0"?>', f"<!-- {about} -->", f"<robot name={quoteattr(name)}>"]
+    for key, material in materials.items():
+        lines.append(f'  <material name="{key}"><color rgba="{_row((*material.colour, 1.0))}"/></material>')
+    for link in links:
+        lines += _link(link, materials)
+    for link in links:
+        if link.joint is not None:
+            lines += _joint(link.joint, link.name)
+    return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def _link(link: Link, materials: Mapping[str, Material]) -> list[str]:
+    lines = [f'  <link name="{link.name}">', *_inertial(link.shapes, materials)]
+    for shape in link.shapes:
+        colour = f'<material name="{shape.material}"/>'
+        lines.append(f"    <visual>{_origin(shape)}<geometry>{_seen(shape)}</geometry>{colour}</visual>")
+    for shape in link.shapes:
+        if shape.solid:
+            box = f'<box size="{_row(shape.size)}"/>'
+            lines.append(f'    <collision><origin xyz="{_row(shape.centre)}"/><geometry>{box}</geometry></collision>')
+    return [*lines, "  </link>"]
+
+
+def _joint(joint: Joint, child: str) -> list[str]:
+    lines = [
+        f'  <joint name="{joint.name}" type="{joint.kind}">',
+        f'    <parent link="{joint.parent}"/><child link="{child}"/>',
+        f'    <origin xyz="{_row(joint.xyz)}" rpy="{_row(joint.rpy)}"/>',
+    ]
+    if joint.axis is not None and joint.limits is not None:
+        lower, upper = (number(limit) for limit in joint.limits)
+        lines.append(f'    <axis xyz="{_row(joint.axis)}"/>')
+        lines.append(f'    <limit lower="{lower}" upper="{upper}" effort="100" velocity="1"/>')
+        lines.append('    <dynamics damping="1" friction="0.5"/>')
+    return [*lines, "  </joint>"]
+
+
+def _seen(shape: Shape) -> str:
+    if not shape.round_about:
+        return f'<box size="{_row(shape.size)}"/>'
+    length = shape.size["xyz".index(shape.round_about)]
+    radius = min(size for axis, size in zip("xyz", shape.size, strict=True) if axis != shape.round_about) / 2
+    return f'<cylinder radius="{number(radius)}" length="{number(length)}"/>'
+
+
+def _origin(shape: Shape) -> str:
+    turn = {"": "", "z": "", "x": f' rpy="0 {number(pi / 2)} 0"', "y": f' rpy="{number(pi / 2)} 0 0"'}[
+        shape.round_about
+    ]
+    return f'<origin xyz="{_row(shape.centre)}"{turn}/>'
+
+
+def _inertial(shapes: Iterable[Shape], materials: Mapping[str, Material]) -> list[str]:
+    masses, centres, sizes = [], [], []
+    for shape in shapes:
+        if shape.solid:
+            masses.append(materials[shape.material].density * float(np.prod(shape.size)))
+            centres.append(shape.centre)
+            sizes.append(shape.size)
+    if not masses:
+        diagonal = number(FRAME_MASS * 1e-2)
+        inertia = f'ixx="{diagonal}" iyy="{diagonal}" izz="{diagonal}" ixy="0" ixz="0" iyz="0"'
+        return [f'    <inertial><mass value="{number(FRAME_MASS)}"/><inertia {inertia}/></inertial>']
+    weights = np.array(masses)
+    middle = weights @ np.array(centres) / weights.sum()
+    tensor: NDArray[np.float64] = np.zeros((3, 3))
+    for mass, centre, size in zip(masses, np.array(centres) - middle, np.array(sizes), strict=True):
+        own = np.diag(mass / 12.0 * ((size**2).sum() - size**2))
+        tensor += own + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
+    names = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (xx, yy, zz, xy, xz, yz), strict=True)
+    inertia = " ".join(f'{key}="{number(value)}"' for key, value in names)
+    mass = f'<mass value="{number(float(weights.sum()))}"/>'
+    return [f'    <inertial><origin xyz="{_row(middle.tolist())}"/>{mass}<inertia {inertia}/></inertial>']
+
+
+def _row(values: Iterable[float]) -> str:
+    return " ".join(number(value) for value in values)
