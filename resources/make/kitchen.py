@@ -45,13 +45,13 @@ def _joint(row: dict[str, Any]) -> Joint | None:
 
 
 def _as_described(row: dict[str, Any]) -> list[Shape]:
-    """One box, as the table has it: the walls, and the boards of the right pull-out, whose rails end behind the fronts beside them."""
+    """One box, as the table has it: the walls, and the boards of the right pull-out, whose rails slide past the fronts of the middle."""
     if "box" not in row:
         return []
     name = str(row["link"])
-    if "barrier" in name:
-        return [span((-0.245, 0.235), (-0.010, 0.010), (-0.025, 0.025), "steel")]
-    material = "wall" if "wall" in name else "drawer_wood"
+    if "barrier_right" in name:
+        return [span((-0.245, 0.245), (-0.003, 0.010), (-0.025, 0.025), "steel")]
+    material = "wall" if "wall" in name else "steel" if "barrier" in name else "drawer_wood"
     return [Shape(tuple(row["box"]["centre"]), tuple(row["box"]["size"]), material)]
 
 
