@@ -1,0 +1,309 @@
+"""Poses and rotations: the few operations that everything here needs, once.
+
+A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
+frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
+arithmetic is several times faster than arrays of 3; whoever has thousands works on arrays of matrices instead.
+
+Quaternions are taken to be of unit length; :func:`normalize` makes them so. A quaternion and its negative are the same
+rotation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+Vector: TypeAlias = tuple[float, float, float]
+"""xyz, in m where it is a position."""
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+"""A rotation, xyzw."""
+
+Pose: TypeAlias = tuple[Vector, Quaternion]
+"""Position in m and orientation xyzw."""
+
+Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
+"""What the functions here take for a vector or a quaternion."""
+
+PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
+"""What the functions here take for a pose."""
+
+IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+"""The pose of a frame in itself."""
+
+_TINY = 1e-12
+
+
+def product(a: Numbers, b: Numbers) -> Quaternion:
+    """Two rotations in one: first b, then a.
+
+    Args:
+        a: the outer rotation, xyzw.
+        b: the inner rotation, xyzw.
+
+    Returns:
+        The rotation xyzw whose matrix is that of a times that of b.
+    """
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+def conjugate(rotation: Numbers) -> Quaternion:
+    """The rotation back.
+
+    Args:
+        rotation: unit quaternion xyzw.
+    """
+    x, y, z, w = rotation
+    return -x, -y, -z, w
+
+
+def normalize(rotation: Numbers) -> Quaternion:
+    """The unit quaternion of the same rotation.
+
+    Args:
+        rotation: quaternion xyzw of any length but zero.
+
+    Raises:
+        ValueError: its length is zero or not a number.
+    """
+    x, y, z, w = rotation
+    length = math.hypot(x, y, z, w)
+    if not length > _TINY or not math.isfinite(length):
+        raise ValueError(f"quaternion [{x}, {y}, {z}, {w}] has no direction")
+    return x / length, y / length, z / length, w / length
+
+
+def rotate(rotation: Numbers, vector: Numbers) -> Vector:
+    """A vector after a rotation.
+
+    Args:
+        rotation: unit quaternion xyzw.
+        vector: xyz.
+    """
+    x, y, z, w = rotation
+    a, b, c = vector
+    tx = 2.0 * (y * c - z * b)
+    ty = 2.0 * (z * a - x * c)
+    tz = 2.0 * (x * b - y * a)
+    return (
+        a + w * tx + y * tz - z * ty,
+        b + w * ty + z * tx - x * tz,
+        c + w * tz + x * ty - y * tx,
+    )
+
+
+def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:  # noqa: N803  frames in names
+    """The pose of c in a.
+
+    Args:
+        a_T_b: pose of b in a.
+        b_T_c: pose of c in b.
+    """
+    (x, y, z), turn = a_T_b
+    at, inner = b_T_c
+    dx, dy, dz = rotate(turn, at)
+    return (x + dx, y + dy, z + dz), product(turn, inner)
+
+
+def invert(a_T_b: PoseLike) -> Pose:  # noqa: N803
+    """The pose of a in b.
+
+    Args:
+        a_T_b: pose of b in a.
+    """
+    at, turn = a_T_b
+    back = conjugate(turn)
+    x, y, z = rotate(back, at)
+    return (-x, -y, -z), back
+
+
+def transform(a_T_b: PoseLike, point: Numbers) -> Vector:  # noqa: N803
+    """A point of frame b as seen from a.
+
+    Args:
+        a_T_b: pose of b in a.
+        point: xyz in b, in m.
+    """
+    (x, y, z), turn = a_T_b
+    dx, dy, dz = rotate(turn, point)
+    return x + dx, y + dy, z + dz
+
+
+def distance(a: Numbers, b: Numbers) -> float:
+    """How far two points are from each other, in m.
+
+    Args:
+        a: xyz in m.
+        b: xyz in m.
+    """
+    return math.dist(tuple(a), tuple(b))
+
+
+def angle(a: Numbers, b: Numbers) -> float:
+    """By how much two rotations differ.
+
+    Args:
+        a: unit quaternion xyzw.
+        b: unit quaternion xyzw.
+
+    Returns:
+        Angle in rad, 0..pi; exact also where it is tiny.
+    """
+    x, y, z, w = product(conjugate(a), b)
+    return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
+
+
+def from_axis_angle(axis: Numbers, turn: float) -> Quaternion:
+    """The rotation about an axis.
+
+    Args:
+        axis: xyz of any length but zero.
+        turn: angle in rad, counter-clockwise when the axis points to the viewer.
+
+    Raises:
+        ValueError: the axis has no direction.
+    """
+    x, y, z = axis
+    length = math.hypot(x, y, z)
+    if not length > _TINY:
+        raise ValueError(f"axis [{x}, {y}, {z}] has no direction")
+    scale = math.sin(turn / 2.0) / length
+    return x * scale, y * scale, z * scale, math.cos(turn / 2.0)
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
+    """The rotation that URDF writes as roll, pitch, yaw: about the fixed axes x, then y, then z.
+
+    Args:
+        roll: about x, in rad.
+        pitch: about y, in rad.
+        yaw: about z, in rad.
+
+    Returns:
+        Unit quaternion xyzw.
+    """
+    sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
+    sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
+    sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
+    """The rotation as a matrix.
+
+    Args:
+        rotation: unit quaternion xyzw.
+
+    Returns:
+        3 x 3, its columns are the turned axes.
+    """
+    x, y, z, w = rotation
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ],
+    )
+
+
+def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:  # noqa: N803
+    """The pose as a homogeneous matrix.
+
+    Args:
+        a_T_b: pose of b in a.
+
+    Returns:
+        4 x 4.
+    """
+    matrix = np.eye(4)
+    matrix[:3, :3] = to_matrix(a_T_b[1])
+    matrix[:3, 3] = a_T_b[0]
+    return matrix
+
+
+def from_matrices(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Many rotation matrices as quaternions.
+
+    Args:
+        matrices: (..., 3, 3) rotation matrices.
+
+    Returns:
+        (..., 4) unit quaternions xyzw with w >= 0.
+    """
+    m = np.asarray(matrices, dtype=np.float64)
+    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
+    # factor, and dividing by it is stable for every rotation.
+    outer = np.empty((*m.shape[:-2], 4, 4))
+    outer[..., 0, 0] = 1.0 + d0 - d1 - d2
+    outer[..., 1, 1] = 1.0 - d0 + d1 - d2
+    outer[..., 2, 2] = 1.0 - d0 - d1 + d2
+    outer[..., 3, 3] = 1.0 + d0 + d1 + d2
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        outer[..., i, j] = outer[..., j, i] = m[..., i, j] + m[..., j, i]
+    for i, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
+        outer[..., i, 3] = outer[..., 3, i] = m[..., row, column] - m[..., column, row]
+    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
+    rows /= np.sqrt(np.einsum("...i,...i->...", rows, rows))[..., None]
+    result: NDArray[np.float64] = np.where(rows[..., 3:] < 0.0, -rows, rows)
+    return result
+
+
+def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
+    """A rotation matrix as a quaternion.
+
+    Args:
+        matrix: 3 x 3 rotation matrix.
+
+    Returns:
+        Unit quaternion xyzw with w >= 0.
+    """
+    x, y, z, w = from_matrices(matrix).tolist()
+    return x, y, z, w
+
+
+def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
+    """How an optical frame (z forward, x right, y down) has to stand to look at a point.
+
+    Args:
+        eye: origin of the frame, xyz in m.
+        target: the point to look at, xyz in m.
+        up: what is up in the picture; where it is parallel to the view, some perpendicular is taken.
+
+    Returns:
+        Unit quaternion xyzw.
+
+    Raises:
+        ValueError: eye and target coincide.
+    """
+    z = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
+    length = float(np.linalg.norm(z))
+    if not length > _TINY:
+        raise ValueError("eye and target coincide: there is no direction to look in")
+    z /= length
+    x = np.cross(z, np.asarray(up, dtype=np.float64))
+    if float(np.linalg.norm(x)) < 1e-9:
+        x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    x /= np.linalg.norm(x)
+    return from_matrix(np.column_stack([x, np.cross(z, x), z]))
