@@ -1,7 +1,8 @@
 """Make everything in this folder from numbers: the kitchen, the floor and the household objects.
 
-Run ``python resources/make_resources.py`` to write the files beside this script, or ``--into DIR`` to write them elsewhere. Running it again gives
-the same bytes. ``make/thing.py`` says which files an object has and how they are to be loaded.
+Run ``python resources/make_resources.py`` to write the files beside this script, or ``--into DIR`` to write them
+elsewhere. Running it again gives the same bytes. ``make/thing.py`` says which files an object has and how they are to
+be loaded.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from make.urdf import Shape, span
 
 
 def sink_area() -> list[Shape]:
-    """Body of the long counter, and its worktop right of the module with the surface link; the basin hangs in a hole."""
+    """Body of the long counter, and its worktop beyond the surface link; the basin hangs in a hole."""
     depth, tall = (-0.266, 0.238), (-0.327, 0.418)
     return [
         span((-0.290, 0.288), (-1.026, -1.002), (-0.410, 0.418), "front"),

@@ -1,4 +1,4 @@
-"""Crockery: hollow things of revolution that stand on a flat foot, with their walls as convex pieces so that they can be filled."""
+"""Crockery: hollow things of revolution on a flat foot, with walls of convex pieces, so that they can be filled."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Cutlery: thin things with a spine along x, their handle's end at -x; they rest on the head and on the end of the handle."""
+"""Cutlery: thin things with a spine along x, handle towards -x; they rest on the head and on the handle's end."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -22,7 +23,7 @@ def spoon() -> Thing:
 
     def dish(rho: float) -> float:
         """Height of the underside of the head; ``rho`` is 0 at its middle and 1 at its rim."""
-        return 0.0085 * max(0.0, (rho - 0.45) / 0.55) ** 1.5
+        return float(0.0085 * max(0.0, (rho - 0.45) / 0.55) ** 1.5)
 
     spine = _curve(
         [
@@ -129,7 +130,7 @@ def knife() -> Thing:
         )
         for (x, low), (_, high) in zip(edge[:-1], back[:-1], strict=True)
     ]
-    pieces = [loft(core), *(loft([first, second]) for first, second in zip(flat, flat[1:], strict=False))]
+    pieces = [loft(core), *(loft([first, second]) for first, second in itertools.pairwise(flat))]
     parts = (Part("handle", WOOD, grip), Part("blade", STEEL, blade))
     return Thing("knife", 0.07, 0.8, join([grip, blade]), tuple(pieces), parts).centred()
 
@@ -143,7 +144,7 @@ def _handle(stations: list[float], spine: Curve, breadth: Curve, thick: float) -
     rings = [
         _strip(x, spine(x) + 0.9 * MARGIN, breadth(x) - MARGIN, max(thick - 1.8 * MARGIN, 0.0002)) for x in stations
     ]
-    return [loft([first, second]) for first, second in zip(rings, rings[1:], strict=False)]
+    return [loft([first, second]) for first, second in itertools.pairwise(rings)]
 
 
 def _bands(high: list[tuple[float, float]], low: list[tuple[float, float]]) -> list[Solid]:

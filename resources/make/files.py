@@ -5,13 +5,16 @@ Coordinates are rounded to a micrometre before they are written, so that a last 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from make.solids import Points, Solid
-from make.thing import Thing
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from make.solids import Points, Solid
+    from make.thing import Thing
 
 DIGITS = 6
 
@@ -40,16 +43,17 @@ def obj(pieces: Sequence[Solid]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def number(value: float) -> str:
-    """A number as short as it can be, to a micrometre or microradian; never ``-0``."""
-    text = f"{value:.{DIGITS}f}".rstrip("0").rstrip(".")
+def number(value: float, digits: int = DIGITS) -> str:
+    """A number as short as it can be, to a micrometre or microradian if not told otherwise; never ``-0``."""
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in {"-0", ""} else text
 
 
 def objects_table(things: Sequence[Thing]) -> str:
-    """The TOML table of all things: mass in kg, friction coefficient, visible parts with their colours (red, green, blue, alpha)."""
+    """The TOML table of all things: mass in kg, friction coefficient, visible parts with their colours."""
     lines = [
-        "# Written by make_resources.py. One table for each mesh NAME.stl in this folder; kilograms, colours as red, green, blue, alpha."
+        "# Written by make_resources.py: one table for each NAME.stl in this folder.",
+        "# mass in kilograms; rgba is red, green, blue, alpha from 0 to 1.",
     ]
     for thing in things:
         lines += ["", f"[{thing.name}]", f"mass = {thing.mass:.3f}", f"friction = {thing.friction:.2f}", "visual = ["]

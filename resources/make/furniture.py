@@ -1,6 +1,7 @@
 """Furniture: the pieces that kitchens repeat, as shapes in the frame of their link, front towards +x.
 
-Between what moves and what doesn't there are gaps of 2 mm or more; boards are at least 6 mm thick, so that nothing falls through them.
+Between what moves and what doesn't there are gaps of 2 mm or more. Boards are at least 6 mm thick, so that nothing
+falls through them.
 """
 
 from __future__ import annotations

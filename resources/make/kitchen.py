@@ -1,6 +1,7 @@
 """The kitchen: frames and joints from the table of numbers in ``kitchen.json``, shapes from cabinets and furniture.
 
-The table has the layout, names, joints and sizes of a real laboratory kitchen. Where we build it differently, its ``note`` says why.
+The table has the layout, names, joints and sizes of a real laboratory kitchen. Where we build it differently, its
+``note`` says why.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def _joint(row: dict[str, Any]) -> Joint | None:
 
 
 def _as_described(row: dict[str, Any]) -> list[Shape]:
-    """One box, as the table has it: the walls, and the boards of the right pull-out, whose rails slide past the fronts of the middle."""
+    """One box, as the table has it: walls, and boards of the right pull-out; its rails clear the fronts beside them."""
     if "box" not in row:
         return []
     name = str(row["link"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from make.solids import Profile, Solid, bevelled, block, disc, extrude, join, revolve
+from make.solids import Profile, Solid, bevelled, block, disc, extrude, join, revolve, rounded
 from make.thing import MARGIN, Part, Thing, lettering
 
 
@@ -93,7 +93,7 @@ def bottle() -> Thing:
 
 
 def apple() -> Thing:
-    """A red apple, 76 mm wide, with a stalk in its dimple."""
+    """A red apple, 75 mm wide, with a stalk in its dimple."""
     flesh = [
         (0.0, 0.0060),
         (0.0060, 0.0030),
@@ -108,17 +108,19 @@ def apple() -> Thing:
         (0.0065, 0.0640),
         (0.0, 0.0570),
     ]
-    body = revolve(flesh, 32)
+    skin = rounded(flesh)
+    body = revolve(skin, 32)
+    low, high = min(z for _, z in skin) + MARGIN, max(z for _, z in skin) - MARGIN
     stalk = revolve([(0.0, 0.0560), (0.0016, 0.0560), (0.0022, 0.0800), (0.0, 0.0800)], 8).moved(x=0.001)
-    i = MARGIN
+    i = 2 * MARGIN
     core = [
-        (0.0, i),
-        (0.0150, i),
+        (0.0, low),
+        (0.0150, low),
         (0.0300 - i, 0.0120),
         (0.0380 - i, 0.0400),
         (0.0345 - i, 0.0560),
-        (0.0255 - i, 0.0670 - i),
-        (0.0, 0.0670 - i),
+        (0.0230, high),
+        (0.0, high),
     ]
     parts = (Part("skin", (0.75, 0.13, 0.12), body), Part("stalk", (0.32, 0.21, 0.10), stalk))
     return Thing("apple", 0.18, 0.7, join([body, stalk]), (_core(core, 12),), parts).centred()

@@ -1,11 +1,13 @@
 """A solid is a closed triangle mesh, made from a few numbers.
 
-Invariants: every function here returns a watertight mesh whose faces look outwards (positive volume); lengths are metres; a ring is a closed
-polygon whose points ``i`` and ``-1 - i`` face each other, so that a strip of quads between them fills it.
+Invariants: every function here returns a watertight mesh whose faces look outwards (positive volume); lengths are
+metres; a ring is a closed polygon whose points ``i`` and ``-1 - i`` face each other, so that a strip of quads between
+them fills it.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -21,7 +23,7 @@ Profile: TypeAlias = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A closed mesh: ``vertices`` of shape (n, 3) in metres, ``faces`` of shape (m, 3), counter-clockwise from outside."""
+    """A closed mesh: ``vertices`` (n, 3) in metres, ``faces`` (m, 3), counter-clockwise seen from outside."""
 
     vertices: Points
     faces: Faces
@@ -92,7 +94,8 @@ def revolve(profile: Profile, segments: int = 48) -> Solid:
     """The solid that a profile sweeps when it turns about the z axis.
 
     Args:
-        profile: Points (radius, z) in metres. Either both ends lie on the axis (radius 0), or the profile is closed to a torus-like ring.
+        profile: Points (radius, z) in metres. Either both ends lie on the axis (radius 0), or the profile is closed
+            to a torus-like ring.
         segments: How many flat sides approximate the circle. A multiple of 4 makes the extents in x and y exact.
     """
     angles = 2.0 * np.pi * np.arange(segments) / segments
@@ -105,7 +108,7 @@ def revolve(profile: Profile, segments: int = 48) -> Solid:
         starts.append((count, pole))
         vertices.append(ring)
         count += len(ring)
-    pairs = list(zip(starts, starts[1:], strict=False))
+    pairs = list(itertools.pairwise(starts))
     if not starts[0][1]:
         pairs.append((starts[-1], starts[0]))
     faces: list[tuple[int, int, int]] = []
@@ -117,6 +120,15 @@ def revolve(profile: Profile, segments: int = 48) -> Solid:
             if not high_pole:
                 faces.append((low if low_pole else low + k, high + after, high + k))
     return _outward(np.concatenate(vertices), faces)
+
+
+def rounded(profile: Profile, times: int = 2) -> list[tuple[float, float]]:
+    """The same profile with its corners cut off ``times`` times, each time at a quarter of both edges; ends stay."""
+    points = np.array(profile)
+    for _ in range(times):
+        cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
+        points = np.concatenate([points[:1], cut.reshape(-1, 2)[1:-1], points[-1:]])
+    return [(float(radius), float(z)) for radius, z in points]
 
 
 def circle(radius: float, z: float, angles: Points) -> Points:
@@ -180,7 +192,7 @@ def sectors(inner: Profile, outer: Profile, segments: int) -> list[Solid]:
             np.concatenate([circle(r_in, z_in, angles), circle(r_out, z_out, angles)[::-1]])
             for (r_in, z_in), (r_out, z_out) in zip(inner, outer, strict=True)
         ]
-        pieces += [loft([low, high]) for low, high in zip(rows, rows[1:], strict=False)]
+        pieces += [loft([low, high]) for low, high in itertools.pairwise(rows)]
     return pieces
 
 

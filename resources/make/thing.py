@@ -1,16 +1,17 @@
 """A thing is a household object: what it looks like, what it is made of for physics, and what it weighs.
 
-PyBullet turns a concave mesh into its convex hull (a bowl would be solid) and shows one colour a mesh whatever an MTL file says. So a thing is
-written as several files, and whoever loads ``X.stl`` looks beside it:
+PyBullet turns a concave mesh into its convex hull (a bowl would be solid) and shows one colour a mesh whatever an MTL
+file says. So a thing is written as several files, and whoever loads ``X.stl`` looks beside it:
 
 ``X.stl``
     The whole body, one watertight mesh, origin at the middle of its bounding box.
 ``X.collision.obj``
-    The same body as convex pieces, one ``o part_k`` group each. As the one mesh of a ``<collision>`` element, PyBullet reads it as a compound
-    of convex hulls. PyBullet grows each hull by its margin of 1 mm; the pieces are drawn that much smaller, so that things rest on their
-    real underside.
+    The same body as convex pieces, one ``o part_k`` group each. As the one mesh of a ``<collision>`` element, PyBullet
+    reads it as a compound of convex hulls. PyBullet grows each hull by its margin of 1 mm; the pieces are that much
+    smaller, so that things rest on their real underside.
 ``parts/X.NAME.stl`` and ``objects.toml``
-    The visible parts in their colours, in the frame of ``X.stl``; ``[X]`` in ``objects.toml`` lists them, with mass and friction.
+    The visible parts in their colours, in the frame of ``X.stl``. ``[X]`` in ``objects.toml`` lists them as
+    ``visual = [{ mesh, rgba }, ...]``, with ``mass`` in kg and ``friction``. One ``<visual>`` element each.
 """
 
 from __future__ import annotations

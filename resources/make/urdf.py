@@ -5,17 +5,21 @@ A shape that is seen but can't be touched (``solid=False``) has no mass either.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from make.files import number
-from make.solids import Span
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from make.solids import Span
 
 Triple: TypeAlias = tuple[float, float, float]
 
@@ -40,7 +44,7 @@ class Shape:
         size: Extents along x, y, z, metres.
         material: Name in the table of materials.
         solid: Whether it can be touched.
-        round_about: Axis ``x``, ``y`` or ``z`` of the cylinder that is seen; it is touched as a box all the same, which is cheaper.
+        round_about: Axis ``x``, ``y`` or ``z`` of the cylinder that is seen; it is touched as a box all the same.
     """
 
     centre: Triple
@@ -52,7 +56,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A joint to a parent link: origin in metres and radians, axis in the joint's frame, limits in metres or radians."""
+    """A joint to a parent link: origin and limits in metres and radians, axis in the joint's frame."""
 
     name: str
     kind: str
@@ -159,10 +163,10 @@ def _inertial(shapes: Iterable[Shape], materials: Mapping[str, Material]) -> lis
         own = np.diag(mass / 12.0 * ((size**2).sum() - size**2))
         tensor += own + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor.tolist()
-    names = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (xx, yy, zz, xy, xz, yz), strict=True)
-    inertia = " ".join(f'{key}="{number(value)}"' for key, value in names)
-    mass = f'<mass value="{number(float(weights.sum()))}"/>'
-    return [f'    <inertial><origin xyz="{_row(middle.tolist())}"/>{mass}<inertia {inertia}/></inertial>']
+    named = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (xx, yy, zz, xy, xz, yz), strict=True)
+    inertia = " ".join(f'{key}="{number(moment, digits=9)}"' for key, moment in named)
+    total = f'<mass value="{number(float(weights.sum()))}"/>'
+    return [f'    <inertial><origin xyz="{_row(middle.tolist())}"/>{total}<inertia {inertia}/></inertial>']
 
 
 def _row(values: Iterable[float]) -> str:
