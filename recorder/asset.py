@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
-from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -13,19 +12,14 @@ class AssetFile:
     """One file, known by its content.
 
     Attributes:
-        path: where it lies on this machine.
         name: the name that it has in the recording (no folders).
+        content: its bytes.
         media_type: what it is.
     """
 
-    path: Path
     name: str
+    content: bytes
     media_type: str = "application/octet-stream"
-
-    @cached_property
-    def content(self) -> bytes:
-        """The file's bytes, read once."""
-        return self.path.read_bytes()
 
     @cached_property
     def sha256(self) -> str:

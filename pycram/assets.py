@@ -1,0 +1,250 @@
+"""Models: from the file a user names to a checked, self-contained URDF that the engine loads and a log can carry.
+
+PyBullet refuses broken files without saying why, or loads them without a shape. So every file is checked here first.
+What it then gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
+under these names. The same store can be laid out again from a recording's attachments on another machine.
+
+Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning.
+"""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+import threading
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pycram import mesh
+from pycram.failures import AssetError
+from recorder.asset import AssetFile
+from recorder.urdf import Urdf, UrdfError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+_MESH_TYPES = (".stl", ".obj", ".dae")
+_FRAME_MASS = 1e-3  # kg, of links that are only frames
+_FRAME_INERTIA = 1e-6  # kg m^2
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A body's description, ready to load.
+
+    Attributes:
+        path: the canonical URDF in the store.
+        urdf: its tree of links and joints.
+        files: everything that it consists of, the URDF first; it refers to the others by their keys.
+    """
+
+    path: Path
+    urdf: Urdf
+    files: tuple[AssetFile, ...]
+
+
+@cache
+def _store() -> Path:
+    """The folder of canonical models; lives as long as the process."""
+    folder = Path(tempfile.mkdtemp(prefix="pycram-models-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+def resources() -> Path:
+    """The folder with the kitchen, the floor and the household objects."""
+    here = Path(__file__).parent
+    installed = here / "resources"
+    return installed if installed.is_dir() else here.parent / "resources"
+
+
+def find(path: str | Path) -> Path:
+    """Finds a model's file.
+
+    Args:
+        path: a file; a bare name that isn't in the working directory is looked for among PyCRAM's resources, and
+            ``pr2.urdf`` is the PR2 of example-robot-data.
+
+    Returns:
+        The file's absolute path.
+
+    Raises:
+        AssetError: there is no such file.
+    """
+    given = Path(path).expanduser()
+    if given.is_file():
+        return given.resolve()
+    if given.exists():
+        raise AssetError(path, "is not a file")
+    if given.name == str(path):
+        if given.name == "pr2.urdf":
+            from pycram.robots.models import pr2_urdf  # noqa: PLC0415  only for the robot
+
+            return pr2_urdf()
+        shipped = resources() / given
+        if shipped.is_file():
+            return shipped
+    known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
+    raise AssetError(path, f"no such file; PyCRAM itself brings pr2.urdf, {', '.join(known)}")
+
+
+def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
+    """Checks a model and makes it canonical.
+
+    Args:
+        path: a .urdf, .stl, .obj or .dae file, as :func:`find` takes it.
+        color: RGBA 0..1 for a mesh; None leaves the colours of the file.
+
+    Returns:
+        The model.
+
+    Raises:
+        AssetError: the file is missing, broken or of an unknown type, or a mesh in it is.
+    """
+    file = find(path)
+    kind = file.suffix.lower()
+    if kind == ".urdf":
+        return _canonical(file, _read(file), file.stem)
+    if kind in _MESH_TYPES:
+        return _canonical(file, mesh.as_urdf(file, color, _keep_mesh, _decompose), file.stem)
+    raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
+
+
+def restore(files: Iterable[tuple[str, bytes]], urdf: str) -> Model:
+    """Lays out a recording's attachments and loads a model from them.
+
+    Args:
+        files: attachment names (``<sha256>/<file name>``) and contents of the model's files.
+        urdf: which of them is the URDF.
+
+    Returns:
+        The model.
+
+    Raises:
+        AssetError: a file is missing or broken.
+    """
+    for key, content in files:
+        _keep(key, content)
+    file = _store() / urdf
+    if not file.is_file():
+        raise AssetError(urdf, "is not among the recording's attachments")
+    return _canonical(file, _read(file), file.stem)
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(file, f"can't be read: {error}") from error
+
+
+def _keep(name: str, content: bytes) -> Path:
+    """Writes a file into the store: whole or not at all, whoever else writes it."""
+    target = _store() / name
+    if not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_name(f"{target.name}.{threading.get_ident()}")
+        partial.write_bytes(content)
+        partial.replace(target)
+    return target
+
+
+def _keep_mesh(name: str, content: bytes) -> str:
+    asset = AssetFile(name, content, "model/mesh")
+    _keep(asset.key, content)
+    return asset.key
+
+
+def _decompose(content: bytes) -> bytes:
+    from pycram.engine import decompose  # noqa: PLC0415  the engine is needed for concave meshes only
+
+    asset = AssetFile("concave.obj", content)
+    source = _keep(asset.key, content)
+    pieces = source.with_name("pieces.obj")
+    if not pieces.exists():
+        decompose(source, pieces)
+    return pieces.read_bytes()
+
+
+def _canonical(source: Path, text: str, stem: str) -> Model:
+    try:
+        root = ET.fromstring(text)  # noqa: S314  a model of the user's own, and expat limits entity expansion
+    except ET.ParseError as error:
+        raise AssetError(source, f"is not well-formed XML: {error}") from error
+    _check_links(source, root)
+    assets: dict[str, AssetFile] = {}
+    meshes: dict[str, AssetFile] = {}
+    for element in root.iter("mesh"):
+        found = _find_mesh(source, element.get("filename", ""))
+        asset = _checked_mesh(found, found.stat().st_mtime_ns, found.stat().st_size)
+        element.set("filename", asset.key)
+        meshes[asset.key] = asset
+    for material in root.iter("material"):
+        for texture in material.findall("texture"):
+            material.remove(texture)  # the software renderer shows plain colours
+    for link in root.iter("link"):
+        _give_inertia(link)
+    content = ET.tostring(root, encoding="unicode")
+    try:
+        tree = Urdf.parse(content)
+    except UrdfError as error:
+        raise AssetError(source, str(error)) from error
+    itself = AssetFile(f"{stem}.urdf", content.encode(), "application/xml")
+    # PyBullet looks for meshes from the URDF's folder: URDFs lie flat in the store, beside the folders of the meshes.
+    path = _keep(f"{itself.sha256}.urdf", itself.content)
+    return Model(path, tree, (itself, *meshes.values()))
+
+
+def _check_links(source: Path, root: ET.Element) -> None:
+    if root.tag != "robot":
+        raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
+    names = [link.get("name", "") for link in root.iter("link")]
+    if not names:
+        raise AssetError(source, "has no links")
+
+
+def _find_mesh(source: Path, name: str) -> Path:
+    """A mesh as a URDF names it: absolute, relative, file:// or package:// (looked for upwards)."""
+    if not name:
+        raise AssetError(source, "has a <mesh> without filename")
+    relative = name.removeprefix("file://")
+    if name.startswith("package://"):
+        relative = name.removeprefix("package://")
+        without_package = relative.partition("/")[2]
+        candidates = [folder / part for folder in source.parents for part in (relative, without_package)]
+    else:
+        candidates = [source.parent / relative, _store() / relative]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise AssetError(source, f"its mesh {name} doesn't exist")
+
+
+@cache
+def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
+    """A mesh in the store, in a form that the engine really reads; checked once per version of the file."""
+    asset = AssetFile(*mesh.checked(file), "model/mesh")
+    _keep(asset.key, asset.content)
+    return asset
+
+
+def _give_inertia(link: ET.Element) -> None:
+    if link.find("inertial") is not None:
+        return
+    boxes = [mesh.box_of(collision) for collision in link.findall("collision")]
+    sizes = [size for size in boxes if size is not None]
+    if link.find("collision") is not None and sizes:
+        # a solid of household density in place of the kilogram that PyBullet would assume
+        mass = sum(mesh.DENSITY * x * y * z for x, y, z in sizes)
+        x, y, z = max(sizes, key=lambda size: size[0] * size[1] * size[2])
+        moments = [mass / 12 * (b * b + c * c) for b, c in ((y, z), (x, z), (x, y))]
+    else:
+        mass, moments = _FRAME_MASS, [_FRAME_INERTIA] * 3
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=repr(mass))
+    tensor = {"ixy": "0", "ixz": "0", "iyz": "0"} | dict(zip(("ixx", "iyy", "izz"), map(repr, moments), strict=True))
+    ET.SubElement(inertial, "inertia", attrib=tensor)

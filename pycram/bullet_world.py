@@ -1,0 +1,359 @@
+"""Worlds: a physics simulation, the objects in it, and its events (thesis 4.2, table 4.1).
+
+Any number of worlds may be open. The one that was opened last is current; when it ends, the one before it is current
+again. Physics runs in :meth:`BulletWorld.simulate` and in real time only, 240 steps a second.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import threading
+from typing import TYPE_CHECKING, Final
+
+from pycram import checks
+from pycram.engine import STEPS_PER_SECOND, Engine
+from pycram.event import Event
+from pycram.failures import BadArgument, NoWorld, UnknownName, WorldClosed
+from pycram.funnel import Funnel, Reading, read
+from pycram.gui import check_display
+from pycram.objects import Object
+from pycram.realtime import RealtimeClock
+from recorder import journal, records
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import TracebackType
+
+    from pycram.funnel import Change
+    from recorder.journal import Journal
+
+__all__ = ["BulletWorld", "Object"]
+
+_SAMPLE_STEPS: Final = STEPS_PER_SECOND // 30
+_MOVED: Final = 1e-4  # rad or m by which a joint of the environment has to move in a simulated stretch to be news
+
+
+class _Worlds(type):
+    """Makes the current world and its robot readable and settable on the class, as in the thesis' listings."""
+
+    _open: tuple[BulletWorld, ...] = ()
+    _registry = threading.Lock()
+    _numbers = itertools.count(1)
+
+    @property
+    def current_bullet_world(cls) -> BulletWorld | None:
+        """The default world of all that needs one: the one opened last that is still open."""
+        return _Worlds._open[-1] if _Worlds._open else None
+
+    @current_bullet_world.setter
+    def current_bullet_world(cls, world: BulletWorld) -> None:
+        with _Worlds._registry:
+            if world.closed:
+                raise WorldClosed(world.name, "become current")
+            _Worlds._open = (*(other for other in _Worlds._open if other is not world), world)
+
+    @property
+    def robot(cls) -> Object | None:
+        """The robot of the current world."""
+        world = _Worlds._open[-1] if _Worlds._open else None
+        return world.robot if world else None
+
+    @robot.setter
+    def robot(cls, robot: Object | None) -> None:
+        world = robot.world if robot is not None else _Worlds._open[-1] if _Worlds._open else None
+        if world is None:
+            raise NoWorld
+        world.set_robot(robot)
+
+
+class BulletWorld(metaclass=_Worlds):
+    """A world.
+
+    Args:
+        type: "DIRECT" (headless) or "GUI" (a window).
+        name: how records call it; "world_1", "world_2", ... by default.
+
+    Raises:
+        BadArgument: another type.
+        DisplayError: no window can open, or one is open already.
+    """
+
+    def __init__(self, type: str = "DIRECT", name: str | None = None) -> None:  # noqa: A002  the original's name
+        if type not in ("DIRECT", "GUI"):
+            raise BadArgument("type", type, '"DIRECT" or "GUI"')
+        if type == "GUI":
+            check_display(open_windows=[world.name for world in _Worlds._open if world.mode == "GUI"])
+        self.mode = type
+        self.name = f"world_{next(_Worlds._numbers)}" if name is None else checks.text("name", name)
+        if any(world.name == self.name for world in _Worlds._open):
+            raise BadArgument("name", self.name, "a name that no open world has")
+        self.engine = Engine(window=type == "GUI")
+        self.sim_step = 0
+        self.gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+        self.closed = False
+        self.funnel = Funnel(self)
+        self._objects: dict[str, Object] = {}
+        self._robot: Object | None = None
+        self._clock: RealtimeClock | None = None
+        self._attachment = Event("attachment", self.name, self._envelope)
+        self._detachment = Event("detachment", self.name, self._envelope)
+        self._manipulation = Event("manipulation", self.name, self._envelope)
+        with self.funnel.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
+            journal.register(self)
+        with _Worlds._registry:
+            _Worlds._open = (*_Worlds._open, self)
+
+    def __repr__(self) -> str:
+        return f"BulletWorld({self.mode!r}, name={self.name!r})"
+
+    def __record__(self) -> object:
+        """How it stands in records."""
+        return {"world": self.name}
+
+    def __enter__(self) -> BulletWorld:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.exit()
+
+    def _envelope(self) -> tuple[str, int]:
+        return self.name, self.sim_step
+
+    # --- what is in it ---------------------------------------------------------------------------------------------
+
+    @property
+    def lock(self) -> threading.RLock:  # type: ignore[valid-type]  # a factory on Python 3.10-3.12
+        """Held while something reads or changes this world consistently; re-entrant."""
+        return self.funnel.lock
+
+    @property
+    def objects(self) -> list[Object]:
+        """All objects, in the order in which they were loaded."""
+        return list(self._objects.values())
+
+    @property
+    def robot(self) -> Object | None:
+        """The robot that plans control in this world."""
+        return self._robot
+
+    @robot.setter
+    def robot(self, robot: Object | None) -> None:
+        self.set_robot(robot)
+
+    def set_robot(self, robot: Object | None) -> None:
+        """Says which object plans control.
+
+        Raises:
+            BadArgument: it isn't a robot of this world.
+        """
+        if robot is not None and (not isinstance(robot, Object) or not robot.is_robot or robot.world is not self):
+            raise BadArgument("robot", robot, f'an object of type "robot" in {self.name}')
+        command = records.SetRobot(body=robot.name if robot else "")
+        with self.funnel.change(records.Mutation(set_robot=command)):
+            self._robot = robot
+
+    def get_objects_by_name(self, name: str) -> list[Object]:
+        """The objects of that name: one, or none."""
+        return [body for body in self.objects if body.name == name]
+
+    def get_objects_by_type(self, type: str) -> list[Object]:  # noqa: A002  the original's name
+        """The objects of that type."""
+        return [body for body in self.objects if body.type == type]
+
+    def get_object_by_id(self, id: int) -> Object:  # noqa: A002  the original's name
+        """The object with that PyBullet id.
+
+        Raises:
+            UnknownName: there is none.
+        """
+        for body in self.objects:
+            if body.id == id:
+                return body
+        raise UnknownName("object with id", id, self.name, (f"{body.id} ({body.name})" for body in self.objects))
+
+    def get_object(self, name: str) -> Object:
+        """The object of that name.
+
+        Raises:
+            UnknownName: there is none.
+        """
+        if name not in self._objects:
+            raise UnknownName("object", name, self.name, self._objects)
+        return self._objects[name]
+
+    def add(self, body: Object) -> None:
+        """Loads an object's model; called by its constructor."""
+        command = records.Mutation(load_body=records.LoadBody(body=body.name))
+        with self.funnel.change(command) as change:
+            if body.name in self._objects:
+                raise BadArgument("name", body.name, f"a name that nothing in {self.name} has")
+            handle = self.engine.load(body.model.path, body.original_pose, fixed=body.fixed, robot=body.is_robot)
+            body.handle = handle
+            body.original_joints = dict(zip(body.joints, self.engine.joints(handle)[0], strict=True))
+            if body.color is not None:
+                self.engine.set_color(handle, body.color)
+            self._objects[body.name] = body
+            if journal.recording():
+                journal.attach(body.model.files)
+                command.load_body.CopyFrom(body.load_record)
+            change.touch(body)
+
+    def take_out(self, body: Object) -> None:
+        """Removes an object; called by its ``remove``.
+
+        Raises:
+            WorldClosed: it isn't there any more.
+        """
+        command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
+        with self.funnel.change(command) as change:
+            handle = body.handle
+            for other in list(body.attachments):
+                body.let_go(other, change)
+            self.engine.remove(handle)
+            body.handle = None
+            del self._objects[body.name]
+            if self._robot is body:
+                self._robot = None
+            change.removed.append(body.name)
+
+    # --- events ----------------------------------------------------------------------------------------------------
+
+    def get_attachment_event(self) -> Event:
+        """Fired with (carrier, body) when an object is attached to another."""
+        return self._attachment
+
+    def get_detachment_event(self) -> Event:
+        """Fired with (carrier, body) when an attachment ends."""
+        return self._detachment
+
+    def get_manipulation_event(self) -> Event:
+        """Fired with (object) when something changed the joints or the pose of an environment's object."""
+        return self._manipulation
+
+    # --- physics ---------------------------------------------------------------------------------------------------
+
+    @property
+    def realtime(self) -> bool:
+        """Whether it is simulated at the pace of the clock."""
+        return self._clock is not None
+
+    def set_gravity(self, gravity: Sequence[float]) -> None:
+        """Sets the gravity.
+
+        Args:
+            gravity: [x, y, z] in m/s^2.
+
+        Raises:
+            BadArgument: not 3 finite numbers.
+        """
+        vector = checks.vector("gravity", gravity)
+        with self.funnel.change(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
+            self.engine.set_gravity(vector)
+            self.gravity = vector
+
+    def set_realtime(self, real_time: bool) -> None:
+        """Starts or stops simulating at the pace of the clock, in a thread of its own.
+
+        Args:
+            real_time: on or off.
+        """
+        enabled = bool(real_time)
+        stopped = None
+        with self.funnel.change(records.Mutation(set_realtime=records.SetRealtime(enabled=enabled))):
+            if enabled and self._clock is None:
+                self._clock = RealtimeClock(self)
+                self._clock.start()
+            elif not enabled:
+                stopped, self._clock = self._clock, None
+        if stopped is not None:
+            stopped.stop()  # outside of the lock, which its last stretch may be waiting for
+
+    def simulate(self, seconds: float) -> None:
+        """Lets time run.
+
+        Args:
+            seconds: simulated time; ``round(seconds * 240)`` steps.
+
+        Raises:
+            BadArgument: not a number from 0 up.
+        """
+        duration = checks.number("seconds", seconds)
+        if duration < 0:
+            raise BadArgument("seconds", seconds, "a number from 0 up")
+        self.simulate_steps(round(duration * STEPS_PER_SECOND))
+
+    def simulate_steps(self, steps: int) -> None:
+        """Lets time run for so many steps of 1/240 s."""
+        with self.funnel.change(records.Mutation(simulate=records.Simulate(steps=steps))) as change:
+            environment = {body: self.engine.joints(body.handle)[0] for body in self.objects if body.is_environment}
+            self._step(steps, change)
+            change.touch(*self.objects)
+            for body, before in environment.items():
+                after = self.engine.joints(body.handle)[0]
+                if any(not math.isclose(a, b, abs_tol=_MOVED) for a, b in zip(before, after, strict=True)):
+                    change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
+
+    def _step(self, steps: int, change: Change) -> None:
+        if not journal.recording():
+            self.engine.step(steps)
+            self.sim_step += steps
+            return
+        last: dict[str, Reading] = {body.name: read(body) for body in self.objects}
+        done = 0
+        while done < steps:
+            stretch = min(_SAMPLE_STEPS - self.sim_step % _SAMPLE_STEPS, steps - done)
+            self.engine.step(stretch)
+            self.sim_step += stretch
+            done += stretch
+            if done < steps:  # the end itself is the effect
+                sample = self.funnel.sample(self.sim_step, last)
+                if sample is not None:
+                    change.samples.append(sample)
+
+    def reset(self) -> None:
+        """Puts every object back to where and how it was loaded; attachments end, simulated time goes on."""
+        with self.funnel.change(records.Mutation(reset=records.Reset())) as change:
+            for body in self.objects:
+                for other in list(body.attachments):
+                    body.let_go(other, change)
+            for body in self.objects:
+                self.engine.set_joints(body.handle, body.original_joints)
+                self.engine.set_pose(body.handle, body.original_pose)
+                change.touch(body)
+                if body.is_environment:
+                    change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
+
+    # --- recording and end -----------------------------------------------------------------------------------------
+
+    def record_keyframe(self, journal: Journal) -> None:
+        """Tells a journal the whole state, for recordings that start when the world exists already."""
+        with self.lock:
+            if self.closed:
+                return
+            for body in self.objects:
+                journal.attach(body.model.files)
+            frame = self.funnel.keyframe()
+            frame.world, frame.sim_step = self.name, self.sim_step
+            frame.thread = threading.current_thread().name
+            journal.append(frame)
+
+    def exit(self) -> None:
+        """Ends the world at once, its window and its threads; a second call does nothing."""
+        with self.lock:
+            if self.closed:
+                return
+            self.funnel.query = ""  # a query that dies in an exception can't keep its world from ending
+        if self._clock is not None:
+            self.set_realtime(False)
+        with self.funnel.change(records.Mutation(close_world=records.CloseWorld())):
+            journal.unregister(self)
+            self.closed = True
+            for body in self.objects:
+                body.handle = None
+            self._robot = None
+            self.engine.close()
+        with _Worlds._registry:
+            _Worlds._open = tuple(world for world in _Worlds._open if world is not self)

@@ -1,0 +1,123 @@
+"""Checks of what users give, before anything changes: numbers, positions, orientations, colours.
+
+Each returns plain floats, so that nothing of the caller's arrays is kept or aliased.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pycram.failures import BadArgument
+
+if TYPE_CHECKING:
+    from pycram.engine import Quaternion, Vector
+
+_FARTHEST = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
+
+
+def number(argument: str, value: object) -> float:
+    """A finite number.
+
+    Args:
+        argument: what it is, for the error.
+        value: what was given.
+
+    Raises:
+        BadArgument: it isn't one.
+    """
+    if isinstance(value, bool | str | bytes):
+        raise BadArgument(argument, value, "a number")
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise BadArgument(argument, value, "a number") from error
+    if not math.isfinite(result):
+        raise BadArgument(argument, value, "a finite number")
+    return result
+
+
+def _numbers(argument: str, value: object, length: int, expected: str) -> tuple[float, ...]:
+    if isinstance(value, str | bytes) or not isinstance(value, Iterable | np.ndarray):
+        raise BadArgument(argument, value, expected)
+    items = list(value)
+    if len(items) != length:
+        raise BadArgument(argument, value, expected)
+    try:
+        return tuple(number(argument, item) for item in items)
+    except BadArgument as error:
+        raise BadArgument(argument, value, expected) from error
+
+
+def vector(argument: str, value: object) -> Vector:
+    """Three finite numbers.
+
+    Args:
+        argument: what it is, for the error.
+        value: list, tuple or array of 3.
+
+    Raises:
+        BadArgument: it isn't that.
+    """
+    x, y, z = _numbers(argument, value, 3, "3 finite numbers x, y, z")
+    if max(abs(x), abs(y), abs(z)) > _FARTHEST:
+        raise BadArgument(argument, value, f"coordinates within {_FARTHEST:g}")
+    return x, y, z
+
+
+def quaternion(argument: str, value: object) -> Quaternion:
+    """A rotation.
+
+    Args:
+        argument: what it is, for the error.
+        value: 4 numbers x, y, z, w that aren't all zero.
+
+    Returns:
+        The unit quaternion; one that is a unit already (to 1e-9) keeps its bits.
+
+    Raises:
+        BadArgument: it isn't that.
+    """
+    expected = "4 finite numbers x, y, z, w that aren't all zero"
+    x, y, z, w = _numbers(argument, value, 4, expected)
+    length = math.hypot(x, y, z, w)
+    if not math.isfinite(length) or length < 1e-9:
+        raise BadArgument(argument, value, expected)
+    if abs(length - 1) > 1e-9:
+        x, y, z, w = x / length, y / length, z / length, w / length
+    return x, y, z, w
+
+
+def color(argument: str, value: object) -> tuple[float, float, float, float]:
+    """A colour.
+
+    Args:
+        argument: what it is, for the error.
+        value: RGBA, each 0..1.
+
+    Raises:
+        BadArgument: it isn't that.
+    """
+    expected = "4 numbers r, g, b, a from 0 to 1"
+    r, g, b, a = _numbers(argument, value, 4, expected)
+    if min(r, g, b, a) < 0 or max(r, g, b, a) > 1:
+        raise BadArgument(argument, value, expected)
+    return r, g, b, a
+
+
+def text(argument: str, value: object) -> str:
+    """A name.
+
+    Args:
+        argument: what it is, for the error.
+        value: a string that isn't empty.
+
+    Raises:
+        BadArgument: it isn't that.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise BadArgument(argument, value, "a string that isn't empty")
+    return value

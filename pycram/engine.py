@@ -1,0 +1,477 @@
+"""One physics client: the only module that talks to PyBullet.
+
+Everything above speaks of bodies, links and joints by name and of poses of link frames as URDF defines them; ids,
+indices and inertial frames stay in here. Every call names its client. PyBullet accepts nonsense without a word (NaN,
+dead ids, meshes without shape), so callers check first; this module only translates.
+
+The settings of a client decide what repeats bit for bit: overlapping pairs are ordered, and nothing else is touched.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import numpy as np
+
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+
+@contextmanager
+def _quiet_stdout() -> Iterator[None]:
+    """Sends what native code prints to stdout to stderr instead: stdout belongs to results."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    try:
+        os.dup2(2, 1)
+        yield
+    finally:
+        ctypes.CDLL(None).fflush(None)  # C buffers what goes to a pipe or a file
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+with _quiet_stdout():  # it announces its build time
+    import pybullet as bullet
+
+STEPS_PER_SECOND: Final = 240
+
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+Pose: TypeAlias = tuple[Vector, Quaternion]
+"""Position in m and orientation xyzw."""
+
+IDENTITY: Final[Pose] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+# Groups of the collision filter. PyBullet lets a pair collide if either side wants to, so both have to refuse.
+_ROBOT_GROUP: Final = 64
+_HELD_GROUP: Final = 32
+_DYNAMIC_GROUP: Final = 1
+_ALL: Final = -1
+_STATIC_GROUP: Final = 2
+
+_KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
+
+#: Forces (N, Nm) with which joints keep their place. The PR2's torso sinks below 1e4.
+_HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A movable joint.
+
+    Attributes:
+        name: its name.
+        index: PyBullet's.
+        kind: "revolute" (also continuous) or "prismatic".
+        lower: lower limit in rad or m, -inf if continuous.
+        upper: upper limit in rad or m, inf if continuous.
+        link: the link that it moves.
+    """
+
+    name: str
+    index: int
+    kind: str
+    lower: float
+    upper: float
+    link: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A loaded body.
+
+    Attributes:
+        id: PyBullet's; reused after removal.
+        links: link index by name, the base is -1.
+        joints: movable joints by name.
+        offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
+        indices: indices of the movable joints, in order.
+    """
+
+    id: int
+    links: Mapping[str, int]
+    joints: Mapping[str, Joint]
+    offset: Pose | None
+    indices: tuple[int, ...]
+
+    def link_name(self, index: int) -> str:
+        """The name of a link index."""
+        return next(name for name, i in self.links.items() if i == index)
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """Where two bodies are nearest.
+
+    Attributes:
+        link_a: link of the first body.
+        link_b: link of the second.
+        position_a: on the first, world frame, m.
+        position_b: on the second, world frame, m.
+        normal: unit vector from b to a.
+        distance: m, negative inside.
+        force: N along the normal, as the last step left it; 0 where nothing was stepped.
+    """
+
+    link_a: str
+    link_b: str
+    position_a: Vector
+    position_b: Vector
+    normal: Vector
+    distance: float
+    force: float
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """What a camera sees.
+
+    Attributes:
+        rgb: (height, width, 3) uint8.
+        depth: (height, width) float64, m along the optical axis.
+        bodies: (height, width) int64, body id per pixel, -1 for nothing.
+        links: (height, width) int64, link index per pixel.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float64]
+    bodies: NDArray[np.int64]
+    links: NDArray[np.int64]
+
+
+def decompose(source: Path, target: Path) -> None:
+    """Splits a concave OBJ mesh into convex pieces with V-HACD.
+
+    Args:
+        source: the mesh.
+        target: gets one group per piece.
+    """
+    with _quiet_stdout():
+        bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
+
+
+class Engine:
+    """A physics client.
+
+    Args:
+        window: open PyBullet's window.
+    """
+
+    def __init__(self, *, window: bool = False) -> None:
+        if window:
+            with _quiet_stdout():
+                self._client: int = bullet.connect(bullet.GUI)
+        else:
+            self._client = bullet.connect(bullet.DIRECT)
+        if self._client < 0:
+            raise RuntimeError("PyBullet gave no physics client; too many worlds may be open")
+        # File caching goes by name: models are stored under the hash of their content, so it is right to keep it.
+        bullet.setPhysicsEngineParameter(
+            fixedTimeStep=1 / STEPS_PER_SECOND, deterministicOverlappingPairs=1, physicsClientId=self._client
+        )
+
+    # --- bodies ----------------------------------------------------------------------------------------------------
+
+    def load(self, urdf: Path, pose: Pose, *, fixed: bool, robot: bool = False) -> Body:
+        """Loads a checked URDF file.
+
+        Args:
+            urdf: the file.
+            pose: of its base link.
+            fixed: the base doesn't move by itself.
+            robot: put its links into the group that ignores what a robot holds.
+
+        Returns:
+            The body.
+        """
+        c = self._client
+        number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, physicsClientId=c)
+        base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
+        links = {base: -1}
+        joints = {}
+        for index in range(bullet.getNumJoints(number, physicsClientId=c)):
+            info = bullet.getJointInfo(number, index, physicsClientId=c)
+            link = info[12].decode()
+            links[link] = index
+            if info[2] in _KINDS:
+                lower, upper = (info[8], info[9]) if info[9] >= info[8] else (-np.inf, np.inf)
+                joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
+        at, turn = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
+        body = Body(
+            number,
+            links,
+            joints,
+            None if (at, turn) == IDENTITY else (at, turn),
+            tuple(joint.index for joint in joints.values()),
+        )
+        for index in links.values():
+            if robot:
+                # the base of a fixed body never collides with static things
+                mask = ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
+                bullet.setCollisionFilterGroupMask(number, index, _ROBOT_GROUP, mask, physicsClientId=c)
+            elif fixed:  # furniture stands on the floor for good: no contact to solve
+                bullet.setCollisionFilterGroupMask(number, index, _STATIC_GROUP, ~_STATIC_GROUP, physicsClientId=c)
+        self.set_pose(body, pose)
+        for joint in joints.values():
+            self._hold(body, joint, 0.0)
+        return body
+
+    def remove(self, body: Body) -> None:
+        """Removes a body; its constraints have to be gone."""
+        bullet.removeBody(body.id, physicsClientId=self._client)
+
+    def pose(self, body: Body) -> Pose:
+        """Pose of the base link in the world."""
+        pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
+        if body.offset is None:
+            return pose
+        return geometry.multiply(pose, geometry.invert(body.offset))
+
+    def set_pose(self, body: Body, pose: Pose) -> None:
+        """Puts the base link there, at rest."""
+        at, turn = pose if body.offset is None else geometry.multiply(pose, body.offset)
+        bullet.resetBasePositionAndOrientation(body.id, at, turn, physicsClientId=self._client)
+
+    def velocity(self, body: Body) -> tuple[float, ...]:
+        """Linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
+        linear, angular = bullet.getBaseVelocity(body.id, physicsClientId=self._client)
+        return (*linear, *angular)
+
+    def set_velocity(self, body: Body, velocity: Sequence[float]) -> None:
+        """Sets linear and angular velocity: 6 numbers."""
+        bullet.resetBaseVelocity(body.id, velocity[:3], velocity[3:], physicsClientId=self._client)
+
+    def joints(self, body: Body) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Positions and velocities of the movable joints, in order."""
+        if not body.indices:
+            return (), ()
+        states = bullet.getJointStates(body.id, body.indices, physicsClientId=self._client)
+        return tuple(state[0] for state in states), tuple(state[1] for state in states)
+
+    def joint(self, body: Body, name: str) -> float:
+        """Position of one movable joint."""
+        index = body.joints[name].index
+        position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
+        return position
+
+    def set_joints(self, body: Body, positions: Mapping[str, float]) -> None:
+        """Puts joints there, at rest, and makes them keep that place."""
+        for name, position in positions.items():
+            joint = body.joints[name]
+            bullet.resetJointState(body.id, joint.index, position, 0.0, physicsClientId=self._client)
+            self._hold(body, joint, position)
+
+    def _hold(self, body: Body, joint: Joint, position: float) -> None:
+        bullet.setJointMotorControl2(
+            body.id,
+            joint.index,
+            bullet.POSITION_CONTROL,
+            targetPosition=position,
+            targetVelocity=0.0,
+            force=_HOLD_FORCE[joint.kind],
+            positionGain=0.1,
+            velocityGain=1.0,
+            maxVelocity=100.0,  # sticky: always said
+            physicsClientId=self._client,
+        )
+
+    def link_pose(self, body: Body, link: str) -> Pose:
+        """Pose of a link's frame in the world, current without a step."""
+        index = body.links[link]
+        if index < 0:
+            return self.pose(body)
+        state = bullet.getLinkState(body.id, index, computeForwardKinematics=1, physicsClientId=self._client)
+        return state[4], state[5]
+
+    def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
+        """Axis-aligned bounds of a link's shape in the world, current after :meth:`refresh`."""
+        bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
+        return bounds
+
+    def set_color(self, body: Body, color: Sequence[float]) -> None:
+        """Paints all links, RGBA 0..1."""
+        for index in body.links.values():
+            bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
+
+    def mass(self, body: Body, link: str) -> float:
+        """Mass of a link in kg."""
+        mass: float = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[0]
+        return mass
+
+    # --- attachments -----------------------------------------------------------------------------------------------
+
+    def fix(self, carrier: Body, link: str, body: Body, body_link: str, pose: Pose) -> int:
+        """Joins a body to a carrier's link, so that simulation keeps the pose too.
+
+        Args:
+            carrier: the one that carries.
+            link: its link.
+            body: the carried one.
+            body_link: the link of it that is held.
+            pose: of that link in the carrier's link.
+
+        Returns:
+            The constraint's id.
+        """
+        c = self._client
+        parent = self._to_inertial(carrier, link, pose)
+        child = self._to_inertial(body, body_link, IDENTITY)
+        number: int = bullet.createConstraint(
+            carrier.id,
+            carrier.links[link],
+            body.id,
+            body.links[body_link],
+            bullet.JOINT_FIXED,
+            [0, 0, 0],
+            parent[0],
+            child[0],
+            parent[1],
+            child[1],
+            physicsClientId=c,
+        )
+        bullet.changeConstraint(number, maxForce=1e4, physicsClientId=c)
+        return number
+
+    def _to_inertial(self, body: Body, link: str, pose: Pose) -> Pose:
+        """The same pose in the link's inertial frame, which constraints count from."""
+        at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
+        return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
+
+    def unfix(self, constraint: int) -> None:
+        """Removes a constraint."""
+        bullet.removeConstraint(constraint, physicsClientId=self._client)
+
+    def pass_through(self, carrier: Body, link: str, body: Body, *, robot: bool, enable: bool) -> None:
+        """Lets a held body pass through its carrier in simulation (on), or collide with it again (off).
+
+        Contact and distance queries see both regardless.
+        """
+        c = self._client
+        if robot:
+            group, mask = (_HELD_GROUP, ~_ROBOT_GROUP) if enable else (_DYNAMIC_GROUP, _ALL)
+            for index in body.links.values():
+                bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=c)
+            return
+        for index in body.links.values():
+            bullet.setCollisionFilterPair(
+                carrier.id, body.id, carrier.links[link], index, int(not enable), physicsClientId=c
+            )
+
+    # --- physics ---------------------------------------------------------------------------------------------------
+
+    def set_gravity(self, gravity: Sequence[float]) -> None:
+        """Sets gravity in m/s^2."""
+        bullet.setGravity(*gravity, physicsClientId=self._client)
+
+    def step(self, steps: int) -> None:
+        """Simulates so many steps of 1/240 s."""
+        client = self._client
+        for _ in range(steps):
+            bullet.stepSimulation(physicsClientId=client)
+
+    @contextmanager
+    def rewound(self) -> Iterator[None]:
+        """Runs its block and puts poses, velocities, contacts and constraints back, bit for bit.
+
+        Motor targets, gravity and filters are not put back, bodies must stay: step inside, change nothing else.
+        """
+        state = bullet.saveState(physicsClientId=self._client)
+        try:
+            yield
+        finally:
+            bullet.restoreState(stateId=state, physicsClientId=self._client)
+            bullet.removeState(state, physicsClientId=self._client)
+
+    def refresh(self) -> None:
+        """Makes bounds and contacts current without a step."""
+        bullet.performCollisionDetection(physicsClientId=self._client)
+
+    def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:
+        """The nearest points of the links of two bodies that are nearer than a distance in m."""
+        points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
+        return self._told(a, b, points)
+
+    def link_touches(self, a: Body, link: str, b: Body, distance: float = 0.0) -> list[Touch]:
+        """As :meth:`touches`, of one link of the first body."""
+        points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=self._client)
+        return self._told(a, b, points)
+
+    def contacts(self, a: Body, b: Body) -> list[Touch]:
+        """Contact points with the forces that the last step found there."""
+        return self._told(a, b, bullet.getContactPoints(a.id, b.id, physicsClientId=self._client))
+
+    @staticmethod
+    def _told(a: Body, b: Body, points: Sequence[Sequence[object]] | None) -> list[Touch]:
+        if not points:
+            return []
+        names_a = {index: name for name, index in a.links.items()}
+        names_b = {index: name for name, index in b.links.items()}
+        return [
+            Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9])  # type: ignore[arg-type,index]
+            for p in points
+        ]
+
+    def near(self, lower: Sequence[float], upper: Sequence[float]) -> set[int]:
+        """Ids of the bodies whose bounds overlap a box."""
+        found = bullet.getOverlappingObjects(lower, upper, physicsClientId=self._client)
+        return {number for number, _ in found or ()}
+
+    # --- pictures --------------------------------------------------------------------------------------------------
+
+    def picture(
+        self, view: NDArray[np.float64], projection: NDArray[np.float64], near: float, far: float, size: tuple[int, int]
+    ) -> Picture:
+        """Renders with the software renderer.
+
+        Args:
+            view: (4, 4) world to camera, OpenGL convention (looks along -z).
+            projection: (4, 4) OpenGL projection.
+            near: near plane in m.
+            far: far plane in m.
+            size: width and height in pixels.
+        """
+        width, height = size
+        _, _, rgba, raw_depth, mask = bullet.getCameraImage(
+            width,
+            height,
+            viewMatrix=view.T.ravel().tolist(),
+            projectionMatrix=projection.T.ravel().tolist(),
+            renderer=bullet.ER_TINY_RENDERER,
+            flags=bullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
+            physicsClientId=self._client,
+        )
+        mask = np.asarray(mask, dtype=np.int64).reshape(height, width)
+        raw = np.asarray(raw_depth, dtype=np.float64).reshape(height, width)
+        return Picture(
+            rgb=np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3],
+            depth=far * near / (far - (far - near) * raw),
+            bodies=np.where(mask < 0, -1, mask & ((1 << 24) - 1)),
+            links=np.where(mask < 0, -1, (mask >> 24) - 1),
+        )
+
+    def close(self) -> None:
+        """Ends the client; a second call does nothing."""
+        if self._client >= 0:
+            client, self._client = self._client, -1
+            if bullet.isConnected(client):
+                bullet.disconnect(client)
+
+    @property
+    def connected(self) -> bool:
+        """Whether the client lives; a window may have been closed by hand."""
+        return self._client >= 0 and bool(bullet.isConnected(self._client))
+
+    def pump(self) -> None:
+        """Lets a window handle its events."""
+        bullet.configureDebugVisualizer(lightPosition=[4, -4, 6], physicsClientId=self._client)
