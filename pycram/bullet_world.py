@@ -22,7 +22,7 @@ from pycram.realtime import RealtimeClock
 from recorder import journal, records
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from types import TracebackType
 
     from pycram.funnel import Change
@@ -96,6 +96,7 @@ class BulletWorld(metaclass=_Worlds):
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
+        self._closers: list[Callable[[], None]] = []
         self._attachment = Event("attachment", self.name, self._envelope)
         self._detachment = Event("detachment", self.name, self._envelope)
         self._manipulation = Event("manipulation", self.name, self._envelope)
@@ -340,6 +341,14 @@ class BulletWorld(metaclass=_Worlds):
             frame.thread = threading.current_thread().name
             journal.append(frame)
 
+    def at_exit(self, close: Callable[[], None]) -> None:
+        """Ends something together with the world.
+
+        Args:
+            close: called once, with the world's lock held.
+        """
+        self._closers.append(close)
+
     def exit(self) -> None:
         """Ends the world at once, its window and its threads; a second call does nothing."""
         with self.lock:
@@ -355,5 +364,7 @@ class BulletWorld(metaclass=_Worlds):
                 body.handle = None
             self._robot = None
             self.engine.close()
+            for close in self._closers:
+                close()
         with _Worlds._registry:
             _Worlds._open = tuple(world for world in _Worlds._open if world is not self)

@@ -1,0 +1,118 @@
+"""Twins: copies of a world in physics clients of their own, where things may be tried.
+
+A twin is never the world: whatever happens in it, the world has the same bits afterwards. It is made of the same models
+and is brought to the world's state whenever somebody asks; bodies that have not changed cost a comparison.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from pycram.engine import Engine
+from pycram.funnel import Reading, read
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from pycram.bullet_world import BulletWorld
+    from pycram.engine import Body
+    from pycram.objects import Object
+
+_AWAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
+
+
+@dataclass(slots=True)
+class _Copy:
+    original: Body
+    body: Body
+    state: Reading | None
+
+
+class Twin:
+    """A copy of some of a world's objects.
+
+    Use it with the world's lock held.
+
+    Args:
+        world: the world.
+    """
+
+    def __init__(self, world: BulletWorld) -> None:
+        self.world = weakref.proxy(world)
+        self.engine = Engine()
+        self._copies: dict[str, _Copy] = {}
+        self._gravity: tuple[float, float, float] | None = None
+
+    def sync(self, bodies: Iterable[Object] | None = None) -> Mapping[str, Body]:
+        """Brings the copies to the world's state.
+
+        Args:
+            bodies: the objects that are wanted; others are put out of the way. All by default.
+
+        Returns:
+            The engine's bodies of the wanted objects, by name.
+        """
+        wanted = {body.name: body for body in (self.world.objects if bodies is None else bodies)}
+        if self._gravity != self.world.gravity:
+            self.engine.set_gravity(self.world.gravity)
+            self._gravity = self.world.gravity
+        living = {body.name: body for body in self.world.objects}
+        for name, copy in list(self._copies.items()):
+            if name not in living or living[name].handle is not copy.original:
+                self.engine.remove(copy.body)
+                del self._copies[name]
+            elif name not in wanted and copy.state is not None:
+                self.engine.set_pose(copy.body, _AWAY)
+                copy.state = None
+        return {name: self._copy(body) for name, body in wanted.items()}
+
+    def _copy(self, body: Object) -> Body:
+        now = read(body)
+        copy = self._copies.get(body.name)
+        if copy is None:
+            loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot)
+            copy = self._copies[body.name] = _Copy(body.handle, loaded, None)
+        if copy.state != now:
+            self.engine.set_pose(copy.body, now.pose)
+            if any(now.velocity) and not body.fixed:
+                self.engine.set_velocity(copy.body, now.velocity)
+            if now.positions and (copy.state is None or copy.state.positions != now.positions):
+                self.engine.set_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
+            copy.state = now
+        return copy.body
+
+    def disturbed(self, *names: str) -> None:
+        """Says which copies are not as they were synced: they are put back by the next sync.
+
+        Args:
+            names: of the objects; all by default.
+        """
+        for name in names or list(self._copies):
+            if name in self._copies:
+                self._copies[name].state = None
+
+    def close(self) -> None:
+        """Ends its physics client."""
+        self.engine.close()
+
+
+_twins: weakref.WeakKeyDictionary[BulletWorld, dict[str, Twin]] = weakref.WeakKeyDictionary()
+_registry = threading.Lock()
+
+
+def twin(world: BulletWorld, purpose: str) -> Twin:
+    """The world's twin for a purpose, made at its first use and ended with the world.
+
+    Args:
+        world: the world; its lock is held.
+        purpose: "reach" (never stepped), "physics" (stepped) or "studio" (pictures).
+    """
+    with _registry:
+        mine = _twins.setdefault(world, {})
+    if purpose not in mine:
+        made = mine[purpose] = Twin(world)
+        world.at_exit(made.close)
+    return mine[purpose]
