@@ -16,6 +16,26 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+def parse(text: str, source: str | Path) -> dict[str, object]:
+    """Reads TOML.
+
+    Args:
+        text: the TOML.
+        source: where it came from, for errors.
+
+    Returns:
+        Its tables.
+
+    Raises:
+        AssetError: it isn't TOML.
+    """
+    try:
+        tables: dict[str, object] = tomllib.loads(text)
+    except ValueError as error:
+        raise AssetError(source, f"is not TOML: {error}") from error
+    return tables
+
+
 def read(file: Path) -> dict[str, object]:
     """Reads a TOML file.
 
@@ -29,7 +49,7 @@ def read(file: Path) -> dict[str, object]:
         AssetError: it can't be read or parsed.
     """
     try:
-        tables: dict[str, object] = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise AssetError(file, f"can't be read as TOML: {error}") from error
-    return tables
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(file, f"can't be read: {error}") from error
+    return parse(text, file)

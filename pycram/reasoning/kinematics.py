@@ -1,0 +1,290 @@
+"""Inverse kinematics that keeps to joint limits and leaves no trace: arithmetic on the URDF, no engine.
+
+Damped least squares from many starting postures at once (the present one, the named ones, then a fixed low-discrepancy
+sequence), each projected onto the joint limits at every step. Everything is deterministic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from recorder.urdf import Urdf
+
+    Array = NDArray[np.float64]
+
+POSITION_TOLERANCE: Final = 1e-3  # m
+TURN_TOLERANCE: Final = 1e-2  # rad
+_DAMPING: Final = 1e-2
+_ITERATIONS: Final = 40
+_LONGEST_STEP: Final = 0.5  # rad or m a joint moves in one iteration
+_BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
+_PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """A posture that was found.
+
+    Attributes:
+        positions: joint values in rad or m by name, within limits.
+        position_error: m that the tool stays away from the target.
+        turn_error: rad by which it is turned from the target; 0 where none was asked for.
+        reached: both are within tolerance.
+    """
+
+    positions: Mapping[str, float]
+    position_error: float
+    turn_error: float
+    reached: bool
+
+
+class ArmKinematics:
+    """A chain of joints with a tool at its end.
+
+    Args:
+        urdf: of the robot.
+        base_link: the link that targets are given in.
+        tool_link: the link that is to reach them.
+        joints: names of the joints that may move, in order; others of the chain keep their value.
+        fixed: values of those others; 0 by default.
+    """
+
+    def __init__(
+        self,
+        urdf: Urdf,
+        base_link: str,
+        tool_link: str,
+        joints: Sequence[str],
+        fixed: Mapping[str, float] | None = None,
+    ) -> None:
+        self.joints = tuple(joints)
+        values = fixed or {}
+        self._links: list[tuple[Array, Array, bool]] = []  # transform before the joint, axis, whether it slides
+        lower, upper = [], []
+        before = np.eye(4)
+        for joint in urdf.chain(base_link, tool_link):
+            if joint.name in self.joints:
+                before = before @ geometry.pose_matrix(joint.pose(0.0))
+                self._links.append((before, np.asarray(joint.axis, dtype=np.float64), joint.type == "prismatic"))
+                lower.append(joint.lower)
+                upper.append(joint.upper)
+                before = np.eye(4)
+            else:
+                before = before @ geometry.pose_matrix(joint.pose(values.get(joint.name, 0.0)))
+        self._tool = before
+        self._bounded = np.isfinite(np.array(lower))
+        self._lower = np.where(self._bounded, lower, -np.pi)
+        self._upper = np.where(self._bounded, upper, np.pi)
+        self.length = float(
+            sum(np.linalg.norm(matrix[:3, 3]) for matrix, _, _ in self._links[1:]) + np.linalg.norm(before[:3, 3])
+        )
+        self.shoulder: Array = self._links[0][0][:3, 3] if self._links else np.zeros(3)
+        slides = [i for i, link in enumerate(self._links) if link[2]]
+        self.length += float(sum(max(abs(self._lower[i]), abs(self._upper[i])) for i in slides))
+
+    def forward(self, postures: Array) -> tuple[Array, Array]:
+        """Where the tool is, and how it moves.
+
+        Args:
+            postures: (n, joints).
+
+        Returns:
+            Poses (n, 4, 4) of the tool in the base link, and Jacobians (n, 6, joints): linear, then angular.
+        """
+        count = len(postures)
+        pose = np.broadcast_to(np.eye(4), (count, 4, 4))
+        origins, axes = [], []
+        for index, (before, axis, slides) in enumerate(self._links):
+            pose = pose @ before
+            world_axis = pose[:, :3, :3] @ axis
+            origins.append(pose[:, :3, 3])
+            axes.append(world_axis)
+            pose = pose @ _motion(axis, postures[:, index], slides=slides)
+        pose = pose @ self._tool
+        at = pose[:, :3, 3]
+        jacobian = np.zeros((count, 6, len(self._links)))
+        for index, (_, _, slides) in enumerate(self._links):
+            if slides:
+                jacobian[:, :3, index] = axes[index]
+            else:
+                jacobian[:, :3, index] = np.cross(axes[index], at - origins[index])
+                jacobian[:, 3:, index] = axes[index]
+        return pose, jacobian
+
+    def solve(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float] | None = None,
+        seeds: Iterable[Mapping[str, float]] = (),
+    ) -> Posture:
+        """Finds a posture that brings the tool to a target, near the first seed if there are several.
+
+        Args:
+            position: xyz in the base link, m.
+            orientation: xyzw in the base link; None if any will do.
+            seeds: postures to start from first.
+
+        Returns:
+            The posture; the nearest miss if none reaches.
+        """
+        return self.solve_all(position, orientation, seeds)[0]
+
+    def solve_all(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float] | None = None,
+        seeds: Iterable[Mapping[str, float]] = (),
+        *,
+        thorough: bool = False,
+    ) -> list[Posture]:
+        """As :meth:`solve`, but all distinct postures found: those that reach, nearest to the first seed first.
+
+        Args:
+            position: xyz in the base link, m.
+            orientation: xyzw in the base link; None if any will do.
+            seeds: postures to start from first.
+            thorough: start from all starting postures even if some reach soon.
+
+        Returns:
+            At least one; if the first doesn't reach, none does.
+        """
+        goal = np.asarray(position, dtype=np.float64)
+        first = [np.array([seed.get(name, 0.0) for name in self.joints]) for seed in seeds]
+        home = first[0] if first else np.clip(np.zeros(len(self.joints)), self._lower, self._upper)
+        miss = float(np.linalg.norm(goal - self.shoulder)) - self.length
+        if miss > POSITION_TOLERANCE:  # farther than the stretched arm
+            return [self._told(home, goal, orientation)]
+        turn = None if orientation is None else geometry.to_matrix(orientation)
+        found: list[Array] = []
+        tried: list[Array] = []
+        start = 0
+        for size in _BATCHES:
+            batch = np.vstack([*first, *self._samples(start, size)]) if start == 0 else self._samples(start, size)
+            start += size
+            postures, reached = self._descend(batch, goal, turn, stop_early=not thorough)
+            tried.extend(postures)
+            found.extend(postures[reached])
+            if found and not thorough:
+                break
+        if not found:
+            results = [self._told(posture, goal, orientation) for posture in tried]
+            return [min(results, key=lambda result: result.position_error + 0.1 * result.turn_error)]
+        found.sort(key=lambda posture: float(np.abs(posture - home).sum()))
+        distinct: list[Array] = []
+        for posture in found:
+            if all(np.abs(posture - other).max() > 0.1 for other in distinct):
+                distinct.append(posture)
+        return [self._told(posture, goal, orientation) for posture in distinct]
+
+    def _samples(self, start: int, count: int) -> Array:
+        """Postures spread over joint space: a Halton sequence."""
+        spread = np.array(
+            [
+                [_radical_inverse(i + 1, _PRIMES[j]) for j in range(len(self.joints))]
+                for i in range(start, start + count)
+            ]
+        )
+        middle = self._lower + spread * (self._upper - self._lower)
+        return middle.reshape(count, len(self.joints))
+
+    def _descend(
+        self, start: Array, goal: Array, turn: Array | None, *, stop_early: bool
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        postures = self._limited(start)
+        rows = 3 if turn is None else 6
+        reached = np.zeros(len(postures), dtype=bool)
+        damping = _DAMPING * np.eye(rows)
+        for _ in range(_ITERATIONS):
+            pose, jacobian = self.forward(postures)
+            error = np.zeros((len(postures), rows))
+            error[:, :3] = goal - pose[:, :3, 3]
+            near = np.linalg.norm(error[:, :3], axis=1) < 0.5 * POSITION_TOLERANCE
+            if turn is not None:
+                error[:, 3:] = _turn_error(pose[:, :3, :3], turn)
+                near &= np.linalg.norm(error[:, 3:], axis=1) < 0.5 * TURN_TOLERANCE
+            reached = near
+            if near.all() or (stop_early and near.any()):
+                break
+            length = np.linalg.norm(error, axis=1, keepdims=True)
+            pull = error * np.minimum(1.0, 0.6 / np.maximum(length, 1e-9))
+            j = jacobian[:, :rows]
+            # a joint at its limit that wants to go beyond takes no part
+            gradient = np.einsum("nrj,nr->nj", j, pull)
+            stuck = self._bounded & (
+                ((postures <= self._lower + 1e-9) & (gradient < 0))
+                | ((postures >= self._upper - 1e-9) & (gradient > 0))
+            )
+            j = np.where(stuck[:, None, :], 0.0, j)
+            scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
+            inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, pull[:, :, None])
+            step = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
+            step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
+            postures = self._limited(np.where(near[:, None], postures, postures + step))
+        return postures, reached
+
+    def _limited(self, postures: Array) -> Array:
+        wrapped = (postures + np.pi) % (2 * np.pi) - np.pi
+        inside: Array = np.where(self._bounded, np.clip(postures, self._lower, self._upper), wrapped)
+        return inside
+
+    def _told(self, posture: Array, goal: Array, orientation: Sequence[float] | None) -> Posture:
+        posture = self._limited(posture[None])[0]
+        pose = self.forward(posture[None])[0][0]
+        away = float(np.linalg.norm(pose[:3, 3] - goal))
+        turned = 0.0 if orientation is None else geometry.angle(geometry.from_matrix(pose[:3, :3]), orientation)
+        positions = dict(zip(self.joints, (float(value) for value in posture), strict=True))
+        return Posture(positions, away, turned, away < POSITION_TOLERANCE and turned < TURN_TOLERANCE)
+
+
+def _motion(axis: Array, values: Array, *, slides: bool) -> Array:
+    """Transforms (n, 4, 4) of a joint at values (n,)."""
+    moved = np.broadcast_to(np.eye(4), (len(values), 4, 4)).copy()
+    if slides:
+        moved[:, :3, 3] = values[:, None] * axis
+        return moved
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, cosine = np.sin(values)[:, None, None], np.cos(values)[:, None, None]
+    moved[:, :3, :3] = np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
+    return moved
+
+
+def _turn_error(now: Array, goal: Array) -> Array:
+    """Rotation vectors (n, 3) in the base link that turn postures' orientations into the goal."""
+    difference = goal @ now.transpose(0, 2, 1)
+    vector = 0.5 * np.stack(
+        [
+            difference[:, 2, 1] - difference[:, 1, 2],
+            difference[:, 0, 2] - difference[:, 2, 0],
+            difference[:, 1, 0] - difference[:, 0, 1],
+        ],
+        axis=1,
+    )
+    sine = np.linalg.norm(vector, axis=1)
+    cosine = 0.5 * (np.trace(difference, axis1=1, axis2=2) - 1)
+    angle = np.arctan2(sine, cosine)
+    # near half a turn the vector vanishes: any axis helps out of there
+    flipped = (sine < 1e-6) & (cosine < 0)
+    vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
+    sine = np.where(flipped, np.linalg.norm(vector, axis=1), sine)
+    error: Array = vector * (angle / np.maximum(sine, 1e-12))[:, None]
+    return error
+
+
+def _radical_inverse(index: int, base: int) -> float:
+    result, fraction = 0.0, 1.0 / base
+    while index:
+        result += fraction * (index % base)
+        index //= base
+        fraction /= base
+    return result
