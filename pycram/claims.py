@@ -2,9 +2,9 @@
 
 A robot's resources are its base, head, arms and grippers. A motion *moves* some of them, and needs some others *at
 rest*: what it does would come out differently if they moved meanwhile. Two motions conflict if one moves what the other
-moves or needs. A motion takes its place in the queue when it is asked for, gets all its claims at once, and gets them as
-soon as no earlier motion conflicts with it. So conflicting motions run in the order in which the plan asks for them,
-whichever thread is quicker; others run side by side; and since each waits for earlier ones only, there is no deadlock.
+moves or needs. A motion takes its place in the queue when it is asked for, gets all its claims at once, and gets them
+as soon as no earlier motion conflicts with it. So conflicting motions run in the order in which the plan asks for them,
+whichever thread is quicker; others run side by side; since each waits for earlier ones only, there is no deadlock.
 
 What this means for a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place,
 detect): the base starts when the arms are parked, since their posture decides whether the robot fits there; the head is

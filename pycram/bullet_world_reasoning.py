@@ -1,0 +1,320 @@
+"""The reasoning queries (thesis 4.4, table 4.3): what is so, and what would be.
+
+Import it as ``btr``. Queries leave no trace in the world; each call is on record with its answer and what it rests on.
+Answers behave as the thesis' bool or list and carry their ``evidence``. Where a position of a camera is asked for, the
+name of a camera's frame or a pair of position and orientation will do as well.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from pycram import checks
+from pycram.branch import unwrap
+from pycram.failures import ReasoningError
+from pycram.reasoning import contact as _contact
+from pycram.reasoning import grasps as _grasps
+from pycram.reasoning import reach as _reach
+from pycram.reasoning import stability as _stability
+from pycram.reasoning import visibility as _visibility
+from pycram.reasoning.query import Asking, Found, Verdict, asking, world_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.bullet_world import BulletWorld
+    from pycram.objects import Object
+
+__all__ = [
+    "ReasoningError",
+    "blocking",
+    "contact",
+    "occluding",
+    "reachable",
+    "reachable_object",
+    "reachable_pose",
+    "stable",
+    "supporting",
+    "visible",
+]
+
+VISIBLE_SHARE: Final = 0.8
+"""Share of an object's pixels that make it visible (thesis 4.4.3)."""
+
+
+def stable(object: Object, world: BulletWorld | None = None) -> Verdict:  # noqa: A002  the original's name
+    """Whether an object stays where it is when time runs (thesis 4.4.1).
+
+    Args:
+        object: the object.
+        world: its world; only for calls as in the thesis.
+
+    Returns:
+        False if it would move more than 1 cm or turn more than 5 degrees within 2 s; the evidence says how far and when.
+        See :mod:`pycram.reasoning.stability` for why creep doesn't count.
+    """
+    body: Object = unwrap(object)
+    place = world_of(body, world=world)
+    with asking("stable", place, {"object": body}) as asked:
+        answer, evidence = _stability.simulate(body)
+        asked.evidence = dict(evidence)
+        asked.answer = verdict = Verdict(answer, asked.evidence)
+    return verdict
+
+
+def contact(object1: Object, object2: Object, world: BulletWorld | None = None, *, margin: float = 0.0) -> Verdict:
+    """Whether two objects touch now (thesis 4.4.2); nothing is stepped.
+
+    Args:
+        object1: one.
+        object2: the other.
+        world: their world.
+        margin: gap in m that counts as touching, beyond the millimetre of the engine.
+
+    Returns:
+        The answer; the evidence names the links and points.
+    """
+    one, other = unwrap(object1), unwrap(object2)
+    place = world_of(one, other, world=world)
+    gap = checks.number("margin", margin)
+    with asking("contact", place, {"object1": one, "object2": other, "margin": gap}) as asked:
+        touches = _contact.touches(one, other, _contact.MARGIN + gap)
+        asked.evidence = _contact.evidence(touches)
+        asked.answer = verdict = Verdict(touches, asked.evidence)
+    return verdict
+
+
+def visible(
+    object: Object,  # noqa: A002  the original's name
+    camera: Sequence[float] | str,
+    world: BulletWorld | None = None,
+    *,
+    robot: Object | None = None,
+    threshold: float = VISIBLE_SHARE,
+) -> Verdict:
+    """Whether an object is seen (thesis 4.4.3).
+
+    Args:
+        object: the object.
+        camera: a position in m (looks at the object), (position, orientation) of an optical frame, or the name of a
+            robot's camera frame, as it is directed now and with its field of view.
+        world: its world.
+        robot: whose camera; the world's robot by default.
+        threshold: share of its pixels that has to be exceeded.
+
+    Returns:
+        The answer; the evidence has the share, the pixels and what hides them.
+    """
+    body: Object = unwrap(object)
+    place = world_of(body, world=world)
+    told = {"object": body, "camera": camera, "threshold": checks.number("threshold", threshold)}
+    with asking("visible", place, told) as asked:
+        view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        asked.evidence = view.evidence()
+        asked.answer = verdict = Verdict(view.share > threshold, asked.evidence)
+    return verdict
+
+
+def occluding(
+    object: Object,  # noqa: A002  the original's name
+    camera: Sequence[float] | str,
+    world: BulletWorld | None = None,
+    *,
+    robot: Object | None = None,
+) -> Found[Object]:
+    """What stands between an object and a camera (thesis 4.4.4).
+
+    Args:
+        object: the object.
+        camera: as for :func:`visible`.
+        world: its world.
+        robot: whose camera; the world's robot by default.
+
+    Returns:
+        The objects in between, most hiding first; the evidence has their shares.
+    """
+    body: Object = unwrap(object)
+    place = world_of(body, world=world)
+    with asking("occluding", place, {"object": body, "camera": camera}) as asked:
+        view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        asked.evidence = view.evidence()
+        found = Found((place.get_object(name) for name in view.hiding), asked.evidence)
+        asked.answer = found
+    return found
+
+
+def reachable_object(
+    object: Object,  # noqa: A002  the original's name
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = _reach.THRESHOLD,
+    *,
+    grasp: str | None = None,
+    collision_free: bool = False,
+) -> Verdict:
+    """Whether a robot reaches an object with a link (thesis 4.4.5).
+
+    Args:
+        object: the object.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
+        threshold: m that the link may stay away.
+        grasp: "front", "top", "left" or "right"; any orientation by default.
+        collision_free: also ask that nothing else is in the way.
+
+    Returns:
+        The answer; the evidence has the joints of the posture.
+    """
+    body, machine = unwrap(object), unwrap(robot)
+    place = world_of(body, machine, world=world)
+    orientation = None if grasp is None else _reach.approach(grasp, machine)
+    told = {"object": body, "robot": machine, "gripper": gripper_name, "threshold": threshold, "grasp": grasp}
+    told["collision_free"] = collision_free
+    with asking("reachable_object", place, told) as asked:
+        target = _grasps.middle(body)
+        asked.answer = verdict = _reaches(
+            asked, machine, gripper_name, target, orientation, threshold, body, collision_free
+        )
+    return verdict
+
+
+def reachable_pose(
+    pose: Sequence[float],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = _reach.THRESHOLD,
+    *,
+    orientation: Sequence[float] | None = None,
+    collision_free: bool = False,
+) -> Verdict:
+    """Whether a robot reaches a place with a link (thesis 4.4.5).
+
+    Args:
+        pose: position xyz in the world, m.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: its world.
+        threshold: m that the link may stay away.
+        orientation: xyzw that the link shall have there; any by default.
+        collision_free: also ask that nothing is in the way.
+
+    Returns:
+        The answer; the evidence has the joints of the posture.
+    """
+    machine = unwrap(robot)
+    place = world_of(machine, world=world)
+    target = checks.vector("pose", pose)
+    turn = None if orientation is None else checks.quaternion("orientation", orientation)
+    told = {"pose": target, "robot": machine, "gripper": gripper_name, "threshold": threshold, "orientation": turn}
+    told["collision_free"] = collision_free
+    with asking("reachable_pose", place, told) as asked:
+        asked.answer = verdict = _reaches(asked, machine, gripper_name, target, turn, threshold, None, collision_free)
+    return verdict
+
+
+def reachable(
+    pose: Object | Sequence[float],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = _reach.THRESHOLD,
+) -> Verdict:
+    """Whether a robot reaches an object or a position with a link (thesis 4.4.5).
+
+    Args:
+        pose: an object, or a position xyz in the world, m.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
+        threshold: m that the link may stay away.
+    """
+    target = unwrap(pose)
+    if isinstance(target, list | tuple) or hasattr(target, "__array__"):
+        return reachable_pose(target, robot, gripper_name, world, threshold)
+    return reachable_object(target, robot, gripper_name, world, threshold)
+
+
+def blocking(
+    object: Object,  # noqa: A002  the original's name
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    *,
+    grasp: str | None = None,
+) -> Found[Object]:
+    """What a robot would touch if it reached for an object (thesis 4.4.6).
+
+    Of the postures that reach, the one that touches least counts: a plan would take that one.
+
+    Args:
+        object: the object.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
+        grasp: "front", "top", "left" or "right"; by default the one that touches least.
+
+    Returns:
+        The objects in the way, deepest first, without the target and what the robot holds, and without the floor it
+        stands on; the environment has the type "environment". Empty if it can't be reached at all, which the
+        evidence says.
+    """
+    body, machine = unwrap(object), unwrap(robot)
+    place = world_of(body, machine, world=world)
+    if grasp is not None:
+        _reach.approach(grasp, machine)
+    told = {"object": body, "robot": machine, "gripper": gripper_name, "grasp": grasp}
+    with asking("blocking", place, told) as asked:
+        plan = _grasps.best(body, machine, gripper_name, None if grasp is None else (grasp,))
+        asked.evidence = plan.evidence()
+        found = Found(plan.obstacles, asked.evidence)
+        asked.answer = found
+    return found
+
+
+def supporting(object1: Object, object2: Object, world: BulletWorld | None = None) -> Verdict:
+    """Whether the first object carries the second from below (thesis 4.4.7).
+
+    Args:
+        object1: the one that would carry.
+        object2: the one that would be carried.
+        world: their world.
+
+    Returns:
+        The answer; the evidence names the links that carry and the normals there.
+    """
+    lower, upper = unwrap(object1), unwrap(object2)
+    place = world_of(lower, upper, world=world)
+    with asking("supporting", place, {"object1": lower, "object2": upper}) as asked:
+        answer, evidence = _contact.supports(lower, upper)
+        asked.evidence = dict(evidence)
+        asked.answer = verdict = Verdict(answer, asked.evidence)
+    return verdict
+
+
+def _reaches(
+    asked: Asking,
+    robot: Object,
+    link: str,
+    target: Sequence[float],
+    orientation: Sequence[float] | None,
+    threshold: float,
+    body: Object | None,
+    collision_free: bool,
+) -> Verdict:
+    """The common part of the reachable queries."""
+    near = checks.number("threshold", threshold)
+    options = _reach.postures(robot, link, target, orientation, thorough=collision_free)
+    ways = [option for option in options if option.reached(near)]
+    asked.evidence = (ways or options)[0].evidence()
+    if not collision_free:
+        return Verdict(ways, asked.evidence)
+    ignored = [] if body is None else [body]
+    for way in ways:
+        hits = _reach.in_the_way(robot, way.posture.positions, ignored)
+        asked.evidence = way.evidence() | {"obstacles": {other.name: info for other, info in hits.items()}}
+        if not hits:
+            return Verdict(True, asked.evidence)
+    return Verdict(False, asked.evidence)
