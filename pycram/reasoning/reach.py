@@ -100,7 +100,13 @@ def moving_joints(robot: Object, link: str) -> tuple[str, tuple[str, ...]]:
 
 
 def postures(
-    robot: Object, link: str, position: Sequence[float], orientation: Sequence[float] | None, *, thorough: bool = False
+    robot: Object,
+    link: str,
+    position: Sequence[float],
+    orientation: Sequence[float] | None,
+    *,
+    thorough: bool = False,
+    seed: Mapping[str, float] | None = None,
 ) -> list[Reach]:
     """Postures that bring a link of a robot to a pose in the world, nearest to its present one first.
 
@@ -110,6 +116,7 @@ def postures(
         position: xyz in the world, m.
         orientation: xyzw in the world, None if any will do.
         thorough: look for several.
+        seed: posture to start from; the present one by default.
 
     Returns:
         At least one; if the first doesn't reach, none does.
@@ -125,7 +132,8 @@ def postures(
     target = geometry.transform(base_T_world, position)
     turn = None if orientation is None else geometry.product(base_T_world[1], orientation)
     arm = robot.description.arm_of(link) if robot.description else None
-    seeds = [now, *(arm.posture(name) for name in arm.poses)] if arm else [now]
+    start = now if seed is None else seed
+    seeds = [start, *(arm.posture(name) for name in arm.poses)] if arm else [start]
     return [Reach(posture, link) for posture in solver.solve_all(target, turn, seeds, thorough=thorough)]
 
 

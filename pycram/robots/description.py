@@ -45,6 +45,11 @@ class Gripper:
         value = self.open if motion == "open" else self.closed
         return dict.fromkeys(self.joints, value)
 
+    def around(self, width: float) -> dict[str, float]:
+        """Joint values at which the finger tips are so many metres apart."""
+        share = min(max(width / self.aperture, 0.0), 1.0)
+        return dict.fromkeys(self.joints, self.closed + share * (self.open - self.closed))
+
 
 @dataclass(frozen=True, slots=True)
 class Arm:

@@ -1,0 +1,296 @@
+"""The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and what they claim.
+
+One resolver serves them all. It checks the slots and gives the solutions: dictionaries with ``cmd`` and every parameter
+that the process module needs, inferred where the plan left it out.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from pycram import slots
+from pycram.branch import branch_of, unwrap
+from pycram.claims import Claims
+from pycram.designator import DesignatorError
+from pycram.failures import BadArgument, NoWorld
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pycram.designator import MotionDesignator, Solution
+    from pycram.objects import Object
+    from pycram.slots import Check
+
+Value: TypeAlias = Any
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One slot.
+
+    Attributes:
+        name: its name in designators.
+        check: what it may hold.
+        required: whether it has to be there.
+        default: what stands for it otherwise, from what is given; None leaves it out of the solution's decisions.
+        aliases: other names that it goes by.
+    """
+
+    name: str
+    check: Check
+    required: bool = False
+    default: Callable[[dict[str, Value]], Value] | None = None
+    aliases: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """In words, for messages."""
+        names = " or ".join((self.name, *self.aliases))
+        need = "required" if self.required else "optional"
+        return f"{names} ({need}): {(self.check.__doc__ or '').strip().rstrip('.')}"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionType:
+    """One type of motion designator.
+
+    Attributes:
+        type: value of its slot ``type``.
+        cmd: value of ``cmd`` in its solutions, which process modules go by.
+        slots: what it takes beside ``type``.
+        one_of: slots of which at least one has to be there.
+        only_one: whether it has to be just one.
+        claims: what it needs of the robot, by what is given.
+        fixed: further parameters of its solutions.
+    """
+
+    type: str
+    cmd: str
+    slots: tuple[Slot, ...]
+    claims: Callable[[dict[str, Value]], Claims]
+    one_of: tuple[str, ...] = ()
+    only_one: bool = False
+    fixed: tuple[tuple[str, str], ...] = ()
+
+    def describe(self) -> str:
+        """What it takes, in words."""
+        lines = [f"a {self.type} designator takes", "  type (required): " + repr(self.type)]
+        lines += [f"  {slot.describe()}" for slot in self.slots]
+        if self.one_of:
+            how = "exactly one" if self.only_one else "at least one"
+            lines.append(f"  {how} of {', '.join(self.one_of)} has to be there")
+        return "\n".join(lines)
+
+
+def _robot() -> Object:
+    from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of designators
+
+    robot = BulletWorld.robot
+    if robot is None:
+        raise NoWorld("robot" if BulletWorld.current_bullet_world else "world")
+    return robot
+
+
+def _heading(_: dict[str, Value]) -> Value:
+    return _robot().get_orientation()
+
+
+def _left(_: dict[str, Value]) -> Value:
+    return "left"
+
+
+def _holding_arm(given: dict[str, Value]) -> Value:
+    """The arm that holds the object; the left one if none does."""
+    body = given.get("object")
+    attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
+    description = _robot().description
+    if attachment is None or description is None:
+        return "left"
+    arm = description.arm_of(attachment.carrier_link)
+    return arm.name if arm else "left"
+
+
+def _claims(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Claims:
+    return Claims(frozenset(moves), frozenset(at_rest))
+
+
+_WHOLE: Final = ("base", "head", "left-arm", "right-arm", "left-gripper", "right-gripper")
+
+
+def _arm_claims(given: dict[str, Value]) -> Claims:
+    arm = given.get("arm")
+    arms = (arm,) if isinstance(arm, str) else slots.SIDES  # not known yet: either may be it
+    return _claims(tuple(f"{side}-{part}" for side in arms for part in ("arm", "gripper")), ("base",))
+
+
+def _gripper_claims(given: dict[str, Value]) -> Claims:
+    gripper = given.get("gripper")
+    sides = (gripper,) if isinstance(gripper, str) else slots.SIDES
+    return _claims(tuple(f"{side}-gripper" for side in sides))
+
+
+def _joint_claims(given: dict[str, Value]) -> Claims:
+    return _claims(tuple(f"{side}-arm" for side in slots.SIDES if f"{side}-arm" in given))
+
+
+_ARM: Final = Slot("arm", slots.side, default=_left)
+_GRIPPER: Final = Slot("gripper", slots.side, required=True)
+
+TYPES: Final = {
+    motion.type: motion
+    for motion in (
+        MotionType(
+            "moving",
+            "navigate",
+            (Slot("target", slots.position, required=True), Slot("orientation", slots.orientation, default=_heading)),
+            lambda _: _claims(("base",), tuple(part for part in _WHOLE if part not in ("base", "head"))),
+        ),
+        MotionType(
+            "pick-up",
+            "pick",
+            (Slot("object", slots.body, required=True), _ARM, Slot("grasp", slots.grasp)),
+            _arm_claims,
+        ),
+        MotionType(
+            "place",
+            "place",
+            (
+                Slot("object", slots.body, required=True),
+                Slot("target", slots.position, required=True),
+                Slot("orientation", slots.orientation),
+                Slot("arm", slots.side, default=_holding_arm),
+            ),
+            _arm_claims,
+        ),
+        MotionType(
+            "accessing",
+            "access",
+            (
+                Slot("drawer-joint", slots.name, required=True),
+                Slot("drawer-handle", slots.name, required=True),
+                Slot("part-of", slots.body, required=True),
+                _ARM,
+                Slot("distance", slots.distance, default=lambda _: 0.3),
+            ),
+            _arm_claims,
+        ),
+        MotionType(
+            "looking",
+            "looking",
+            (Slot("target", slots.position), Slot("object", slots.body)),
+            lambda _: _claims(("head",), ("base",)),
+            one_of=("target", "object"),
+            only_one=True,
+        ),
+        MotionType("opening-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "open"),)),
+        MotionType("closing-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "close"),)),
+        MotionType(
+            "detecting",
+            "detecting",
+            (Slot("object-type", slots.kind, required=True, aliases=("object",)),),
+            lambda _: _claims((), _WHOLE),
+        ),
+        MotionType(
+            "move-tcp",
+            "move-tcp",
+            (Slot("target", slots.position, required=True), Slot("orientation", slots.orientation), _ARM),
+            _arm_claims,
+        ),
+        MotionType(
+            "move-arm-joints",
+            "move-joints",
+            (Slot("left-arm", slots.posture), Slot("right-arm", slots.posture)),
+            _joint_claims,
+            one_of=("left-arm", "right-arm"),
+        ),
+        MotionType(
+            "world-state-detecting",
+            "world-state-detecting",
+            (Slot("object-type", slots.kind, required=True, aliases=("object",)),),
+            lambda _: Claims(),
+        ),
+    )
+}
+
+
+def claims(designator: MotionDesignator) -> Claims:
+    """What a designator needs of the robot.
+
+    Args:
+        designator: any; handles among its slots are not waited for.
+
+    Returns:
+        Its claims; nothing for a type that isn't one of the eleven.
+    """
+    given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
+    kind = given.get("type")
+    motion = TYPES.get(kind) if isinstance(kind, str) else None
+    return motion.claims(given) if motion else Claims()
+
+
+def resolve(designator: MotionDesignator) -> Iterator[Solution]:
+    """Solutions of the eleven types (thesis 4.6).
+
+    Args:
+        designator: a designator.
+
+    Yields:
+        The solution; for ``moving`` with an orientation also one with the robot's present orientation.
+
+    Raises:
+        DesignatorError: its type is unknown, or a slot is missing, unknown or wrong.
+    """
+    given = {key: unwrap(value) for key, value in designator.description if value is not None}
+    kind = given.pop("type", None)
+    if kind not in TYPES:
+        known = ", ".join(TYPES)
+        near = difflib.get_close_matches(str(kind), TYPES, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        problem = "has no slot type" if kind is None else f"has the unknown type {kind!r}"
+        raise DesignatorError(
+            f"the designator {problem}{hint}", type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}"
+        )
+    motion = TYPES[kind]
+    checked = _checked(motion, given)
+    solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
+    for slot in motion.slots:
+        if slot.name not in solution and slot.default is not None:
+            solution[slot.name] = slot.default(checked)
+    yield solution
+    if motion.type == "moving" and "orientation" in checked:
+        yield {**solution, "orientation": _heading(checked)}
+
+
+def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
+    """The slots by their names, each checked."""
+    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
+    takes = motion.describe()
+    checked: dict[str, Value] = {}
+    for key, value in given.items():
+        slot = names.get(key)
+        if slot is None:
+            near = difflib.get_close_matches(key, names, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise DesignatorError(f"unknown slot {key}{hint}", type=motion.type, slot=key, value=value, takes=takes)
+        if slot.name in checked:
+            raise DesignatorError(
+                f"slot {slot.name} is given twice", type=motion.type, slot=key, value=value, takes=takes
+            )
+        try:
+            checked[slot.name] = slot.check(key, value)
+        except BadArgument as error:
+            problem = f"wrong value in slot {error}"
+            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes) from error
+    missing = [slot.name for slot in motion.slots if slot.required and slot.name not in checked]
+    if missing:
+        raise DesignatorError(f"missing slot {', '.join(missing)}", type=motion.type, slot=missing[0], takes=takes)
+    present = [name for name in motion.one_of if name in checked]
+    if motion.one_of and (not present or (motion.only_one and len(present) > 1)):
+        problem = (
+            f"slots {' and '.join(present)} exclude each other"
+            if present
+            else f"missing slot {' or '.join(motion.one_of)}"
+        )
+        raise DesignatorError(problem, type=motion.type, slot=motion.one_of[0], takes=takes)
+    return checked

@@ -1,0 +1,237 @@
+"""Process modules: the code that carries a motion out on one robot, in one execution environment (thesis 4.7-4.9).
+
+``ProcessModule.perform(designator)`` resolves the designator, chooses the module and runs it. The plan names neither
+robot nor module: which modules there are is said by :func:`register`, by robot and environment.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+
+from pycram import language
+from pycram.cancellation import checkpoint
+from pycram.claims import Claims, ResourceQueue
+from pycram.designator import Designator, DesignatorError, MotionDesignator
+from pycram.failures import NoWorld, UsageError
+from pycram.resolvers import Resolvers
+from recorder.span import span
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pycram.bullet_world import BulletWorld
+    from pycram.claims import Ticket
+    from pycram.objects import Object
+
+Result: TypeAlias = Any
+Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
+Modules: TypeAlias = Mapping[str, "ProcessModule"]
+
+SIMULATED = "simulated"
+_MODULE = Claims(moves=frozenset({"module"}))
+
+_environment: ContextVar[str] = ContextVar("pycram_environment", default=SIMULATED)
+_queue: ContextVar[ResourceQueue | None] = ContextVar("pycram_queue", default=None)
+_registered: dict[tuple[str, str], Modules] = {}
+_of_world: weakref.WeakKeyDictionary[BulletWorld, tuple[ResourceQueue, dict[str, Modules]]] = (
+    weakref.WeakKeyDictionary()
+)
+_lock = threading.Lock()
+
+
+class NoProcessModule(UsageError):
+    """No process module takes a designator.
+
+    Attributes:
+        cmd: what is to be done.
+        robot: the robot.
+        environment: the execution environment.
+        known: what its modules do.
+    """
+
+    def __init__(self, cmd: str, robot: str, environment: str, known: list[str]) -> None:
+        super().__init__(
+            f"no process module of {robot} in the {environment} environment takes {cmd!r}; "
+            f"it has modules for {', '.join(known) or 'nothing'}; add one with register() or ProcessModule.resolvers"
+        )
+        self.cmd = cmd
+        self.robot = robot
+        self.environment = environment
+        self.known = known
+
+
+@contextmanager
+def execution_environment(name: str) -> Iterator[None]:
+    """Chooses the process modules of an environment for what its block performs.
+
+    Args:
+        name: "simulated" (the default everywhere), or one that modules are registered for.
+    """
+    token = _environment.set(name)
+    try:
+        yield
+    finally:
+        _environment.reset(token)
+
+
+def register(robot: str, environment: str, modules: Modules) -> None:
+    """Says which process modules serve a robot in an environment; replaces what was said before.
+
+    Args:
+        robot: the robot's name in its URDF.
+        environment: the execution environment.
+        modules: by the ``cmd`` of the solutions that they take.
+    """
+    with _lock:
+        _registered[robot, environment] = dict(modules)
+
+
+class ProcessModule(ABC):
+    """Carries out one kind of motion, one designator at a time, in order of arrival."""
+
+    resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
+    """Functions that choose a module for a designator, or None; asked before the registered ones."""
+
+    def __init__(self) -> None:
+        self._arrivals = ResourceQueue()
+
+    @abstractmethod
+    def _execute(self, designator: Designator) -> Result:
+        """Carries a designator out.
+
+        Args:
+            designator: what to do; its ``reference()`` has the parameters.
+
+        Returns:
+            What the plan gets from ``perform``.
+
+        Raises:
+            PlanFailure: the world said no; the world is consistent then.
+        """
+
+    def execute(self, designator: Designator) -> Result:
+        """Carries a designator out when all that came before are done; a failure frees the module for the next.
+
+        Args:
+            designator: what to do.
+        """
+        with self._arrivals.arrive(_MODULE).granted():
+            checkpoint()
+            with span("process-module", type(self).__name__, designator.reference()) as task:
+                task.solution = designator.reference()
+                task.result = result = self._execute(designator)
+                return result
+
+    @staticmethod
+    def perform(designator: Designator) -> Result:
+        """Performs a motion (thesis 4.9).
+
+        Args:
+            designator: what to do.
+
+        Returns:
+            What its process module returns; in the body of a ``par`` block a handle that serves as that.
+
+        Raises:
+            DesignatorError: it isn't a designator, or can't be resolved.
+            NoProcessModule: no process module takes it.
+            PlanFailure: the world said no.
+        """
+        if not isinstance(designator, Designator):
+            raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
+        claims = designator.claims() if isinstance(designator, MotionDesignator) else Claims()
+        name = str(dict(designator.description).get("type", type(designator).__name__))
+        ticket = _current_queue().arrive(claims, name)
+        block = language.current_block()
+        if block is None:
+            return _perform(designator, name, claims, ticket)
+        try:
+            return block.start(name, lambda: _perform(designator, name, claims, ticket), ordered=True)
+        except BaseException:
+            ticket.leave()
+            raise
+
+
+def _current_queue() -> ResourceQueue:
+    inner = _queue.get()
+    return inner if inner is not None else _state(_world())[0]
+
+
+def _world() -> BulletWorld:
+    from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of process modules
+
+    world = BulletWorld.current_bullet_world
+    if world is None:
+        raise NoWorld
+    return world
+
+
+def _state(world: BulletWorld) -> tuple[ResourceQueue, dict[str, Modules]]:
+    with _lock:
+        return _of_world.setdefault(world, (ResourceQueue(), {}))
+
+
+def _perform(designator: Designator, name: str, claims: Claims, ticket: Ticket) -> Result:
+    slots = {key: value for key, value in designator.description if key != "type"}
+    with span("motion", name, slots) as task, ticket.granted():
+        checkpoint()
+        task.solution = designator.reference()
+        module = choose(designator)
+        token = _queue.set(ResourceQueue(claims))
+        try:
+            task.result = result = module.execute(designator)
+        finally:
+            _queue.reset(token)
+        return result
+
+
+def choose(designator: Designator) -> ProcessModule:
+    """The process module for a designator (thesis 4.8).
+
+    Args:
+        designator: one that can be resolved.
+
+    Raises:
+        NoProcessModule: there is none.
+        NoWorld: the current world has no robot.
+    """
+    for chooser in ProcessModule.resolvers:
+        module = chooser(designator)
+        if module is not None:
+            return module
+    cmd = str(designator.reference().get("cmd", ""))
+    world = _world()
+    if world.robot is None:
+        raise NoWorld("robot")
+    modules = modules_of(world, world.robot)
+    if cmd not in modules:
+        raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules))
+    return modules[cmd]
+
+
+def modules_of(world: BulletWorld, robot: Object) -> Modules:
+    """The modules that serve a robot in the present environment.
+
+    Args:
+        world: its world.
+        robot: the robot.
+    """
+    from pycram import process_modules  # noqa: PLC0415  the modules are built on this class
+
+    environment = _environment.get()
+    registered = _registered.get((robot.urdf.name, environment))
+    if registered is not None:
+        return registered
+    if environment != SIMULATED or robot.description is None:
+        return {}
+    made = _state(world)[1]
+    with _lock:
+        if robot.name not in made:
+            made[robot.name] = process_modules.default_modules()
+        return made[robot.name]

@@ -1,0 +1,169 @@
+"""Moving arms: to joint values, to a pose of the tool, to take an object and to put it down."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram.failures import BadArgument, GraspFailed, PlaceFailed, Unreachable
+from pycram.process_modules.simulated import SimulatedModule
+from pycram.reasoning import grasps, placing, reach
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pycram.designator import Designator
+    from pycram.engine import Pose, Quaternion
+    from pycram.objects import Object
+    from pycram.robots.description import Arm
+
+_SETTLING: Final = 0.25  # s of simulated time in which an object that was put down comes to rest
+_YAWS: Final = 12  # directions in which an object is tried to be put down
+
+
+class MoveJoints(SimulatedModule):
+    """Puts one arm or both into a posture: a name such as "park", or joint values."""
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        description = self.description(robot)
+        positions: dict[str, float] = {}
+        for name, arm in description.arms.items():
+            wanted = solution.get(f"{name}-arm")
+            if wanted is None:
+                continue
+            if isinstance(wanted, str):
+                positions |= arm.posture(wanted)
+            elif len(wanted) != len(arm.joints):
+                raise BadArgument(f"{name}-arm", wanted, f"{len(arm.joints)} joint values")
+            else:
+                positions |= dict(zip(arm.joints, wanted, strict=True))
+        robot.set_joint_positions(positions)
+
+
+class MoveTCP(SimulatedModule):
+    """Brings the tool frame of an arm to a position, with an orientation if one is asked for."""
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["arm"])
+        target = solution["target"]
+        with robot.world.lock:
+            way = reach.postures(robot, arm.tool_frame, target, solution.get("orientation"))[0]
+            if not way.reached(reach.THRESHOLD):
+                raise Unreachable(arm.name, target, way.posture.position_error)
+            robot.set_joint_positions(way.posture.positions)
+
+
+class PickUp(SimulatedModule):
+    """Reaches for an object, closes the gripper around it and takes it."""
+
+    def _execute(self, designator: Designator) -> Object:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["arm"])
+        body: Object = solution["object"]
+        with robot.world.lock:
+            _check_free(robot, arm, body)
+            names = (solution["grasp"],) if "grasp" in solution else None
+            plan = grasps.best(body, robot, arm.tool_frame, names)
+            if plan.grasp is None or plan.reach is None:
+                if plan.reach is None:
+                    raise GraspFailed(
+                        arm.name, body.name, "it is too big for the gripper from any side that is allowed"
+                    )
+                raise Unreachable(arm.name, grasps.middle(body), plan.reach.posture.position_error)
+            if plan.obstacles:
+                blockers = ", ".join(other.name for other in plan.obstacles)
+                raise Unreachable(arm.name, grasps.middle(body), None, f"{blockers} would be in the way")
+            robot.set_joint_positions(arm.gripper.positions("open"))
+            robot.set_joint_positions(plan.reach.posture.positions)
+            robot.set_joint_positions(arm.gripper.around(plan.grasp.width))
+            robot.attach(body, arm.tool_frame)
+        return body
+
+
+def _check_free(robot: Object, arm: Arm, body: Object) -> None:
+    if body.fixed:
+        raise GraspFailed(arm.name, body.name, "it is fixed")
+    if body.carrier is not None:
+        raise GraspFailed(arm.name, body.name, f"{body.carrier.name} holds it already")
+    for attachment in robot.carried:
+        if attachment.carrier_link == arm.tool_frame:
+            raise GraspFailed(arm.name, body.name, f"it holds {attachment.body.name}")
+
+
+class Place(SimulatedModule):
+    """Puts a held object down: upright if no orientation is given, on what is there at the target, and lets it settle."""
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["arm"])
+        body: Object = solution["object"]
+        target = solution["target"]
+        with robot.world.lock:
+            held = robot.attachments.get(body)
+            if held is None or held.carrier_link != arm.tool_frame:
+                raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
+            posture = self._plan(robot, arm, body, target, solution.get("orientation"))
+            robot.set_joint_positions(posture)
+            robot.set_joint_positions(arm.gripper.positions("open"))
+            robot.detach(body)
+            robot.world.simulate(_SETTLING)
+
+    @staticmethod
+    def _plan(
+        robot: Object, arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None
+    ) -> dict[str, float]:
+        body_T_tool = geometry.multiply(  # noqa: N806  a frame
+            geometry.invert(body.get_position_and_orientation()),
+            robot.get_link_position_and_orientation(arm.tool_frame),
+        )
+        nearest: float | None = None
+        blockers: set[str] = set()
+        for turn in _turns(robot, body, body_T_tool, orientation):
+            resting = placing.set_down(body, target, turn)
+            position, tool = geometry.multiply((resting, turn), body_T_tool)
+            for way in reach.postures(robot, arm.tool_frame, position, tool):
+                if not way.reached(reach.THRESHOLD):
+                    near = way.posture.position_error
+                    nearest = near if nearest is None else min(near, nearest)
+                    continue
+                hits = reach.in_the_way(robot, way.posture.positions)
+                if not hits:
+                    return dict(way.posture.positions)
+                blockers |= {other.name for other in hits}
+        if blockers:
+            raise PlaceFailed(body.name, target, f"{', '.join(sorted(blockers))} would be in the way")
+        raise Unreachable(arm.name, target, nearest)
+
+
+def _turns(
+    robot: Object,
+    body: Object,
+    body_T_tool: Pose,
+    orientation: Sequence[float] | None,  # noqa: N803  a frame
+) -> Iterator[Quaternion]:
+    """Orientations in which an object may be put down, the most natural for the arm first."""
+    if orientation is not None:
+        x, y, z, w = orientation
+        yield (x, y, z, w)
+        return
+    natural = [reach.approach(grasp, robot) for grasp in reach.GRASPS]
+    _, _, start = 0.0, 0.0, _yaw(body)
+    upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * i / _YAWS) for i in range(_YAWS)]
+
+    def strain(turn: Quaternion) -> float:
+        tool = geometry.product(turn, body_T_tool[1])
+        return min(geometry.angle(tool, side) for side in natural)
+
+    yield from sorted(upright, key=strain)
+
+
+def _yaw(body: Object) -> float:
+    x, y, _ = geometry.rotate(body.get_orientation(), (1.0, 0.0, 0.0))
+    return math.atan2(y, x)

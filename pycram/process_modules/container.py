@@ -1,0 +1,84 @@
+"""Opening drawers and doors by their handle."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram import cargo
+from pycram.failures import AccessFailed, BadArgument, Unreachable
+from pycram.process_modules.simulated import SimulatedModule
+from pycram.reasoning import reach
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from pycram.designator import Designator
+    from pycram.engine import Pose
+    from pycram.objects import Object
+    from pycram.robots.description import Arm
+
+_STRIDE: Final = 0.1  # m or rad between the postures on the way
+
+
+class Accessing(SimulatedModule):
+    """Grips a handle and moves it along the joint's own motion, as wide as asked, with what lies inside.
+
+    Everything is planned before anything moves: a failure leaves the world as it was.
+    """
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        arm = self.description(robot).arm(solution["arm"])
+        container, joint, handle = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
+        with robot.world.lock:
+            start = container.get_joint_position(joint)
+            container.check_link(handle)
+            if handle not in cargo.moved_links(container.urdf, [joint]):
+                raise BadArgument("drawer-handle", handle, f"a link that {joint} moves")
+            lower, upper = container.joint_limits(joint)
+            end = max(lower, 0.0) + solution["distance"]
+            if end > upper + 1e-9:
+                raise AccessFailed(joint, f"it opens up to {upper:g}, not {end:g}")
+            steps = max(1, math.ceil(abs(end - start) / _STRIDE))
+            values = [start + (end - start) * i / steps for i in range(steps + 1)]
+            postures = self._plan(robot, arm, container, joint, handle, values)
+            robot.set_joint_positions(arm.gripper.positions("open"))
+            robot.set_joint_positions(postures[0])
+            robot.set_joint_positions(arm.gripper.positions("close"))
+            for value, posture in zip(values[1:], postures[1:], strict=True):
+                container.set_joint_position(joint, value)
+                robot.set_joint_positions(posture)
+            robot.set_joint_positions(arm.gripper.positions("open"))
+
+    @staticmethod
+    def _plan(
+        robot: Object, arm: Arm, container: Object, joint: str, handle: str, values: list[float]
+    ) -> list[dict[str, float]]:
+        grip = _grip(robot, container, handle)
+        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), grip)  # noqa: N806  a frame
+        postures: list[dict[str, float]] = []
+        now = container.get_joint_positions()
+        seed: dict[str, float] | None = None
+        for value in values:
+            root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)  # noqa: N806
+            link = geometry.multiply(container.get_position_and_orientation(), root_T_link)
+            position, orientation = geometry.multiply(link, link_T_tool)
+            way = reach.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
+            if not way.reached(reach.THRESHOLD):
+                raise Unreachable(arm.name, position, way.posture.position_error, f"{handle} at {joint} = {value:.3f}")
+            seed = dict(way.posture.positions)
+            postures.append(seed)
+        return postures
+
+
+def _grip(robot: Object, container: Object, handle: str) -> Pose:
+    """Pose of the tool at a handle: from the front, the fingers across the bar."""
+    low, high = container.get_AABB(handle)
+    tool = reach.approach("front", robot)
+    _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
+    across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])
+    if across > high[2] - low[2]:  # a bar that lies
+        tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
+    x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    return (x, y, z), tool

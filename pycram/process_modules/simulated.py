@@ -1,0 +1,53 @@
+"""What the process modules for simulated robots have in common: the robot of the current world and what is known of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.failures import NoWorld, UsageError
+from pycram.process_module import ProcessModule
+
+if TYPE_CHECKING:
+    from pycram.objects import Object
+    from pycram.robots.description import RobotDescription
+
+
+class NoDescription(UsageError):
+    """The robot has no description, so that process modules can't know its arms.
+
+    Attributes:
+        robot: its name.
+    """
+
+    def __init__(self, robot: str) -> None:
+        super().__init__(f"nothing is known of the robot {robot}; give Object(..., description=...) its TOML file")
+        self.robot = robot
+
+
+class SimulatedModule(ProcessModule):
+    """A process module that works on the current world's robot."""
+
+    @staticmethod
+    def robot() -> Object:
+        """The robot.
+
+        Raises:
+            NoWorld: there is none.
+        """
+        from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of process modules
+
+        robot = BulletWorld.robot
+        if robot is None:
+            raise NoWorld("robot")
+        return robot
+
+    @staticmethod
+    def description(robot: Object) -> RobotDescription:
+        """What is known of a robot.
+
+        Raises:
+            NoDescription: nothing.
+        """
+        if robot.description is None:
+            raise NoDescription(robot.name)
+        return robot.description
