@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 import time
 import weakref
+from contextlib import ExitStack
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
@@ -108,15 +109,9 @@ class Journal:
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
-        errors = []
-        with self._lock:
-            for sink in self._sinks:
-                try:
-                    sink.close()
-                except OSError as error:
-                    errors.append(error)
-        if errors:
-            raise errors[0]
+        with self._lock, ExitStack() as closing:
+            for sink in reversed(self._sinks):
+                closing.callback(sink.close)
 
 
 #: Id of the task that runs in this context, 0 for none; set by :mod:`recorder.span`.
@@ -210,3 +205,13 @@ def close_journal(journal: Journal) -> None:
     with _registry:
         _open = tuple(other for other in _open if other is not journal)
     journal.close()
+
+
+def forget_journal(journal: Journal) -> None:
+    """Ends recording to a journal without touching its sinks: in a forked child they are the parent's.
+
+    Args:
+        journal: the journal.
+    """
+    global _open  # noqa: PLW0603  see open_journal
+    _open = tuple(other for other in _open if other is not journal)

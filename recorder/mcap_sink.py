@@ -1,0 +1,262 @@
+"""Writes records into an MCAP file that survives the death of its process.
+
+What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
+after its first record, and at once when a failure was recorded. Chunks are handed to the operating system unbuffered;
+from there on only the machine itself could lose them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import io
+import os
+import platform
+import stat
+import sys
+import threading
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from mcap.writer import CompressionType, Writer
+
+from recorder.errors import RecordingError
+from recorder.frames import FrameTree
+from recorder.log_lines import line_of
+from recorder.records import TOPICS, Run, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from google.protobuf.descriptor import FileDescriptor
+    from google.protobuf.message import Message
+
+    from recorder.asset import AssetFile
+    from recorder.records import Record
+
+_HINT: Final = "free space or choose another path, and run again"
+MAGIC: Final = b"\x89MCAP0\r\n"
+_MOST_RECORDS: Final = 50
+_LONGEST: Final = 0.05  # s
+_CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
+_PACKAGES: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a recording depends on, the platform and the arguments of the process."""
+    told = {}
+    for package in _PACKAGES:
+        try:
+            told[package] = version(package)
+        except PackageNotFoundError:
+            told[package] = "not installed"
+    return told | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "arguments": " ".join(sys.argv),
+    }
+
+
+class McapSink:
+    """A sink that is one MCAP file.
+
+    Args:
+        path: the file; an MCAP file that is there is replaced, anything else is not.
+        metadata: what to say of the run.
+
+    Raises:
+        RecordingError: it can't be written.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
+        self.path = path
+        raw = _open(path)
+        self._file = io.BufferedWriter(raw, 1 << 16)
+        self._writer = Writer(self._file, chunk_size=_CHUNK, compression=CompressionType.ZSTD)
+        self._lock = threading.Lock()
+        self._pending = 0
+        self._count = 0
+        self._now = 0
+        self._failed: OSError | None = None
+        self._closed = False
+        self._channels: dict[str, int] = {}
+        self._frames = FrameTree()
+        self._wake = threading.Event()
+        self._ended = threading.Event()
+        # a daemon, so that a plan which never closes its recording can end; what is pending then is flushed by close()
+        self._timer = threading.Thread(target=self._flush_in_time, name=f"flush {path.name}", daemon=True)
+        try:
+            self._begin(metadata)
+        except BaseException:
+            self._let_go()
+            raise
+        self._timer.start()
+
+    def _begin(self, metadata: Mapping[str, str]) -> None:
+        with self._guarded():
+            self._writer.start(profile="", library=f"pycram {versions()['pycram']}")
+            for kind, topic in TOPICS.items():
+                self._register(topic, kind.DESCRIPTOR.full_name, kind.DESCRIPTOR.file)
+            for topic, name, descriptor in self._frames.channels():
+                self._register(topic, name, descriptor)
+            self._writer.add_metadata("pycram", dict(versions()) | dict(metadata))
+            self._writer.flush()
+
+    def _register(self, topic: str, name: str, descriptor: FileDescriptor) -> None:
+        schema = self._writer.register_schema(name, "protobuf", _descriptors(descriptor))
+        self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Takes a record; see :class:`recorder.journal.Sink`."""
+        with self._lock, self._guarded():
+            self._now = record.wall_time_ns
+            self._add(topic, payload, record.seq)
+            for other, message in self._companions(record):
+                self._add(other, message.SerializeToString(), record.seq)
+            self._count += 1
+            self._pending += 1
+            if self._pending >= _MOST_RECORDS or _is_end(record):
+                self._flush()
+            elif self._pending == 1:
+                self._wake.set()
+
+    def _companions(self, record: Record) -> Iterator[tuple[str, Message]]:
+        yield from self._frames.transforms(record)
+        line = line_of(record)
+        if line is not None:
+            yield "/log", line
+
+    def _add(self, topic: str, payload: bytes, seq: int) -> None:
+        self._writer.add_message(self._channels[topic], self._now, payload, self._now, seq & 0xFFFFFFFF)
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file; see :class:`recorder.journal.Sink`."""
+        with self._lock, self._guarded():
+            self._flush()
+            self._writer.add_attachment(self._now, self._now, asset.key, asset.media_type, asset.content)
+            self._flush()
+            if asset.name.endswith(".urdf"):
+                self._frames.learn(asset.sha256, asset.content)
+
+    def close(self) -> None:
+        """Ends the file; see :class:`recorder.journal.Sink`."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._ended.set()
+            self._wake.set()
+        self._timer.join()
+        with self._lock:
+            try:
+                with self._guarded():
+                    self._flush()
+                    self._writer.add_metadata("pycram.end", {"records": str(self._count)})
+                    self._writer.finish()
+                    self._file.flush()
+            finally:
+                self._let_go()
+
+    def _let_go(self) -> None:
+        """Closes the file; what a full disk didn't take is dropped rather than tried again."""
+        raw = self._file.raw
+        with contextlib.suppress(OSError, ValueError):
+            self._file.close()
+        raw.close()
+
+    def abandon(self) -> None:
+        """Lets go of the file without writing: for a forked child, whose parent goes on with it."""
+        self._closed = True
+        self._failed = OSError("this recording belongs to the parent process")
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._pending = 0
+
+    def _flush_in_time(self) -> None:
+        """The timer's thread: flushes what is older than it may get."""
+        while not self._closed:
+            self._wake.wait()
+            self._wake.clear()
+            if self._ended.wait(_LONGEST):
+                return
+            with self._lock:
+                if self._pending and self._failed is None and not self._closed:
+                    with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() say so
+                        self._flush()
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        """Tells what went wrong with the file, now and ever after."""
+        if self._failed is not None:
+            raise RecordingError(self.path, str(self._failed), _HINT)
+        try:
+            yield
+        except (OSError, ValueError) as error:
+            self._failed = error if isinstance(error, OSError) else OSError(str(error))
+            raise RecordingError(self.path, _told(self._failed), _HINT) from error
+
+
+def _told(error: OSError) -> str:
+    return error.strerror or str(error)
+
+
+def _is_end(record: Record) -> bool:
+    """Whether a record must not get lost: a failure, or the end of the run."""
+    if isinstance(record, Task):
+        return record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
+    return isinstance(record, Run) and record.phase == Run.FINISHED
+
+
+def _descriptors(descriptor: FileDescriptor) -> bytes:
+    """A message's definition with all that it imports."""
+    found = FileDescriptorSet()
+    seen: set[str] = set()
+
+    def add(file: FileDescriptor) -> None:
+        if file.name in seen:
+            return
+        seen.add(file.name)
+        for dependency in file.dependencies:
+            add(dependency)
+        file.CopyToProto(found.file.add())
+
+    add(descriptor)
+    return found.SerializeToString()
+
+
+def _open(path: Path) -> io.FileIO:
+    """Opens the file for writing, if it is ours to write.
+
+    Raises:
+        RecordingError: it isn't, or can't be written.
+    """
+    try:
+        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666), "r+")
+    except OSError as error:
+        hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
+        raise RecordingError(path, _told(error), hint) from error
+    try:
+        try:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise RecordingError(path, "another recording is writing it", "choose another path") from error
+        except OSError as error:  # a file system without locks
+            if error.errno not in (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK):
+                raise RecordingError(path, _told(error), _HINT) from error
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            start = file.read(len(MAGIC)) or b""
+            if start and start != MAGIC:
+                raise RecordingError(
+                    path, "there is a file that is no recording", "move it away or choose another path"
+                )
+            file.seek(0)
+            file.truncate()
+    except BaseException:
+        file.close()
+        raise
+    return file

@@ -1,0 +1,126 @@
+"""``record``: everything that happens inside of its block is recorded, and the file is closed however it ends."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import weakref
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder import journal
+from recorder.asset import AssetFile
+from recorder.journal import Journal
+from recorder.mcap_sink import McapSink
+from recorder.records import Run, failure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording in the making.
+
+    Attributes:
+        path: its file.
+        journal: its numbering.
+    """
+
+    path: Path
+    journal: Journal
+
+    @property
+    def length(self) -> int:
+        """How many records it has; the next one's step number."""
+        return self.journal.length
+
+
+@contextmanager
+def record(
+    path: str | Path,
+    live: str | None = None,
+    *,
+    name: str | None = None,
+    arguments: Sequence[str] = (),
+    source: str | Path | None = None,
+) -> Iterator[Recording]:
+    """Records all worlds and plans of this process while its block runs.
+
+    Worlds that exist already are recorded from a keyframe on.
+
+    Args:
+        path: the MCAP file to write; a recording that is there is replaced.
+        live: address of a Rerun viewer that is to show it live ("rerun+http://127.0.0.1:9876/proxy"); a viewer that
+            stalls or dies costs the plan nothing.
+        name: of the plan; by default that of the program.
+        arguments: of the plan, for the record.
+        source: the plan's file, which is attached; by default the program's, if it has one.
+
+    Yields:
+        The recording.
+
+    Raises:
+        RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence.
+    """
+    file = Path(path)
+    program = _program() if source is None else Path(source)
+    title = name or (program.stem if program else "plan")
+    sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
+    sinks: list[journal.Sink] = [sink]
+    if live is not None:
+        from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
+
+        sinks.append(RerunSink(live, title))
+    log = Journal(sinks)
+    _leave_to_parent(sink, log)
+    start = time.perf_counter_ns()
+    log.append(Run(phase=Run.STARTED, name=title))
+    if program is not None and program.is_file():
+        log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
+    journal.open_journal(log)
+    try:
+        yield Recording(file, log)
+    except BaseException as error:
+        try:
+            _finish(log, title, start, error)
+        except OSError as lost:
+            lost.__context__, error.__context__ = error.__context__, lost
+        raise
+    else:
+        _finish(log, title, start, None)
+
+
+def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
+    succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
+    end = Run(phase=Run.FINISHED, name=title, succeeded=succeeded, duration_ns=time.perf_counter_ns() - start)
+    if error is not None and not succeeded:
+        end.failure.CopyFrom(failure(error))
+    try:
+        log.append(end)
+    finally:
+        journal.close_journal(log)
+
+
+def _program() -> Path | None:
+    """The file of the program that runs, if it is one."""
+    main = sys.modules.get("__main__")
+    file = getattr(main, "__file__", None)
+    return Path(file) if file else None
+
+
+def _leave_to_parent(sink: McapSink, log: Journal) -> None:
+    """Keeps forked children from writing into this file."""
+    sink_reference, log_reference = weakref.ref(sink), weakref.ref(log)
+
+    def forget() -> None:
+        kept, numbering = sink_reference(), log_reference()
+        if kept is not None:
+            kept.abandon()
+        if numbering is not None:
+            journal.forget_journal(numbering)
+
+    os.register_at_fork(after_in_child=forget)
