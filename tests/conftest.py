@@ -1,0 +1,76 @@
+"""What many tests need: an empty world, a full scene, and a journal that keeps records in memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from recorder import journal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.asset import AssetFile
+    from recorder.records import Record
+
+
+class MemorySink:
+    """Keeps copies of all records and assets."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+        self.assets: dict[str, AssetFile] = {}
+        self.closed = False
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        self.records.append(type(record).FromString(payload))
+
+    def attach(self, asset: AssetFile) -> None:
+        self.assets[asset.key] = asset
+
+    def close(self) -> None:
+        self.closed = True
+
+    def of(self, kind: type) -> list[Record]:
+        return [record for record in self.records if isinstance(record, kind)]
+
+
+@pytest.fixture
+def sink() -> Iterator[MemorySink]:
+    """Everything that happens in the test is recorded into it."""
+    memory = MemorySink()
+    log = journal.Journal([memory])
+    journal.open_journal(log)
+    yield memory
+    journal.close_journal(log)
+
+
+@pytest.fixture
+def world() -> Iterator[BulletWorld]:
+    """An empty world with gravity."""
+    with BulletWorld() as made:
+        made.set_gravity([0, 0, -9.8])
+        yield made
+
+
+@pytest.fixture
+def scene(world: BulletWorld) -> BulletWorld:
+    """The thesis' scene: floor, PR2 before the counter with parked arms, kitchen, milk, bowl, cereal, spoon in its drawer."""
+    Object("floor", "environment", "plane.urdf")
+    robot = Object("pr2", "robot", "pr2.urdf")
+    Object("kitchen", "environment", "kitchen.urdf")
+    Object("milk", "milk", "milk.stl", [1.3, 1, 0.95])
+    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 0.886])
+    Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 0.965])
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.716])
+    BulletWorld.robot = robot
+    description = robot.description
+    assert description is not None
+    for arm in description.arms.values():
+        robot.set_joint_positions(arm.posture("park"))
+    robot.set_joint_position("torso_lift_joint", 0.2)
+    robot.set_position([0.65, 0.7, 0])
+    world.simulate(0.25)
+    return world
