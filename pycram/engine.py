@@ -29,16 +29,18 @@ if TYPE_CHECKING:
 
 @contextmanager
 def _quiet_stdout() -> Iterator[None]:
-    """Sends what native code prints to stdout to stderr instead: stdout belongs to results."""
+    """Drops what native code prints to stdout (greetings, progress): stdout belongs to results."""
     sys.stdout.flush()
     kept = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(2, 1)
+        os.dup2(nowhere, 1)
         yield
     finally:
         ctypes.CDLL(None).fflush(None)  # C buffers what goes to a pipe or a file
         os.dup2(kept, 1)
         os.close(kept)
+        os.close(nowhere)
 
 
 with _quiet_stdout():  # it announces its build time

@@ -163,7 +163,8 @@ class ArmKinematics:
         home = first[0] if first else np.clip(np.zeros(len(self.joints)), self._lower, self._upper)
         miss = float(np.linalg.norm(goal - self.shoulder)) - self.length
         if miss > POSITION_TOLERANCE:  # farther than the stretched arm
-            return [self._told(home, goal, orientation)]
+            stretched, _ = self._descend(home[None], goal, None, stop_early=True)
+            return [self._told(stretched[0], goal, orientation)]
         turn = None if orientation is None else geometry.to_matrix(orientation)
         found: list[Array] = []
         tried: list[Array] = []

@@ -1,0 +1,65 @@
+"""Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
+
+The plan tries each arm from two places, moves what is in the way, and gives up. Its recording is material for debugging:
+``pycram run demos/fails_to_reach.py --log fails.mcap`` and then ``pycram-replay log fails.mcap --kind query``.
+"""
+
+from __future__ import annotations
+
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.failures import PlanFailure
+from pycram.language import par
+from pycram.process_module import ProcessModule
+
+PLACES = ([0.65, 0.9, 0], [0.65, 0.6, 0])
+
+
+def build_scene() -> Object:
+    world = BulletWorld()
+    world.set_gravity([0, 0, -9.8])
+    Object("floor", "environment", "plane.urdf")
+    robot = Object("pr2", "robot", "pr2.urdf")
+    Object("kitchen", "environment", "kitchen.urdf")
+    Object("cup", "cup", "cup.stl", [1.32, 0.9, 0.92])
+    Object("bowl", "bowl", "bowl.stl", [1.35, 0.7, 0.9])
+    milk = Object("milk", "milk", "milk.stl", [1.72, 0.85, 0.96])
+    BulletWorld.robot = robot
+    robot.set_joint_position("torso_lift_joint", 0.25)
+    world.simulate(0.5)
+    return milk
+
+
+def try_to_take(milk: Object, arm: str, place: list[float]) -> None:
+    print(f"trying the {arm} arm from", place[:2])
+    with par:
+        ProcessModule.perform(
+            MotionDesignator([("type", "move-arm-joints"), ("left-arm", "park"), ("right-arm", "park")])
+        )
+        ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", place), ("orientation", [0, 0, 0, 1])]))
+    ProcessModule.perform(MotionDesignator([("type", "looking"), ("object", milk)]))
+    found = ProcessModule.perform(MotionDesignator([("type", "detecting"), ("object-type", "milk")]))
+    gripper = BulletWorld.robot.description.arm(arm).tool_frame
+    if not btr.reachable(found, BulletWorld.robot, gripper):
+        print("  reachable() says no; blocking() says", btr.blocking(found, BulletWorld.robot, gripper))
+    ProcessModule.perform(MotionDesignator([("type", "pick-up"), ("object", found), ("arm", arm)]))
+
+
+def main() -> None:
+    milk = build_scene()
+    last: PlanFailure | None = None
+    for place in PLACES:
+        for arm in ("left", "right"):
+            try:
+                try_to_take(milk, arm, place)
+            except PlanFailure as failure:
+                print(" ", failure)
+                last = failure
+            else:
+                return
+    raise btr.ReasoningError("the milk can't be fetched") from last
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""The command line: ``pycram demo`` and ``pycram run PLAN.py``; any plan is recorded without editing it."""
+
+from __future__ import annotations
+
+import argparse
+import runpy
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pycram.failures import PlanFailure, PycramError
+from recorder import RecordingError, record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_DONE, _FAILED, _USAGE = 0, 1, 2
+
+
+def demos() -> Path:
+    """The folder with the demos."""
+    here = Path(__file__).parent
+    installed = here / "demos"
+    return installed if installed.is_dir() else here.parent / "demos"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs a command.
+
+    Args:
+        argv: the arguments; the process' own by default.
+
+    Returns:
+        0 if the plan succeeded, 1 if it failed, 2 for wrong usage.
+    """
+    parser = _parser()
+    options = parser.parse_args(argv)
+    if options.command == "demo":
+        plan = demos() / f"{options.name}.py"
+        arguments: list[str] = []
+    else:
+        plan = Path(options.plan)
+        arguments = [argument for argument in options.arguments if argument != "--"]
+    if not plan.is_file():
+        parser.error(f"{plan}: no such plan")
+    log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
+    return run(plan, log, arguments, options.live)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="pycram", description="Runs robot plans and records everything that happens.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    names = sorted(file.stem for file in demos().glob("*.py"))
+    demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
+    demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
+    plan = commands.add_parser("run", help="run a plan", description="Runs a plan: any Python file.")
+    plan.add_argument("plan", metavar="PLAN.py", help="the plan")
+    for command in (demo, plan):
+        command.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
+        command.add_argument("--live", metavar="URL", help="address of a Rerun viewer that shows it live")
+    plan.add_argument("arguments", nargs=argparse.REMAINDER, metavar="-- ARGS", help="arguments of the plan")
+    return parser
+
+
+def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None = None) -> int:
+    """Runs a plan as a program of its own and records it.
+
+    Args:
+        plan: the Python file.
+        log: the recording.
+        arguments: of the plan.
+        live: address of a Rerun viewer.
+
+    Returns:
+        The exit code: 0, 1 if the plan failed, 2 if it can't be recorded or ends with a wrong usage.
+    """
+    before = sys.argv, list(sys.path)
+    sys.argv = [str(plan), *arguments]
+    sys.path.insert(0, str(plan.parent.resolve()))
+    recorded = False
+    code = _DONE
+    try:
+        with record(log, live, name=plan.stem, arguments=arguments, source=plan):
+            recorded = True
+            runpy.run_path(str(plan), run_name="__main__")
+    except RecordingError as error:
+        print(f"pycram: {error}", file=sys.stderr)
+        code = _USAGE
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else _DONE if end.code is None else _FAILED
+        if isinstance(end.code, str):
+            print(end.code, file=sys.stderr)
+    except PlanFailure as failure:
+        traceback.print_exc()
+        print(f"\npycram: the plan failed: {type(failure).__name__}: {failure}", file=sys.stderr)
+        code = _FAILED
+    except KeyboardInterrupt:
+        print("\npycram: interrupted", file=sys.stderr)
+        code = 130
+    except Exception as error:  # noqa: BLE001  whatever the plan's own code raises
+        traceback.print_exc()
+        kind = "is used wrongly" if isinstance(error, PycramError) else "has an error"
+        print(f"\npycram: the plan {kind}: {type(error).__name__}: {error}", file=sys.stderr)
+        code = _FAILED
+    finally:
+        sys.argv, sys.path[:] = before
+    if recorded and log.is_file():
+        _say_where(log, code)
+    return code
+
+
+def _say_where(log: Path, code: int) -> None:
+    size = log.stat().st_size / 1e6
+    print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
+    verbs = ("info", "tree") if code == _DONE else ("tree", "state")
+    for verb in verbs:
+        last = " failure" if verb == "state" else ""
+        print(f"  pycram-replay {verb} {log}{last}", file=sys.stderr)
+    print(f"  rerun {log}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
