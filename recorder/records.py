@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import math
 import traceback
-from collections.abc import Mapping, Set
-from typing import TYPE_CHECKING, Protocol, TypeAlias, runtime_checkable
+from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -110,22 +111,28 @@ class Recordable(Protocol):
 
 
 def _plain(value: object) -> object:
-    if value is None or isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else {"float": repr(value)}
-    if isinstance(value, Recordable):
-        return _plain(value.__record__())
-    if isinstance(value, np.generic | np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, Set):
-        return sorted((_plain(item) for item in value), key=repr)
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+    for kinds, plain in _PLAIN:
+        if isinstance(value, kinds):
+            return plain(value)
     name = getattr(value, "__qualname__", None)
     return {"callable": f"{value.__module__}.{name}"} if name else {"repr": repr(value)}
+
+
+def _finite(value: float) -> object:
+    return float(value) if math.isfinite(value) else {"float": repr(float(value))}
+
+
+# in this order: what says itself how it is to be recorded may be a subclass of int or list
+_PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
+    ((type(None), bool, str), lambda value: value),
+    (Recordable, lambda value: _plain(value.__record__())),
+    (int, int),
+    (float, _finite),
+    ((np.generic, np.ndarray), lambda value: _plain(value.tolist())),
+    (Mapping, lambda value: {str(key): _plain(item) for key, item in value.items()}),
+    (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
+    ((list, tuple), lambda value: [_plain(item) for item in value]),
+)
 
 
 def to_json(value: object) -> str:
