@@ -68,6 +68,15 @@ class Journal:
         """How many records there are; the next one's seq."""
         return self._next
 
+    def add_sink(self, sink: Sink) -> None:
+        """Adds a sink; it gets the records from here on.
+
+        Args:
+            sink: where they go too; closed with the others.
+        """
+        with self._lock:
+            self._sinks = (*self._sinks, sink)
+
     def append(self, record: Record) -> int:
         """Numbers and keeps a record.
 
