@@ -47,7 +47,7 @@ def checked(file: Path) -> tuple[str, bytes]:
     kind = file.suffix.lower()
     if kind == ".stl" and not _is_ascii(content):
         _check_binary_stl(file, content)
-        return file.name, content
+        return file.name, _with_normals(content)
     shape = parse(file)
     if kind == ".stl":
         return file.name, _exported(shape, "stl")
@@ -112,6 +112,21 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
     table = np.frombuffer(content, dtype=np.dtype("12<f4, <u2"), count=faces, offset=_STL_HEADER)
     if not np.isfinite(table["f0"]).all():
         raise AssetError(file, "has vertices that are not finite numbers")
+
+
+def _with_normals(content: bytes) -> bytes:
+    """Fills in normals that a binary STL leaves at zero, as many exporters do: the renderer would paint it black."""
+    count = struct.unpack("<I", content[80:84])[0]
+    table = np.frombuffer(content, dtype=np.dtype("12<f4, <u2"), count=count, offset=_STL_HEADER).copy()
+    numbers = table["f0"].reshape(count, 4, 3)
+    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # a unit vector's parts add up to 1 at least
+    if not missing.any():
+        return content
+    a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))
+    normals = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
+    return content[:_STL_HEADER] + table.tobytes()
 
 
 def _obj(shape: trimesh.Trimesh) -> bytes:
