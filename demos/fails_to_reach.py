@@ -1,6 +1,6 @@
 """Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
 
-The plan tries each arm from two places, moves what is in the way, and gives up. Its recording is material for debugging:
+The plan tries each arm from two places and gives up. Its recording is material for debugging:
 ``pycram run demos/fails_to_reach.py --log fails.mcap`` and then ``pycram-replay log fails.mcap --kind query``.
 """
 

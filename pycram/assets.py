@@ -1,7 +1,7 @@
 """Models: from the file a user names to a checked, self-contained URDF that the engine loads and a log can carry.
 
 PyBullet refuses broken files without saying why, or loads them without a shape. So every file is checked here first.
-What it then gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
+What it gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
 under these names. The same store can be laid out again from a recording's attachments on another machine.
 
 Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning.
@@ -176,7 +176,6 @@ def _canonical(source: Path, text: str, stem: str) -> Model:
     except ET.ParseError as error:
         raise AssetError(source, f"is not well-formed XML: {error}") from error
     _check_links(source, root)
-    assets: dict[str, AssetFile] = {}
     meshes: dict[str, AssetFile] = {}
     for element in root.iter("mesh"):
         found = _find_mesh(source, element.get("filename", ""))

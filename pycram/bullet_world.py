@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
 
+    from typing_extensions import Self
+
     from pycram.funnel import Change
     from recorder.journal import Journal
 
@@ -37,31 +39,31 @@ _MOVED: Final = 1e-4  # rad or m by which a joint of the environment has to move
 class _Worlds(type):
     """Makes the current world and its robot readable and settable on the class, as in the thesis' listings."""
 
-    _open: tuple[BulletWorld, ...] = ()
-    _registry = threading.Lock()
-    _numbers = itertools.count(1)
+    open_worlds: tuple[BulletWorld, ...] = ()
+    registry = threading.Lock()
+    numbers = itertools.count(1)
 
     @property
     def current_bullet_world(cls) -> BulletWorld | None:
         """The default world of all that needs one: the one opened last that is still open."""
-        return _Worlds._open[-1] if _Worlds._open else None
+        return _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
 
     @current_bullet_world.setter
     def current_bullet_world(cls, world: BulletWorld) -> None:
-        with _Worlds._registry:
+        with _Worlds.registry:
             if world.closed:
                 raise WorldClosed(world.name, "become current")
-            _Worlds._open = (*(other for other in _Worlds._open if other is not world), world)
+            _Worlds.open_worlds = (*(other for other in _Worlds.open_worlds if other is not world), world)
 
     @property
     def robot(cls) -> Object | None:
         """The robot of the current world."""
-        world = _Worlds._open[-1] if _Worlds._open else None
+        world = _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
         return world.robot if world else None
 
     @robot.setter
     def robot(cls, robot: Object | None) -> None:
-        world = robot.world if robot is not None else _Worlds._open[-1] if _Worlds._open else None
+        world = robot.world if robot is not None else _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
         if world is None:
             raise NoWorld
         world.set_robot(robot)
@@ -79,14 +81,17 @@ class BulletWorld(metaclass=_Worlds):
         DisplayError: no window can open, or one is open already.
     """
 
+    mode: str
+    name: str
+
     def __init__(self, type: str = "DIRECT", name: str | None = None) -> None:  # noqa: A002  the original's name
         if type not in ("DIRECT", "GUI"):
             raise BadArgument("type", type, '"DIRECT" or "GUI"')
         if type == "GUI":
-            check_display(open_windows=[world.name for world in _Worlds._open if world.mode == "GUI"])
+            check_display(open_windows=[world.name for world in _Worlds.open_worlds if world.mode == "GUI"])
         self.mode = type
-        self.name = f"world_{next(_Worlds._numbers)}" if name is None else checks.text("name", name)
-        if any(world.name == self.name for world in _Worlds._open):
+        self.name = f"world_{next(_Worlds.numbers)}" if name is None else checks.text("name", name)
+        if any(world.name == self.name for world in _Worlds.open_worlds):
             raise BadArgument("name", self.name, "a name that no open world has")
         self.engine = Engine(window=type == "GUI")
         self.sim_step = 0
@@ -102,8 +107,8 @@ class BulletWorld(metaclass=_Worlds):
         self._manipulation = Event("manipulation", self.name, self._envelope)
         with self.funnel.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
             journal.register(self)
-        with _Worlds._registry:
-            _Worlds._open = (*_Worlds._open, self)
+        with _Worlds.registry:
+            _Worlds.open_worlds = (*_Worlds.open_worlds, self)
 
     def __repr__(self) -> str:
         return f"BulletWorld({self.mode!r}, name={self.name!r})"
@@ -112,7 +117,7 @@ class BulletWorld(metaclass=_Worlds):
         """How it stands in records."""
         return {"world": self.name}
 
-    def __enter__(self) -> BulletWorld:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -126,7 +131,7 @@ class BulletWorld(metaclass=_Worlds):
     # --- what is in it ---------------------------------------------------------------------------------------------
 
     @property
-    def lock(self) -> threading.RLock:  # type: ignore[valid-type]  # a factory on Python 3.10-3.12
+    def lock(self) -> threading.RLock:
         """Held while something reads or changes this world consistently; re-entrant."""
         return self.funnel.lock
 
@@ -366,5 +371,5 @@ class BulletWorld(metaclass=_Worlds):
             self.engine.close()
             for close in self._closers:
                 close()
-        with _Worlds._registry:
-            _Worlds._open = tuple(world for world in _Worlds._open if world is not self)
+        with _Worlds.registry:
+            _Worlds.open_worlds = tuple(world for world in _Worlds.open_worlds if world is not self)

@@ -50,7 +50,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:  # noqa
         world: its world; only for calls as in the thesis.
 
     Returns:
-        False if it would move more than 1 cm or turn more than 5 degrees within 2 s; the evidence says how far and when.
+        False if it would move more than 1 cm or turn more than 5 degrees within 2 s; the evidence says how far.
         See :mod:`pycram.reasoning.stability` for why creep doesn't count.
     """
     body: Object = unwrap(object)

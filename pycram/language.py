@@ -7,9 +7,9 @@
         ProcessModule.perform(moving)
         s(function, argument)
 
-Each ``perform`` and each ``s(...)`` is one branch in a thread of its own and gives a handle that serves as its result.
-The block ends when all its threads have ended. Branches that need the same part of the robot queue in the order in which
-they are asked for (:mod:`pycram.claims`).
+Each ``perform`` and each ``s(...)`` is one branch in a thread of its own and gives a handle that serves as its
+result. The block ends when all its threads have ended. Branches that need the same part of the robot queue in the order in
+which they are asked for (:mod:`pycram.claims`).
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ from recorder.span import span
 
 if TYPE_CHECKING:
     from types import TracebackType
+
+    from typing_extensions import Self
 
     from recorder.span import Span
 
@@ -107,7 +109,7 @@ class Block:
         branch.start()
         return Handle(branch)
 
-    def __enter__(self) -> Block:
+    def __enter__(self) -> Self:
         checkpoint()
         self.state = State.RUNNING
         self._span = self._exits.enter_context(span("block", self.name))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import io
 import struct
 import xml.etree.ElementTree as ET
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import trimesh
@@ -126,16 +126,17 @@ def _with_normals(content: bytes) -> bytes:
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
-    return content[:_STL_HEADER] + table.tobytes()
+    filled: bytes = content[:_STL_HEADER] + table.tobytes()
+    return filled
 
 
 def _obj(shape: trimesh.Trimesh) -> bytes:
     return _exported(shape, "obj", include_color=False, include_texture=False)
 
 
-def _exported(shape: trimesh.Trimesh, kind: str, **options: bool) -> bytes:
+def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
     content = shape.export(file_type=kind, **options)
-    return content.encode() if isinstance(content, str) else bytes(content)  # type: ignore[arg-type]  # no dict for these
+    return content.encode() if isinstance(content, str) else bytes(content)
 
 
 def as_urdf(

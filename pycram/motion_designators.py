@@ -86,10 +86,12 @@ class MotionType:
 def _robot() -> Object:
     from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of designators
 
-    robot = BulletWorld.robot
-    if robot is None:
-        raise NoWorld("robot" if BulletWorld.current_bullet_world else "world")
-    return robot
+    world = BulletWorld.current_bullet_world
+    if world is None:
+        raise NoWorld
+    if world.robot is None:
+        raise NoWorld("robot")
+    return world.robot
 
 
 def _heading(_: dict[str, Value]) -> Value:

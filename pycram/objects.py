@@ -12,7 +12,7 @@ from pycram import assets, attachments, cargo, checks
 from pycram.attachments import Attachment
 from pycram.failures import AttachmentError, JointLimitError, NoWorld, UnknownName, WorldClosed
 from pycram.robots.description import find_description
-from recorder import geometry, journal, records
+from recorder import geometry, records
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -449,12 +449,12 @@ class Object:
         carrier = self.carrier
         if carrier is None:
             return
-        old = carrier._attachments[self]
+        old = carrier._attachments[self]  # noqa: SLF001  same class
         engine = self.world.engine
         engine.unfix(old.constraint)
         link = engine.link_pose(carrier.handle, old.carrier_link)
         pose = geometry.multiply(geometry.invert(link), engine.pose(self.handle))
-        carrier._hold(self, old.carrier_link, old.body_link, pose, change)
+        carrier._hold(self, old.carrier_link, old.body_link, pose, change)  # noqa: SLF001  same class
 
     def detach(self, other: Object) -> None:
         """Ends an attachment, from either side (thesis 4.3.2); both stay where they are.

@@ -1,7 +1,7 @@
 """Coordinate frames of bodies and links as ``foxglove.FrameTransforms`` on /tf: those that a record changed.
 
-Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links; with several worlds ``WORLD/BODY``. The
-root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can be watched although it is
+Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD/`` before them in all
+worlds but the first. The root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can be watched although it is
 one record.
 """
 
@@ -18,7 +18,6 @@ from recorder.urdf import Urdf
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from google.protobuf.descriptor import FileDescriptor
     from google.protobuf.message import Message
 
     from recorder.records import BodyState
@@ -35,12 +34,9 @@ class FrameTree:
         self._bodies: dict[tuple[str, str], Urdf] = {}
 
     @staticmethod
-    def channels() -> list[tuple[str, str, FileDescriptor]]:
-        """Topics, schema names and definitions of the messages for other people's tools."""
-        return [
-            ("/tf", "foxglove.FrameTransforms", FrameTransforms.DESCRIPTOR.file),
-            ("/log", "foxglove.Log", Log.DESCRIPTOR.file),
-        ]
+    def channels() -> list[tuple[str, type[Message]]]:
+        """Topics and messages for other people's tools."""
+        return [("/tf", FrameTransforms), ("/log", Log)]
 
     def learn(self, sha256: str, content: bytes) -> None:
         """Takes a URDF.

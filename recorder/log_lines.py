@@ -34,7 +34,7 @@ def line_of(record: Record) -> Log | None:
     return line
 
 
-def text_of(record: Record) -> tuple[str, Log.Level]:
+def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911  one for each type of record
     """The same as plain text, with its level.
 
     Args:
@@ -55,7 +55,7 @@ def text_of(record: Record) -> tuple[str, Log.Level]:
     return f"keyframe of {record.world}", Log.DEBUG
 
 
-def _run(record: Run) -> tuple[str, Log.Level]:
+def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Run.STARTED:
         return f"{record.name} started", Log.INFO
     if record.succeeded:
@@ -63,7 +63,7 @@ def _run(record: Run) -> tuple[str, Log.Level]:
     return f"{record.name} failed: {record.failure.type}: {record.failure.message}", Log.ERROR
 
 
-def _task(record: Task) -> tuple[str, Log.Level]:
+def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name = f"{record.kind} {record.name}"
     if record.phase == Task.STARTED:
         return f"{name}({_values(record.parameters)})", Log.INFO

@@ -17,8 +17,7 @@ import stat
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
@@ -30,8 +29,8 @@ from recorder.records import TOPICS, Run, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
 
-    from google.protobuf.descriptor import FileDescriptor
     from google.protobuf.message import Message
 
     from recorder.asset import AssetFile
@@ -100,14 +99,14 @@ class McapSink:
         with self._guarded():
             self._writer.start(profile="", library=f"pycram {versions()['pycram']}")
             for kind, topic in TOPICS.items():
-                self._register(topic, kind.DESCRIPTOR.full_name, kind.DESCRIPTOR.file)
-            for topic, name, descriptor in self._frames.channels():
-                self._register(topic, name, descriptor)
+                self._register(topic, kind)
+            for topic, message in self._frames.channels():
+                self._register(topic, message)
             self._writer.add_metadata("pycram", dict(versions()) | dict(metadata))
             self._writer.flush()
 
-    def _register(self, topic: str, name: str, descriptor: FileDescriptor) -> None:
-        schema = self._writer.register_schema(name, "protobuf", _descriptors(descriptor))
+    def _register(self, topic: str, message: type[Message]) -> None:
+        schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
         self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -212,21 +211,30 @@ def _is_end(record: Record) -> bool:
     return isinstance(record, Run) and record.phase == Run.FINISHED
 
 
-def _descriptors(descriptor: FileDescriptor) -> bytes:
-    """A message's definition with all that it imports."""
+def _descriptors(message: type[Message]) -> bytes:
+    """A message's definition with all that it imports, which comes first."""
     found = FileDescriptorSet()
     seen: set[str] = set()
 
-    def add(file: FileDescriptor) -> None:
-        if file.name in seen:
-            return
-        seen.add(file.name)
-        for dependency in file.dependencies:
-            add(dependency)
-        file.CopyToProto(found.file.add())
+    def add(file: Any) -> None:  # protobuf's two runtimes have two types for it
+        if file.name not in seen:
+            seen.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
+            file.CopyToProto(found.file.add())
 
-    add(descriptor)
+    add(message.DESCRIPTOR.file)
     return found.SerializeToString()
+
+
+def _replace(path: Path, file: io.FileIO) -> None:
+    """Empties an older recording; refuses anything else that has content."""
+    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        start = file.read(len(MAGIC)) or b""
+        if start and start != MAGIC:
+            raise RecordingError(path, "there is a file that is no recording", "move it away or choose another path")
+        file.seek(0)
+        file.truncate()
 
 
 def _open(path: Path) -> io.FileIO:
@@ -248,14 +256,7 @@ def _open(path: Path) -> io.FileIO:
         except OSError as error:  # a file system without locks
             if error.errno not in (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK):
                 raise RecordingError(path, _told(error), _HINT) from error
-        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            start = file.read(len(MAGIC)) or b""
-            if start and start != MAGIC:
-                raise RecordingError(
-                    path, "there is a file that is no recording", "move it away or choose another path"
-                )
-            file.seek(0)
-            file.truncate()
+        _replace(path, file)
     except BaseException:
         file.close()
         raise

@@ -7,11 +7,11 @@ decompressed when a step in it is asked for, and its first step is found by bise
 from __future__ import annotations
 
 import io
+import struct
 from collections import OrderedDict
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from struct import error as StructError
 from typing import TYPE_CHECKING, Final
 
 from mcap.data_stream import ReadDataStream
@@ -28,13 +28,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from types import TracebackType
 
+    from typing_extensions import Self
+
     from recorder.records import Record
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 KINDS: Final = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 16  # chunks
 _HEADER: Final = 9  # bytes of opcode and length before each MCAP record
-_BROKEN: Final = (McapError, StructError, ValueError, EOFError, OSError, KeyError, IndexError, MemoryError)
+_BROKEN: Final = (McapError, struct.error, ValueError, EOFError, OSError, KeyError, IndexError, MemoryError)
 
 __all__ = ["KINDS", "Event", "Keyframe", "Log", "Mutation", "Query", "Run", "Task", "open_log"]
 
@@ -75,7 +77,7 @@ class Log:
             self._file.close()
             raise
 
-    def __enter__(self) -> Log:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -153,7 +155,8 @@ class Log:
             KeyError: there is none of that name.
         """
         place = self._attachments[name]
-        return Attachment.read(ReadDataStream(io.BytesIO(self._bytes(place)))).data
+        content: bytes = Attachment.read(ReadDataStream(io.BytesIO(self._bytes(place)))).data
+        return content
 
     @cached_property
     def first_steps(self) -> Mapping[str, int]:

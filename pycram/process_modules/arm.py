@@ -97,7 +97,7 @@ def _check_free(robot: Object, arm: Arm, body: Object) -> None:
 
 
 class Place(SimulatedModule):
-    """Puts a held object down: upright if no orientation is given, on what is there at the target, and lets it settle."""
+    """Puts a held object down on what is there: upright if no orientation is given; and lets it settle."""
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
@@ -146,7 +146,7 @@ def _turns(
     robot: Object,
     body: Object,
     body_T_tool: Pose,
-    orientation: Sequence[float] | None,  # noqa: N803  a frame
+    orientation: Sequence[float] | None,
 ) -> Iterator[Quaternion]:
     """Orientations in which an object may be put down, the most natural for the arm first."""
     if orientation is not None:

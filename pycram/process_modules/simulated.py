@@ -1,4 +1,4 @@
-"""What the process modules for simulated robots have in common: the robot of the current world and what is known of it."""
+"""What process modules for simulated robots have in common: the robot of the current world, and its description."""
 
 from __future__ import annotations
 
@@ -36,10 +36,12 @@ class SimulatedModule(ProcessModule):
         """
         from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of process modules
 
-        robot = BulletWorld.robot
-        if robot is None:
+        world = BulletWorld.current_bullet_world
+        if world is None:
+            raise NoWorld
+        if world.robot is None:
             raise NoWorld("robot")
-        return robot
+        return world.robot
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:

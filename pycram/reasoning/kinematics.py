@@ -195,8 +195,8 @@ class ArmKinematics:
                 for i in range(start, start + count)
             ]
         )
-        middle = self._lower + spread * (self._upper - self._lower)
-        return middle.reshape(count, len(self.joints))
+        samples: Array = self._lower + spread * (self._upper - self._lower)
+        return samples
 
     def _descend(
         self, start: Array, goal: Array, turn: Array | None, *, stop_early: bool
@@ -249,7 +249,7 @@ class ArmKinematics:
 
 def _motion(axis: Array, values: Array, *, slides: bool) -> Array:
     """Transforms (n, 4, 4) of a joint at values (n,)."""
-    moved = np.broadcast_to(np.eye(4), (len(values), 4, 4)).copy()
+    moved: Array = np.broadcast_to(np.eye(4), (len(values), 4, 4)).copy()
     if slides:
         moved[:, :3, 3] = values[:, None] * axis
         return moved

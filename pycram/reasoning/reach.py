@@ -155,8 +155,8 @@ def in_the_way(
         everything: count all links of the robot; else only those that the joints move.
 
     Returns:
-        For each object, the robot's links that would touch it, its own links, and the depth in m. The floor that a robot
-        stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others as well.
+        For each object, the robot's links that would touch it, its own links, and the depth in m. The floor that a
+        robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others as well.
     """
     world = robot.world
     copy = twin(world, "reach")

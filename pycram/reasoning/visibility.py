@@ -132,7 +132,7 @@ def camera_at(where: object, target: Object, robot: Object | None = None) -> Cam
         parts = list(where)  # type: ignore[call-overload]
     except TypeError:
         raise BadArgument("camera", where, "a position, a position and an orientation, or a frame's name") from None
-    if len(parts) == 2:  # noqa: PLR2004  position, orientation
+    if len(parts) == 2:
         pose = (checks.vector("camera position", parts[0]), checks.quaternion("camera orientation", parts[1]))
     else:
         eye = checks.vector("camera position", parts)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from pycram import checks, toml
 from pycram.failures import AssetError, BadArgument, UnknownName
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from recorder.urdf import Urdf
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,39 +220,38 @@ class RobotDescription:
         Raises:
             AssetError: a joint or link doesn't exist, a chain isn't one, or a value is outside limits.
         """
-        links = [self.base_link]
-        joints: list[str] = []
-        values: dict[str, list[float]] = {}
-        for arm in self.arms.values():
-            links += [arm.base_link, arm.tool_frame, arm.gripper.palm, *arm.gripper.fingers]
-            joints += [*arm.joints, *arm.gripper.joints]
-            for posture in arm.poses.values():
-                for joint, value in zip(arm.joints, posture, strict=True):
-                    values.setdefault(joint, []).append(value)
-            for joint in arm.gripper.joints:
-                values[joint] = [arm.gripper.open, arm.gripper.closed]
-        if self.head:
-            joints += [self.head.pan, self.head.tilt]
-        if self.camera:
-            links.append(self.camera.frame)
-        if self.torso:
-            joints.append(self.torso.joint)
-            values[self.torso.joint] = [self.torso.default]
         try:
-            for link in links:
+            for link in self._links():
                 urdf.parent_joint(link)
-            for joint in joints:
-                urdf.joint(joint)
+            for name, values in self._values().items():
+                joint = urdf.joint(name)
+                for value in values:
+                    if not joint.lower <= value <= joint.upper:
+                        limits = f"{joint.lower:g} to {joint.upper:g}"
+                        raise AssetError(self.source, f"puts {name} to {value:g}, outside of its limits {limits}")
             for arm in self.arms.values():
                 self._check_chain(arm, urdf)
         except UrdfError as error:
             raise AssetError(self.source, str(error)) from error
-        for name, wanted in values.items():
-            joint_of = urdf.joint(name)
-            for value in wanted:
-                if not joint_of.lower <= value <= joint_of.upper:
-                    limits = f"{joint_of.lower:g} to {joint_of.upper:g}"
-                    raise AssetError(self.source, f"puts {name} to {value:g}, outside of its limits {limits}")
+
+    def _links(self) -> list[str]:
+        """All links that it names."""
+        links = [self.base_link] + ([self.camera.frame] if self.camera else [])
+        for arm in self.arms.values():
+            links += [arm.base_link, arm.tool_frame, arm.gripper.palm, *arm.gripper.fingers]
+        return links
+
+    def _values(self) -> dict[str, list[float]]:
+        """All joints that it names, with the values that it would put them to."""
+        values: dict[str, list[float]] = {}
+        if self.head:
+            values |= {self.head.pan: [], self.head.tilt: []}
+        if self.torso:
+            values[self.torso.joint] = [self.torso.default]
+        for arm in self.arms.values():
+            values |= {joint: [posture[i] for posture in arm.poses.values()] for i, joint in enumerate(arm.joints)}
+            values |= {joint: [arm.gripper.open, arm.gripper.closed] for joint in arm.gripper.joints}
+        return values
 
     def _check_chain(self, arm: Arm, urdf: Urdf) -> None:
         chain = tuple(joint.name for joint in urdf.chain(arm.base_link, arm.tool_frame) if joint.movable)
@@ -281,7 +282,7 @@ def _texts(table: Mapping[str, object], key: str) -> tuple[str, ...]:
     return tuple(checks.text(key, item) for item in value)
 
 
-def _optional(tables: Mapping[str, object], key: str, read: Callable[[dict[str, object]], object]) -> object:
+def _optional(tables: Mapping[str, object], key: str, read: Callable[[dict[str, object]], T]) -> T | None:
     return read(_table(tables, key)) if key in tables else None
 
 
