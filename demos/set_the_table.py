@@ -37,7 +37,6 @@ def build_scene() -> Object:
     Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
     Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1])
     BulletWorld.robot = robot
-    robot.set_joint_position("torso_lift_joint", 0.2)
     world.simulate(0.5)  # everything comes to rest where it was put
     return kitchen
 

@@ -198,6 +198,9 @@ class BulletWorld(metaclass=_Worlds):
                 raise BadArgument("name", body.name, f"a name that nothing in {self.name} has")
             handle = self.engine.load(body.model.path, body.original_pose, fixed=body.fixed, robot=body.is_robot)
             body.handle = handle
+            torso = body.description.torso if body.description else None
+            if torso is not None:
+                self.engine.set_joints(handle, {torso.joint: torso.default})
             body.original_joints = dict(zip(body.joints, self.engine.joints(handle)[0], strict=True))
             if body.color is not None:
                 self.engine.set_color(handle, body.color)

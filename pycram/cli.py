@@ -35,13 +35,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 if the plan succeeded, 1 if it failed, 2 for wrong usage.
     """
     parser = _parser()
-    options = parser.parse_args(argv)
+    given = list(sys.argv[1:] if argv is None else argv)
+    cut = given.index("--") if "--" in given else len(given)
+    given, arguments = given[:cut], given[cut + 1 :]  # argparse would take our options for the plan's
+    options = parser.parse_args(given)
     if options.command == "demo":
         plan = demos() / f"{options.name}.py"
-        arguments: list[str] = []
     else:
         plan = Path(options.plan)
-        arguments = [argument for argument in options.arguments if argument != "--"]
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
     log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
@@ -54,12 +55,13 @@ def _parser() -> argparse.ArgumentParser:
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
-    plan = commands.add_parser("run", help="run a plan", description="Runs a plan: any Python file.")
+    plan = commands.add_parser(
+        "run", help="run a plan", description="Runs a plan: any Python file. What follows -- goes to the plan."
+    )
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for command in (demo, plan):
         command.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
         command.add_argument("--live", metavar="URL", help="address of a Rerun viewer that shows it live")
-    plan.add_argument("arguments", nargs=argparse.REMAINDER, metavar="-- ARGS", help="arguments of the plan")
     return parser
 
 

@@ -416,7 +416,7 @@ class MotionDesignator(Designator):
                 for solution in resolver(self) or ():
                     found = True
                     yield dict(solution)
-            except DesignatorError as error:  # noqa: PERF203  the next resolver may take it
+            except DesignatorError as error:
                 errors.append(error)
         if errors and not found:
             raise chained(errors[-1], errors[:-1])

@@ -10,9 +10,10 @@ The settings of a client decide what repeats bit for bit: overlapping pairs are 
 from __future__ import annotations
 
 import ctypes
+import io
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -43,7 +44,7 @@ def _quiet_stdout() -> Iterator[None]:
         os.close(nowhere)
 
 
-with _quiet_stdout():  # it announces its build time
+with _quiet_stdout(), redirect_stderr(io.StringIO()):  # it announces its build time
     import pybullet as bullet
 
 STEPS_PER_SECOND: Final = 240

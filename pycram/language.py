@@ -7,8 +7,8 @@
         ProcessModule.perform(moving)
         s(function, argument)
 
-Each ``perform`` and each ``s(...)`` is one branch in a thread of its own and gives a handle that serves as its
-result. The block ends when all its threads have ended. Branches that need the same part of the robot queue in the order in
+Each ``perform`` and each ``s(...)`` is one branch in a thread of its own and gives a handle that serves as its result.
+The block ends when all its threads have ended. Branches that need the same part of the robot queue in the order in
 which they are asked for (:mod:`pycram.claims`).
 """
 

@@ -1,8 +1,8 @@
 """Coordinate frames of bodies and links as ``foxglove.FrameTransforms`` on /tf: those that a record changed.
 
 Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD/`` before them in all
-worlds but the first. The root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can be watched although it is
-one record.
+worlds but the first. The root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can
+be watched although it is one record.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def rotate(rotation: Numbers, vector: Numbers) -> Vector:
     )
 
 
-def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:  # noqa: N803  frames in names
+def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:
     """The pose of c in a.
 
     Args:
@@ -119,7 +119,7 @@ def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:  # noqa: N803  frames in
     return (x + dx, y + dy, z + dz), product(turn, inner)
 
 
-def invert(a_T_b: PoseLike) -> Pose:  # noqa: N803
+def invert(a_T_b: PoseLike) -> Pose:
     """The pose of a in b.
 
     Args:
@@ -131,7 +131,7 @@ def invert(a_T_b: PoseLike) -> Pose:  # noqa: N803
     return (-x, -y, -z), back
 
 
-def transform(a_T_b: PoseLike, point: Numbers) -> Vector:  # noqa: N803
+def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
     """A point of frame b as seen from a.
 
     Args:
@@ -226,7 +226,7 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
     )
 
 
-def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:  # noqa: N803
+def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
     """The pose as a homogeneous matrix.
 
     Args:

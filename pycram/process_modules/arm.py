@@ -119,7 +119,7 @@ class Place(SimulatedModule):
     def _plan(
         robot: Object, arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None
     ) -> dict[str, float]:
-        body_T_tool = geometry.multiply(  # noqa: N806  a frame
+        body_T_tool = geometry.multiply(
             geometry.invert(body.get_position_and_orientation()),
             robot.get_link_position_and_orientation(arm.tool_frame),
         )

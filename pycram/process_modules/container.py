@@ -56,12 +56,12 @@ class Accessing(SimulatedModule):
         robot: Object, arm: Arm, container: Object, joint: str, handle: str, values: list[float]
     ) -> list[dict[str, float]]:
         grip = _grip(robot, container, handle)
-        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), grip)  # noqa: N806  a frame
+        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), grip)
         postures: list[dict[str, float]] = []
         now = container.get_joint_positions()
         seed: dict[str, float] | None = None
         for value in values:
-            root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)  # noqa: N806
+            root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)
             link = geometry.multiply(container.get_position_and_orientation(), root_T_link)
             position, orientation = geometry.multiply(link, link_T_tool)
             way = reach.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]

@@ -40,8 +40,8 @@ def evidence(found: list[Touch]) -> dict[str, object]:
 def supports(lower: Object, upper: Object) -> tuple[bool, Mapping[str, object]]:
     """Whether one object carries another from below.
 
-    The normals of their contacts have to point up, and the contacts have to lie below the upper one's middle: to compare
-    origins would call a wall the support of what leans against it.
+    The normals of their contacts have to point up, and the contacts have to lie below the upper one's middle: to
+    compare origins would call a wall the support of what leans against it.
 
     Args:
         lower: the one that would carry.

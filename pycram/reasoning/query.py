@@ -17,6 +17,8 @@ from recorder import journal, records
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
+    from typing_extensions import Self
+
     from pycram.bullet_world import BulletWorld
     from pycram.objects import Object
 
@@ -31,7 +33,7 @@ class Verdict(int):
 
     evidence: Mapping[str, object]
 
-    def __new__(cls, answer: object, evidence: Mapping[str, object] | None = None) -> Verdict:
+    def __new__(cls, answer: object, evidence: Mapping[str, object] | None = None) -> Self:
         """Makes it from anything that is true or false."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})

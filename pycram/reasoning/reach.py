@@ -127,8 +127,8 @@ def postures(
         away = math.dist(robot.get_link_position(link), position)
         return [Reach(Posture({}, away, 0.0, away < THRESHOLD), link)]
     solver = ArmKinematics(robot.urdf, base, link, joints, now)
-    world_T_base = robot.get_link_position_and_orientation(base)  # noqa: N806  a frame
-    base_T_world = geometry.invert(world_T_base)  # noqa: N806
+    world_T_base = robot.get_link_position_and_orientation(base)
+    base_T_world = geometry.invert(world_T_base)
     target = geometry.transform(base_T_world, position)
     turn = None if orientation is None else geometry.product(base_T_world[1], orientation)
     arm = robot.description.arm_of(link) if robot.description else None
@@ -156,7 +156,7 @@ def in_the_way(
 
     Returns:
         For each object, the robot's links that would touch it, its own links, and the depth in m. The floor that a
-        robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others as well.
+        robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others too.
     """
     world = robot.world
     copy = twin(world, "reach")
@@ -191,7 +191,7 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
     queue = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     while queue:
         body, link = queue.pop()
-        link_T_world = geometry.invert(robot.get_link_position_and_orientation(link))  # noqa: N806  a frame
+        link_T_world = geometry.invert(robot.get_link_position_and_orientation(link))
         held.append((body, link, geometry.multiply(link_T_world, body.get_position_and_orientation())))
         queue.extend((attachment.body, link) for attachment in body.carried)
     return held

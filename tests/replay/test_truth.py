@@ -11,6 +11,7 @@ import pytest
 
 import recorder
 import replay
+from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.process_module import ProcessModule
@@ -151,9 +152,7 @@ def assert_same(told: object, live: object, where: str) -> None:
         assert sorted(told) == sorted(live), where
         for key, value in live.items():
             assert_same(told[key], value, f"{where}/{key}")
-    elif isinstance(live, list) and live and isinstance(live[0], float):
-        assert told == pytest.approx(live, abs=1e-9), where
-    elif isinstance(live, float):
+    elif (isinstance(live, list) and live and isinstance(live[0], float)) or isinstance(live, float):
         assert told == pytest.approx(live, abs=1e-9), where
     else:
         assert told == live, where
@@ -161,8 +160,6 @@ def assert_same(told: object, live: object, where: str) -> None:
 
 def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An independent observer, who counts calls of the public methods, counts what the recording has."""
-    from pycram import bullet_world_reasoning as btr
-
     counted: dict[str, int] = {}
 
     def count(owner: object, name: str, kind: str) -> None:
@@ -174,7 +171,16 @@ def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.Mon
 
         monkeypatch.setattr(owner, name, counting)
 
-    for query in ("stable", "contact", "visible", "occluding", "reachable_object", "reachable_pose", "blocking", "supporting"):
+    for query in (
+        "stable",
+        "contact",
+        "visible",
+        "occluding",
+        "reachable_object",
+        "reachable_pose",
+        "blocking",
+        "supporting",
+    ):
         count(btr, query, "query")
     with recorder.record(tmp_path / "run.mcap"):
         world = BulletWorld()

@@ -1,0 +1,111 @@
+"""The demos as a person runs them: real processes, and what their recordings say."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import replay
+from recorder import geometry
+from recorder.records import Mutation, Run, Task
+
+REPO = Path(__file__).parent.parent
+GOALS = {"milk": [-0.8, 1, 0.93], "bowl": [-0.8, 1.2, 0.9], "cereal": [-1, 1, 0.94], "spoon": [-0.8, 1.2, 0.94]}
+
+
+def pycram(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "pycram", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin"},
+    )
+
+
+def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
+    ended = pycram("demo", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert "the table is set" in ended.stdout
+    assert [file.name for file in tmp_path.iterdir()] == ["set_the_table.mcap"]
+    assert "set_the_table.mcap" in ended.stderr.splitlines()[-1]
+    with replay.open(tmp_path / "set_the_table.mcap") as log:
+        assert log.complete
+        closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
+        world = replay.state_at(log, closing - 1).world()
+        for name, goal in GOALS.items():
+            body = world.body(name)
+            assert math.dist(body.position, goal) < 0.03, name
+            upward = geometry.rotate(body.orientation, (0.0, 0.0, 1.0))
+            assert upward[2] > math.cos(math.radians(5)), f"{name} has fallen over"
+            assert math.hypot(*body.velocity[:3]) < 0.01, f"{name} is still moving"
+        assert not world.attachments
+        drawer = world.body("kitchen").joints["sink_area_left_upper_drawer_main_joint"]
+        assert drawer == pytest.approx(0.3, abs=1e-3)
+        last = log[-1]
+        assert isinstance(last, Run)
+        assert last.succeeded
+
+
+def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Path) -> None:
+    ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert "the milk can't be fetched" in ended.stderr
+    with replay.open(tmp_path / "fails.mcap") as log:
+        assert log.complete
+        failed = [r for r in log.records(Task) if r.status == Task.FAILED]
+        assert {r.failure.type for r in failed} == {"Unreachable"}
+        assert all(r.failure.traceback and r.failure.data for r in failed)
+        last = log[-1]
+        assert isinstance(last, Run)
+        assert not last.succeeded
+        assert last.failure.type == "ReasoningError"
+
+
+def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.py"
+    plan.write_text(
+        "import sys\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "world = BulletWorld()\n"
+        "Object('thing', 'thing', sys.argv[1])\n"
+        "assert __name__ == '__main__'\n"
+    )
+    ended = pycram("run", "plan.py", "--log", "out.mcap", "--", "cup.stl", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    with replay.open(tmp_path / "out.mcap") as log:
+        assert log.metadata["plan_arguments"] == "cup.stl"
+        assert any(name.endswith("/plan.py") for name in log.assets)
+        assert list(replay.state_at(log, -1).world().bodies) == ["thing"]
+
+
+@pytest.mark.parametrize(
+    ("code", "exit_code", "told"),
+    [
+        ("raise SystemExit(3)", 3, ""),
+        ("from pycram.bullet_world import BulletWorld; BulletWorld().set_gravity([1])", 1, "3 finite numbers"),
+        ("1 / 0", 1, "ZeroDivisionError"),
+    ],
+)
+def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, told: str) -> None:
+    (tmp_path / "plan.py").write_text(code)
+    ended = pycram("run", "plan.py", cwd=tmp_path)
+    assert ended.returncode == exit_code
+    assert told in ended.stderr
+    with replay.open(tmp_path / "plan.mcap") as log:
+        assert log.complete
+
+
+def test_a_recording_that_cannot_be_written_stops_the_plan_at_once(tmp_path: Path) -> None:
+    (tmp_path / "plan.py").write_text("print('ran unrecorded')")
+    ended = pycram("run", "plan.py", "--log", "nowhere/out.mcap", cwd=tmp_path)
+    assert ended.returncode == 2
+    assert "nowhere/out.mcap" in ended.stderr
+    assert "No such file" in ended.stderr
+    assert "ran unrecorded" not in ended.stdout

@@ -1,0 +1,95 @@
+"""The thesis' listings 5.1 to 5.5 run as printed, but for the places of files."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.language import par
+from pycram.process_module import ProcessModule
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+targets = {
+    "milk": ([-0.8, 1, 0.93], "left"),
+    "bowl": ([-0.8, 1.2, 0.9], "right"),
+    "cereal": ([-1, 1, 0.94], "right"),
+    "spoon": ([-0.8, 1.2, 0.94], "right"),
+}
+
+
+@pytest.fixture
+def listing_5_1() -> Iterator[dict[str, Object]]:
+    world = BulletWorld()
+    world.set_gravity([0, 0, -9.8])
+    plane = Object("floor", "environment", "plane.urdf", world=world)
+    robot = Object("pr2", "robot", "pr2.urdf")
+    kitchen = Object("kitchen", "environment", "kitchen.urdf")
+    milk = Object("milk", "milk", "milk.stl", [1.3, 1, 1])
+    spoon = Object("spoon", "spoon", "spoon.stl", [1.4, 0.8, 1])
+    cereal = Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
+    bowl = Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1])
+    BulletWorld.robot = robot
+    world.simulate(0.5)
+    yield {body.name: body for body in (plane, robot, kitchen, milk, spoon, cereal, bowl)}
+    world.exit()
+
+
+def test_listing_5_2_opens_the_drawer(listing_5_1: dict[str, Object]) -> None:
+    kitchen = listing_5_1["kitchen"]
+    BulletWorld.robot.set_position([0.65, 0.7, 0])
+    # fmt: off
+    ProcessModule.perform(MotionDesignator([('type', 'accessing'), ('drawer-joint', 'sink_area_left_upper_drawer_main_joint'), ('drawer-handle', 'sink_area_left_upper_drawer_handle'), ('arm', 'left'), ('distance', 0.3), ('part-of', kitchen)]))  # noqa: Q000
+    # fmt: on
+    assert kitchen.get_joint_position("sink_area_left_upper_drawer_main_joint") == pytest.approx(0.3)
+    tool = BulletWorld.robot.get_link_position("l_gripper_tool_frame")
+    assert math.dist(tool, kitchen.get_link_position("sink_area_left_upper_drawer_handle")) < 0.05
+
+
+def test_listings_5_3_to_5_5_carry_the_milk(listing_5_1: dict[str, Object]) -> None:
+    object_type = "milk"
+    target, arm = targets[object_type]
+    gripper = "l_gripper_tool_frame"
+    # fmt: off
+    with par as s:
+        ProcessModule.perform(MotionDesignator([('type', 'move-arm-joints'), ('left-arm', 'park'), ('right-arm', 'park')]))  # noqa: Q000
+        ProcessModule.perform(MotionDesignator([('type', 'moving'), ('target', [0.65, 0.7, 0]), ('orientation', [0, 0, 0, 1])]))  # noqa: Q000
+        ProcessModule.perform(MotionDesignator([('type', 'looking'), ('target', [1.3, 0.6, 1])]))  # noqa: Q000
+        det_obj = ProcessModule.perform(MotionDesignator([('type', 'detecting'), ('object', object_type)]))  # noqa: Q000
+
+    block = btr.blocking(det_obj, BulletWorld.robot, gripper)
+    block_new = list(filter(lambda obj: obj.type != "environment", block))
+    assert not block_new
+    ProcessModule.perform(MotionDesignator([('type', 'pick-up'), ('object', det_obj), ('arm', arm)]))  # noqa: Q000
+    ProcessModule.perform(MotionDesignator([('type', 'move-arm-joints'), ('right-arm', 'park')]))  # noqa: Q000
+    ProcessModule.perform(MotionDesignator([('type', 'move-arm-joints'), ('left-arm', 'park')]))  # noqa: Q000
+
+    ProcessModule.perform(MotionDesignator([('type', 'moving'), ('target', [-0.3, 1, 0]), ('orientation', [0, 0, 1, 0])]))  # noqa: Q000
+    if btr.reachable_pose(target, BulletWorld.robot, gripper):
+        ProcessModule.perform(MotionDesignator([('type', 'place'), ('object', det_obj), ('target', target), ('arm', arm)]))  # noqa: Q000
+    ProcessModule.perform(MotionDesignator([('type', 'move-arm-joints'), ('left-arm', 'park'), ('right-arm', 'park')]))  # noqa: Q000
+    if not btr.stable(det_obj):
+        raise btr.ReasoningError
+    # fmt: on
+    assert det_obj == listing_5_1["milk"]
+    assert math.dist(listing_5_1["milk"].get_position(), target) < 0.03
+    assert s.state.name == "SUCCEEDED"
+
+
+def test_what_blocks_is_named_and_can_be_moved_first(listing_5_1: dict[str, Object]) -> None:
+    """A box before the milk: blocking names it, and when it is gone the way is free (Listing 5.4)."""
+    robot, milk, cereal = listing_5_1["pr2"], listing_5_1["milk"], listing_5_1["cereal"]
+    robot.set_position([0.65, 0.7, 0])
+    x, y, _ = milk.get_position()
+    cereal.set_position([x - 0.06, y, 0.963], [0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+    found = btr.blocking(milk, robot, "l_gripper_tool_frame", grasp="front")
+    assert cereal in found
+    assert "l_gripper_palm_link" in found.evidence["obstacles"]["cereal"]["links"]
+    cereal.set_position([1.3, 0.3, 0.963])
+    assert not btr.blocking(milk, robot, "l_gripper_tool_frame", grasp="front")
