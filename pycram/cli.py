@@ -39,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     cut = given.index("--") if "--" in given else len(given)
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would take our options for the plan's
     options = parser.parse_args(given)
-    if options.command == "demo":
+    if options.command == "demo":  # noqa: SIM108  reads better
         plan = demos() / f"{options.name}.py"
     else:
         plan = Path(options.plan)

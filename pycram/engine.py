@@ -10,10 +10,9 @@ The settings of a client decide what repeats bit for bit: overlapping pairs are 
 from __future__ import annotations
 
 import ctypes
-import io
 import os
 import sys
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -29,22 +28,25 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def _quiet_stdout() -> Iterator[None]:
-    """Drops what native code prints to stdout (greetings, progress): stdout belongs to results."""
+def _quiet(*descriptors: int) -> Iterator[None]:
+    """Drops what native code prints (greetings, progress): stdout belongs to results, stderr to people."""
     sys.stdout.flush()
-    kept = os.dup(1)
+    sys.stderr.flush()
+    kept = [(number, os.dup(number)) for number in descriptors]
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(nowhere, 1)
+        for number in descriptors:
+            os.dup2(nowhere, number)
         yield
     finally:
         ctypes.CDLL(None).fflush(None)  # C buffers what goes to a pipe or a file
-        os.dup2(kept, 1)
-        os.close(kept)
+        for number, copy in kept:
+            os.dup2(copy, number)
+            os.close(copy)
         os.close(nowhere)
 
 
-with _quiet_stdout(), redirect_stderr(io.StringIO()):  # it announces its build time
+with _quiet(1, 2):  # it announces its build time
     import pybullet as bullet
 
 STEPS_PER_SECOND: Final = 240
@@ -160,7 +162,7 @@ def decompose(source: Path, target: Path) -> None:
         source: the mesh.
         target: gets one group per piece.
     """
-    with _quiet_stdout():
+    with _quiet(1):
         bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
 
 
@@ -173,7 +175,7 @@ class Engine:
 
     def __init__(self, *, window: bool = False) -> None:
         if window:
-            with _quiet_stdout():
+            with _quiet(1):
                 self._client: int = bullet.connect(bullet.GUI)
         else:
             self._client = bullet.connect(bullet.DIRECT)

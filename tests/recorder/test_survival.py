@@ -1,0 +1,113 @@
+"""kill -9 at any moment: the file opens, little is missing, and nothing that came before a failure."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+import replay
+from recorder.records import Task
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+# Writes records as a plan would, in bursts and alone, and says on stdout after each which one is on record now.
+VICTIM = """
+import os, sys, random, threading
+import recorder
+from recorder import journal
+from recorder.records import Event, Failure, Task
+rng = random.Random(int(sys.argv[2]))
+pause = threading.Event()
+with recorder.record(sys.argv[1]) as recording:
+    while True:
+        for _ in range(rng.choice([1, 3, 40, 200])):
+            if rng.random() < 0.02:
+                journal.emit(Task(phase=Task.FINISHED, status=Task.FAILED, failure=Failure(type="Unreachable")))
+                os.write(1, b"F%d %d\\n" % (recording.length - 1, __import__("time").time_ns()))
+            else:
+                journal.emit(Event(name="tick", sender="x" * rng.randrange(400)))
+                os.write(1, b"E%d %d\\n" % (recording.length - 1, __import__("time").time_ns()))
+        pause.wait(rng.choice([0, 0.001, 0.03]))
+"""
+
+
+def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tuple[str, int, int]], int]:
+    victim = subprocess.Popen([sys.executable, "-c", VICTIM, str(file), str(seed)], stdout=subprocess.PIPE)
+    assert victim.stdout is not None
+    first = victim.stdout.readline()
+    deadline = time.monotonic() + rng.uniform(0.0, 0.4)
+    lines = [first]
+    while time.monotonic() < deadline:
+        lines.append(victim.stdout.readline())
+    victim.send_signal(signal.SIGKILL)
+    killed = time.time_ns()
+    lines += victim.stdout.readlines()
+    victim.wait()
+    victim.stdout.close()
+    whole = [line.split() for line in lines if line.endswith(b"\n")]
+    return [(word[:1].decode(), int(word[1:]), int(when)) for word, when in whole], killed
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_little_and_no_failure(tmp_path: Path) -> None:
+    rng = random.Random(4)
+    most_records = 0
+    longest = 0.0
+    for seed in range(50):
+        file = tmp_path / f"{seed}.mcap"
+        written, killed = kill_at_random(file, seed, rng)
+        with replay.open(file) as log:
+            kept = len(log)
+            assert [record.seq for record in log] == list(range(kept))
+            assert not log.complete
+            assert "not closed" in log.missing
+            lost = [(kind, when) for kind, seq, when in written if seq >= kept]
+            assert not [kind for kind, _ in lost if kind == "F"], "a recorded failure is missing"
+            failures = sum(1 for kind, seq, _ in written if kind == "F" and seq < kept)
+            assert sum(1 for record in log.records(Task) if record.status == Task.FAILED) >= failures
+        most_records = max(most_records, len(lost))
+        if lost:
+            longest = max(longest, (killed - lost[0][1]) / 1e9)
+    print(f"\nmost records lost: {most_records}, oldest of them {longest * 1e3:.0f} ms")
+    assert most_records <= 50
+    # the flush comes 50 ms after a record; twice that leaves room for a scheduler with two busy cores
+    assert longest <= 0.1
+
+
+def test_a_full_disk_is_told_at_once_and_the_plan_goes_no_further(tmp_path: Path) -> None:
+    program = """
+import resource, signal, sys
+import recorder
+from recorder import journal
+from recorder.records import Event
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+try:
+    with recorder.record(sys.argv[1]) as recording:
+        for number in range(100_000):
+            journal.emit(Event(name="tick", sender=str(hash((number, "x"))) * 40))
+except recorder.RecordingError as error:
+    print(number, error)
+    sys.exit(7)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "x.mcap")],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert ended.returncode == 7, ended.stderr
+    number, message = ended.stdout.split(maxsplit=1)
+    assert int(number) < 99_999
+    assert "x.mcap" in message
+    assert "File too large" in message
+    with replay.open(tmp_path / "x.mcap") as log:
+        assert len(log) > int(number) - 60
