@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from pycram.objects import Object
     from pycram.robots.description import Arm
 
-_SETTLING: Final = 0.25  # s of simulated time in which an object that was put down comes to rest
+_SETTLING: Final = 0.05  # s of simulated time between looks whether an object that was put down has come to rest
+_LONGEST_SETTLING: Final = 10  # looks
+_AT_REST: Final = (5e-3, 5e-2)  # m/s, rad/s
 _YAWS: Final = 12  # directions in which an object is tried to be put down
 
 
@@ -113,7 +115,7 @@ class Place(SimulatedModule):
             robot.set_joint_positions(posture)
             robot.set_joint_positions(arm.gripper.positions("open"))
             robot.detach(body)
-            robot.world.simulate(_SETTLING)
+            _settle(body)
 
     @staticmethod
     def _plan(
@@ -125,10 +127,16 @@ class Place(SimulatedModule):
         )
         nearest: float | None = None
         blockers: set[str] = set()
-        for turn in _turns(robot, body, body_T_tool, orientation):
-            resting = placing.set_down(body, target, turn)
-            position, tool = geometry.multiply((resting, turn), body_T_tool)
-            for way in reach.postures(robot, arm.tool_frame, position, tool):
+
+        def tries() -> Iterator[tuple[Pose, bool]]:  # a quick look at all, then a long one
+            poses: list[Pose] = []
+            for turn in _turns(robot, body, body_T_tool, orientation):
+                poses.append(geometry.multiply((placing.set_down(body, target, turn), turn), body_T_tool))
+                yield poses[-1], True
+            yield from ((pose, False) for pose in poses)
+
+        for (position, tool), quick in tries():
+            for way in reach.postures(robot, arm.tool_frame, position, tool, quick=quick):
                 if not way.reached(reach.THRESHOLD):
                     near = way.posture.position_error
                     nearest = near if nearest is None else min(near, nearest)
@@ -140,6 +148,14 @@ class Place(SimulatedModule):
         if blockers:
             raise PlaceFailed(body.name, target, f"{', '.join(sorted(blockers))} would be in the way")
         raise Unreachable(arm.name, target, nearest)
+
+
+def _settle(body: Object) -> None:
+    for _ in range(_LONGEST_SETTLING):
+        body.world.simulate(_SETTLING)
+        velocity = body.world.engine.velocity(body.handle)
+        if math.hypot(*velocity[:3]) < _AT_REST[0] and math.hypot(*velocity[3:]) < _AT_REST[1]:
+            return
 
 
 def _turns(

@@ -7,6 +7,7 @@ sequence), each projected onto the joint limits at every step. Everything is det
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from recorder.urdf import Urdf
+    from recorder.urdf import Joint, Urdf
 
     Array = NDArray[np.float64]
 
@@ -48,6 +49,44 @@ class Posture:
     reached: bool
 
 
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """One moving joint.
+
+    Attributes:
+        before: (4, 4) from the joint before it, at its zero.
+        axis: its axis.
+        cross: (3, 3) matrix of the cross product with the axis.
+        square: its square.
+        slides: whether it is prismatic.
+    """
+
+    before: Array
+    axis: Array
+    cross: Array
+    square: Array
+    slides: bool
+
+    @classmethod
+    def of(cls, before: Array, joint: Joint) -> _Link:
+        """Of a joint of a URDF."""
+        x, y, z = axis = np.asarray(joint.axis, dtype=np.float64)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return cls(before, axis, cross, cross @ cross, joint.type == "prismatic")
+
+    def motion(self, values: Array) -> Array:
+        """Transforms (n, 4, 4) at values (n,)."""
+        moved = np.zeros((len(values), 4, 4))
+        moved[:, 3, 3] = 1.0
+        if self.slides:
+            moved[:, :3, :3] = np.eye(3)
+            moved[:, :3, 3] = values[:, None] * self.axis
+        else:
+            sine, cosine = np.sin(values)[:, None, None], np.cos(values)[:, None, None]
+            moved[:, :3, :3] = np.eye(3) + sine * self.cross + (1 - cosine) * self.square
+        return moved
+
+
 class ArmKinematics:
     """A chain of joints with a tool at its end.
 
@@ -69,28 +108,28 @@ class ArmKinematics:
     ) -> None:
         self.joints = tuple(joints)
         values = fixed or {}
-        self._links: list[tuple[Array, Array, bool]] = []  # transform before the joint, axis, whether it slides
+        self._links: list[_Link] = []
         lower, upper = [], []
         before = np.eye(4)
         for joint in urdf.chain(base_link, tool_link):
             if joint.name in self.joints:
                 before = before @ geometry.pose_matrix(joint.pose(0.0))
-                self._links.append((before, np.asarray(joint.axis, dtype=np.float64), joint.type == "prismatic"))
+                self._links.append(_Link.of(before, joint))
                 lower.append(joint.lower)
                 upper.append(joint.upper)
                 before = np.eye(4)
             else:
                 before = before @ geometry.pose_matrix(joint.pose(values.get(joint.name, 0.0)))
         self._tool = before
+        self._sliding = [index for index, link in enumerate(self._links) if link.slides]
         self._bounded = np.isfinite(np.array(lower))
         self._lower = np.where(self._bounded, lower, -np.pi)
         self._upper = np.where(self._bounded, upper, np.pi)
         self.length = float(
-            sum(np.linalg.norm(matrix[:3, 3]) for matrix, _, _ in self._links[1:]) + np.linalg.norm(before[:3, 3])
+            sum(np.linalg.norm(link.before[:3, 3]) for link in self._links[1:]) + np.linalg.norm(before[:3, 3])
         )
-        self.shoulder: Array = self._links[0][0][:3, 3] if self._links else np.zeros(3)
-        slides = [i for i, link in enumerate(self._links) if link[2]]
-        self.length += float(sum(max(abs(self._lower[i]), abs(self._upper[i])) for i in slides))
+        self.shoulder: Array = self._links[0].before[:3, 3] if self._links else np.zeros(3)
+        self.length += float(sum(max(abs(self._lower[i]), abs(self._upper[i])) for i in self._sliding))
 
     def forward(self, postures: Array) -> tuple[Array, Array]:
         """Where the tool is, and how it moves.
@@ -104,22 +143,27 @@ class ArmKinematics:
         count = len(postures)
         pose = np.broadcast_to(np.eye(4), (count, 4, 4))
         origins, axes = [], []
-        for index, (before, axis, slides) in enumerate(self._links):
-            pose = pose @ before
-            world_axis = pose[:, :3, :3] @ axis
+        for index, link in enumerate(self._links):
+            pose = pose @ link.before
             origins.append(pose[:, :3, 3])
-            axes.append(world_axis)
-            pose = pose @ _motion(axis, postures[:, index], slides=slides)
+            axes.append(pose[:, :3, :3] @ link.axis)
+            pose = pose @ link.motion(postures[:, index])
         pose = pose @ self._tool
         at = pose[:, :3, 3]
-        jacobian = np.zeros((count, 6, len(self._links)))
-        for index, (_, _, slides) in enumerate(self._links):
-            if slides:
-                jacobian[:, :3, index] = axes[index]
-            else:
-                jacobian[:, :3, index] = np.cross(axes[index], at - origins[index])
-                jacobian[:, 3:, index] = axes[index]
-        return pose, jacobian
+        turning = np.stack(axes, axis=2)  # (n, 3, joints)
+        lever = at[:, :, None] - np.stack(origins, axis=2)
+        linear = np.stack(  # the cross product, spelt out: np.cross is ten times slower on arrays this small
+            [
+                turning[:, 1] * lever[:, 2] - turning[:, 2] * lever[:, 1],
+                turning[:, 2] * lever[:, 0] - turning[:, 0] * lever[:, 2],
+                turning[:, 0] * lever[:, 1] - turning[:, 1] * lever[:, 0],
+            ],
+            axis=1,
+        )
+        for index in self._sliding:
+            linear[:, :, index] = turning[:, :, index]
+            turning[:, :, index] = 0.0
+        return pose, np.concatenate([linear, turning], axis=1)
 
     def solve(
         self,
@@ -146,6 +190,7 @@ class ArmKinematics:
         seeds: Iterable[Mapping[str, float]] = (),
         *,
         thorough: bool = False,
+        quick: bool = False,
     ) -> list[Posture]:
         """As :meth:`solve`, but all distinct postures found: those that reach, nearest to the first seed first.
 
@@ -154,6 +199,7 @@ class ArmKinematics:
             orientation: xyzw in the base link; None if any will do.
             seeds: postures to start from first.
             thorough: start from all starting postures even if some reach soon.
+            quick: start from a few only; a miss then proves nothing.
 
         Returns:
             At least one; if the first doesn't reach, none does.
@@ -169,7 +215,7 @@ class ArmKinematics:
         found: list[Array] = []
         tried: list[Array] = []
         start = 0
-        for size in _BATCHES:
+        for size in _BATCHES[:1] if quick else _BATCHES:
             batch = np.vstack([*first, *self._samples(start, size)]) if start == 0 else self._samples(start, size)
             start += size
             postures, reached = self._descend(batch, goal, turn, stop_early=not thorough)
@@ -178,8 +224,8 @@ class ArmKinematics:
             if found and not thorough:
                 break
         if not found:
-            results = [self._told(posture, goal, orientation) for posture in tried]
-            return [min(results, key=lambda result: result.position_error + 0.1 * result.turn_error)]
+            misses = np.linalg.norm(self.forward(np.array(tried))[0][:, :3, 3] - goal, axis=1)
+            return [self._told(tried[int(np.argmin(misses))], goal, orientation)]
         found.sort(key=lambda posture: float(np.abs(posture - home).sum()))
         distinct: list[Array] = []
         for posture in found:
@@ -189,12 +235,7 @@ class ArmKinematics:
 
     def _samples(self, start: int, count: int) -> Array:
         """Postures spread over joint space: a Halton sequence."""
-        spread = np.array(
-            [
-                [_radical_inverse(i + 1, _PRIMES[j]) for j in range(len(self.joints))]
-                for i in range(start, start + count)
-            ]
-        )
+        spread = _halton(start, count, len(self.joints))
         samples: Array = self._lower + spread * (self._upper - self._lower)
         return samples
 
@@ -247,19 +288,6 @@ class ArmKinematics:
         return Posture(positions, away, turned, away < POSITION_TOLERANCE and turned < TURN_TOLERANCE)
 
 
-def _motion(axis: Array, values: Array, *, slides: bool) -> Array:
-    """Transforms (n, 4, 4) of a joint at values (n,)."""
-    moved: Array = np.broadcast_to(np.eye(4), (len(values), 4, 4)).copy()
-    if slides:
-        moved[:, :3, 3] = values[:, None] * axis
-        return moved
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(values)[:, None, None], np.cos(values)[:, None, None]
-    moved[:, :3, :3] = np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
-    return moved
-
-
 def _turn_error(now: Array, goal: Array) -> Array:
     """Rotation vectors (n, 3) in the base link that turn postures' orientations into the goal."""
     difference = goal @ now.transpose(0, 2, 1)
@@ -280,6 +308,14 @@ def _turn_error(now: Array, goal: Array) -> Array:
     sine = np.where(flipped, np.linalg.norm(vector, axis=1), sine)
     error: Array = vector * (angle / np.maximum(sine, 1e-12))[:, None]
     return error
+
+
+@cache
+def _halton(start: int, count: int, dimensions: int) -> Array:
+    """Points (count, dimensions) of the Halton sequence."""
+    return np.array(
+        [[_radical_inverse(i + 1, _PRIMES[j]) for j in range(dimensions)] for i in range(start, start + count)]
+    )
 
 
 def _radical_inverse(index: int, base: int) -> float:

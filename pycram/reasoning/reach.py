@@ -106,6 +106,7 @@ def postures(
     orientation: Sequence[float] | None,
     *,
     thorough: bool = False,
+    quick: bool = False,
     seed: Mapping[str, float] | None = None,
 ) -> list[Reach]:
     """Postures that bring a link of a robot to a pose in the world, nearest to its present one first.
@@ -116,6 +117,7 @@ def postures(
         position: xyz in the world, m.
         orientation: xyzw in the world, None if any will do.
         thorough: look for several.
+        quick: don't look long; a miss then proves nothing.
         seed: posture to start from; the present one by default.
 
     Returns:
@@ -134,7 +136,7 @@ def postures(
     arm = robot.description.arm_of(link) if robot.description else None
     start = now if seed is None else seed
     seeds = [start, *(arm.posture(name) for name in arm.poses)] if arm else [start]
-    return [Reach(posture, link) for posture in solver.solve_all(target, turn, seeds, thorough=thorough)]
+    return [Reach(posture, link) for posture in solver.solve_all(target, turn, seeds, thorough=thorough, quick=quick)]
 
 
 def in_the_way(

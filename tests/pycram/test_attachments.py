@@ -1,0 +1,106 @@
+"""Attachments keep full poses, through chains, joints and simulation; drawers take along what lies in them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import AttachmentError
+from recorder import geometry
+
+DRAWER = "sink_area_left_upper_drawer_main_joint"
+
+
+def relative(carrier: Object, link: str, body: Object) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return geometry.multiply(
+        geometry.invert(carrier.get_link_position_and_orientation(link)), body.get_position_and_orientation()
+    )
+
+
+def assert_kept(before: object, after: object, metres: float = 1e-7, degrees: float = 1e-5) -> None:
+    assert math.dist(before[0], after[0]) < metres
+    assert math.degrees(geometry.angle(before[1], after[1])) < degrees
+
+
+def test_the_full_pose_is_kept_through_chains_and_joints(scene: BulletWorld) -> None:
+    robot, milk, spoon = scene.robot, scene.get_object("milk"), scene.get_object("spoon")
+    link = "l_gripper_tool_frame"
+    milk.set_position_and_orientation([0.9, 1.1, 1.2], [0.2, 0.1, 0.3, 0.9])
+    robot.attach(milk, link)
+    milk.attach(spoon)
+    held, carried = relative(robot, link, milk), relative(milk, milk.base_link, spoon)
+    robot.set_position_and_orientation([-0.4, 0.2, 0], [0, 0, 0.6, 0.8])
+    robot.set_joint_positions({"l_elbow_flex_joint": -1.0, "torso_lift_joint": 0.1})
+    assert_kept(held, relative(robot, link, milk))
+    assert_kept(carried, relative(milk, milk.base_link, spoon))
+    assert robot.attachments[milk] is milk.attachments[robot]
+    assert milk.carrier is robot
+
+
+def test_in_simulation_it_stays_in_the_hand(scene: BulletWorld) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    link = "l_gripper_tool_frame"
+    milk.set_position_and_orientation(robot.get_link_position(link), [0.1, 0, 0, 1])
+    robot.attach(milk, link)
+    before = relative(robot, link, milk)
+    scene.simulate(2)
+    assert_kept(before, relative(robot, link, milk), metres=1e-3, degrees=0.1)
+    robot.detach(milk)
+    scene.simulate(0.5)
+    assert math.dist(before[0], relative(robot, link, milk)[0]) > 0.05
+
+
+def test_moved_by_hand_it_moves_alone_and_is_carried_on_from_there(scene: BulletWorld) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    robot.attach(milk, "r_gripper_tool_frame")
+    stood = robot.get_position()
+    milk.set_position([1.0, 0.2, 1.3])
+    assert robot.get_position() == stood
+    assert milk.get_position() == pytest.approx([1.0, 0.2, 1.3])
+    robot.set_position([stood[0] + 0.1, stood[1], stood[2]])
+    assert milk.get_position() == pytest.approx([1.1, 0.2, 1.3])
+    before = relative(robot, "r_gripper_tool_frame", milk)
+    scene.simulate(1)
+    assert_kept(before, relative(robot, "r_gripper_tool_frame", milk), metres=1e-3, degrees=0.1)
+
+
+def test_what_makes_no_sense_is_refused(scene: BulletWorld) -> None:
+    robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
+    milk.attach(bowl)
+    before = dict(milk.attachments)
+    milk.attach(bowl, None, None)  # there already: nothing changes
+    assert dict(milk.attachments) == before
+    for carrier, body, reason in (
+        (bowl, bowl, "itself"),
+        (robot, bowl, "milk carries it"),
+        (milk, scene.get_object("kitchen"), "fixed"),
+    ):
+        with pytest.raises(AttachmentError, match=reason):
+            carrier.attach(body)
+    bowl.detach(milk)
+    with pytest.raises(AttachmentError, match="not attached"):
+        milk.detach(bowl)
+    robot.attach(bowl)
+    bowl.attach(milk)
+    with pytest.raises(AttachmentError):
+        milk.attach(robot)
+    with BulletWorld() as other:
+        stranger = Object("cup", "cup", "cup.stl", world=other)
+        with pytest.raises(AttachmentError, match="another world"):
+            robot.attach(stranger)
+
+
+def test_a_drawer_takes_along_what_lies_in_it_and_on_that(scene: BulletWorld) -> None:
+    kitchen, spoon, milk = scene.get_object("kitchen"), scene.get_object("spoon"), scene.get_object("milk")
+    kitchen.set_joint_position(DRAWER, 0.4)
+    plate = Object("plate", "plate", "plate.stl", [1.2, 0.7, 0.74])
+    apple = Object("apple", "apple", "apple.stl", [1.2, 0.7, 0.79])
+    scene.simulate(0.5)
+    rests = {body: body.get_position() for body in (spoon, plate, apple, milk)}
+    kitchen.set_joint_position(DRAWER, 0.15)
+    for body in (spoon, plate, apple):
+        assert body.get_position()[0] == pytest.approx(rests[body][0] + 0.25, abs=1e-6), body
+        assert body.get_position()[1:] == pytest.approx(rests[body][1:], abs=1e-6)
+    assert milk.get_position() == rests[milk]

@@ -1,0 +1,152 @@
+"""Bad input: a typed error that names the cause, and the world and the recording are as before."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import pytest
+import trimesh
+
+from pycram import bullet_world_reasoning as btr
+from pycram.assets import resources
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import DesignatorError, MotionDesignator
+from pycram.failures import AssetError, BadArgument, DisplayError, JointLimitError, UnknownName, UsageError
+from pycram.process_module import ProcessModule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from tests.conftest import MemorySink
+
+NAN = float("nan")
+JOINT = "sink_area_left_upper_drawer_main_joint"
+
+CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] = {
+    "position NaN": (lambda w: w.get_object("milk").set_position([0, NAN, 0]), BadArgument, "position"),
+    "position of 2": (lambda w: w.get_object("milk").set_position([0, 1]), BadArgument, "3 finite numbers"),
+    "position text": (lambda w: w.get_object("milk").set_position("abc"), BadArgument, "3 finite numbers"),
+    "position None": (lambda w: w.get_object("milk").set_position(None), BadArgument, "3 finite numbers"),
+    "position inf": (lambda w: w.get_object("milk").set_position([float("inf"), 0, 0]), BadArgument, "finite"),
+    "orientation 0": (lambda w: w.get_object("milk").set_orientation([0, 0, 0, 0]), BadArgument, "zero"),
+    "orientation of 3": (lambda w: w.get_object("milk").set_orientation([0, 0, 1]), BadArgument, "x, y, z, w"),
+    "unknown joint": (lambda w: w.robot.set_joint_position("r_elbow_flexjoint", 0), UnknownName, "r_elbow_flex_joint"),
+    "fixed joint": (lambda w: w.robot.get_joint_position("r_gripper_tool_joint"), UnknownName, "movable joint"),
+    "joint limit": (lambda w: w.get_object("kitchen").set_joint_position(JOINT, 0.6), JointLimitError, "0 to 0.48"),
+    "joint NaN": (lambda w: w.get_object("kitchen").set_joint_position(JOINT, NAN), BadArgument, "finite"),
+    "one bad of two": (
+        lambda w: w.robot.set_joint_positions({"torso_lift_joint": 0.1, "head_tilt_joint": 9}),
+        JointLimitError,
+        "head_tilt_joint",
+    ),
+    "unknown link": (lambda w: w.robot.attach(w.get_object("milk"), "nolink"), UnknownName, "nolink"),
+    "gravity": (lambda w: w.set_gravity([0, 0]), BadArgument, "gravity"),
+    "negative time": (lambda w: w.simulate(-1), BadArgument, "seconds"),
+    "time NaN": (lambda w: w.simulate(NAN), BadArgument, "seconds"),
+    "robot is no robot": (lambda w: setattr(w, "robot", w.get_object("milk")), BadArgument, "robot"),
+    "colour": (lambda w: w.get_object("milk").set_color([2, 0, 0, 1]), BadArgument, "0 to 1"),
+    "unknown id": (lambda w: w.get_object_by_id(4711), UnknownName, "4711"),
+    "name taken": (lambda w: Object("milk", "milk", "milk.stl"), BadArgument, "name"),
+    "no name": (lambda w: Object("", "milk", "milk.stl"), BadArgument, "name"),
+    "missing file": (lambda w: Object("x", "x", "nowhere.stl"), AssetError, "no such file"),
+    "a folder": (lambda w: Object("x", "x", "/"), AssetError, "not a file"),
+    "spawn NaN": (lambda w: Object("x", "x", "milk.stl", [NAN, 0, 0]), BadArgument, "position"),
+    "query of no object": (lambda w: btr.stable("milk"), BadArgument, "Object"),
+    "query unknown link": (lambda w: btr.reachable(w.get_object("milk"), w.robot, "nolink"), UnknownName, "nolink"),
+    "query NaN": (lambda w: btr.reachable_pose([NAN, 0, 0], w.robot, "l_gripper_tool_frame"), BadArgument, "pose"),
+    "query camera": (lambda w: btr.visible(w.get_object("milk"), [1, 2, 3, 4, 5]), BadArgument, "camera"),
+    "query grasp": (lambda w: btr.blocking(w.get_object("milk"), w.robot, "x", grasp="below"), UnknownName, "top"),
+    "world type": (lambda w: BulletWorld("WINDOW"), BadArgument, "DIRECT"),
+    "no designator": (lambda w: ProcessModule.perform("moving"), DesignatorError, "designator"),
+    "unknown type": (lambda w: perform(type="mooving", target=[0, 0, 0]), DesignatorError, "moving"),
+    "missing slot": (lambda w: perform(type="moving"), DesignatorError, "target"),
+    "unknown slot": (
+        lambda w: perform(type="moving", target=[0, 0, 0], orientaton=[0, 0, 0, 1]),
+        DesignatorError,
+        "orientation",
+    ),
+    "wrong slot": (lambda w: perform(type="moving", target=[0, 0]), DesignatorError, "3 finite numbers"),
+    "two targets": (
+        lambda w: perform(type="looking", target=[1, 0, 1], object=w.get_object("milk")),
+        DesignatorError,
+        "one of",
+    ),
+    "no such arm": (lambda w: perform(type="pick-up", object=w.get_object("milk"), arm="middle"), UnknownName, "left"),
+    "six joints": (
+        lambda w: perform(**{"type": "move-arm-joints", "left-arm": [0] * 6}),
+        BadArgument,
+        "7 joint values",
+    ),
+}
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator(list(slots.items())))
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_bad_input_changes_nothing(scene: BulletWorld, sink: MemorySink, name: str) -> None:
+    call, kind, told = CALLS[name]
+    before = [(b.get_position_and_orientation(), b.get_joint_positions(), b.get_AABB()) for b in scene.objects]
+    with pytest.raises(kind, match=told) as raised:
+        call(scene)
+    assert isinstance(raised.value, UsageError)
+    assert raised.value.data
+    after = [(b.get_position_and_orientation(), b.get_joint_positions(), b.get_AABB()) for b in scene.objects]
+    assert after == before
+    assert not [record for record in sink.records if type(record).__name__ == "Mutation"]
+
+
+def broken(folder: Path, name: str, content: bytes) -> Path:
+    file = folder / name
+    file.write_bytes(content)
+    return file
+
+
+def test_broken_files_are_named_with_their_cause(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
+    milk = (resources() / "milk.stl").read_bytes()
+    link = "<link name='a'><visual><geometry><mesh filename='gone.stl'/></geometry></visual></link>"
+    two_roots = "<robot name='r'><link name='a'/><link name='b'/></robot>"
+    nan = milk[:84] + struct.pack("<f", NAN) * 12 + milk[132:]
+    files = {
+        "empty": (broken(tmp_path, "empty.stl", b""), "is empty"),
+        "truncated": (broken(tmp_path, "cut.stl", milk[: len(milk) // 2]), "truncated"),
+        "no faces": (broken(tmp_path, "none.stl", milk[:80] + struct.pack("<I", 0)), "without faces"),
+        "NaN": (broken(tmp_path, "nan.stl", nan), "not finite"),
+        "text": (broken(tmp_path, "text.obj", b"hello"), "no faces"),
+        "xml": (broken(tmp_path, "bad.urdf", b"<robot><link></robot>"), "well-formed"),
+        "other xml": (broken(tmp_path, "html.urdf", b"<html/>"), "not <robot>"),
+        "no mesh": (broken(tmp_path, "mesh.urdf", f"<robot name='r'>{link}</robot>".encode()), "gone.stl"),
+        "two roots": (broken(tmp_path, "roots.urdf", two_roots.encode()), "2 root links"),
+        "type": (broken(tmp_path, "thing.blend", b"x"), "not .urdf, .stl"),
+    }
+    for name, (file, cause) in files.items():
+        with pytest.raises(AssetError, match=cause) as raised:
+            Object(name, "thing", file)
+        assert file.name in str(raised.value)
+    assert not world.objects
+    assert not [record for record in sink.records if type(record).__name__ == "Mutation"]
+
+
+@pytest.mark.parametrize("kind", ["stl_ascii", "obj", "dae", "stl"])
+def test_meshes_of_all_formats_get_a_shape_that_collides(tmp_path: Path, world: BulletWorld, kind: str) -> None:
+    Object("floor", "environment", "plane.urdf")
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    file = tmp_path / f"box.{kind.partition('_')[0]}"
+    content = box.export(file_type=kind)
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    body = Object("box", "thing", file, [0, 0, 0.2], color=[1, 0, 0, 1])
+    world.simulate(1)
+    assert body.get_position()[2] == pytest.approx(0.05, abs=3e-3)
+    assert [entry.name for entry in tmp_path.iterdir()] == [file.name]
+
+
+def test_without_a_display_a_window_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(DisplayError, match="DISPLAY is not set"):
+        BulletWorld("GUI")
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(DisplayError, match="no X server answers"):
+        BulletWorld("GUI")

@@ -1,0 +1,220 @@
+"""Process modules on the real PR2: right rather than pretended, and consistent after a failure."""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import process_module
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.failures import (
+    AccessFailed,
+    BranchesFailed,
+    GraspFailed,
+    InCollision,
+    LookingFailed,
+    PerceptionError,
+    PlaceFailed,
+    Unreachable,
+)
+from pycram.language import State, par
+from pycram.process_module import NoProcessModule, ProcessModule
+from recorder import geometry
+from recorder.records import Task
+
+if TYPE_CHECKING:
+    from tests.conftest import MemorySink
+
+DRAWER = "sink_area_left_upper_drawer_main_joint"
+HANDLE = "sink_area_left_upper_drawer_handle"
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def snapshot(world: BulletWorld) -> list[object]:
+    return [(b.get_position_and_orientation(), b.get_joint_positions()) for b in world.objects]
+
+
+def gaze_error(robot: Object, point: list[float]) -> float:
+    frame = robot.get_link_position_and_orientation("wide_stereo_optical_frame")
+    x, y, z = geometry.transform(geometry.invert(frame), point)
+    return math.degrees(math.atan2(math.hypot(x, y), z))
+
+
+def test_navigation_refuses_collisions_and_leaves_the_world_as_it_was(scene: BulletWorld) -> None:
+    before = snapshot(scene)
+    with pytest.raises(InCollision, match="kitchen") as raised:
+        perform(type="moving", target=[1.2, 0.7, 0])
+    assert raised.value.bodies == ["kitchen"]
+    assert snapshot(scene) == before
+    perform(type="moving", target=[0.2, 0.3, 0], orientation=[0, 0, 0.6, 0.8])
+    assert scene.robot.get_position() == pytest.approx([0.2, 0.3, 0])
+
+
+def test_what_the_robot_holds_collides_too(scene: BulletWorld) -> None:
+    perform(type="pick-up", object=scene.get_object("milk"), arm="left")
+    with pytest.raises(InCollision):  # the arm is stretched out over the counter
+        perform(type="moving", target=[0.9, 0.7, 0])
+
+
+@pytest.mark.parametrize("base", [([0.2, 0, 0], 0.3), ([-0.3, 1, 0], 3.1), ([0.5, -1.2, 0], -0.7)])
+def test_looking_points_the_camera(scene: BulletWorld, base: tuple[list[float], float]) -> None:
+    robot = scene.robot
+    robot.set_position_and_orientation(base[0], geometry.from_rpy(0, 0, base[1]))
+    for forward, aside, height in ((1, 0, 0.9), (1, 0.8, 0.3), (2, -1, 1.5)):
+        point = list(geometry.transform(robot.get_position_and_orientation(), (forward, aside, height)))
+        perform(type="looking", target=point)
+        assert gaze_error(robot, point) < 1.0
+    before = snapshot(scene)
+    with pytest.raises(LookingFailed):
+        perform(type="looking", target=[*robot.get_position()[:2], 5])
+    assert snapshot(scene) == before
+
+
+def test_detecting_honours_gaze_and_occlusion(scene: BulletWorld) -> None:
+    milk, cereal = scene.get_object("milk"), scene.get_object("cereal")
+    perform(type="looking", object=milk)
+    assert perform(type="detecting", object="milk") is milk
+    perform(type="looking", target=[0.7, 3.0, 1.0])
+    with pytest.raises(PerceptionError, match="out of view"):
+        perform(type="detecting", object_type="milk")
+    assert perform(type="world-state-detecting", object_type="milk") is milk
+    x, y, _ = milk.get_position()
+    cereal.set_position_and_orientation([x - 0.1, y - 0.02, 0.99], [0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+    perform(type="looking", object=milk)
+    with pytest.raises(PerceptionError, match="behind cereal"):
+        perform(type="detecting", object_type="milk")
+    with pytest.raises(PerceptionError, match="the world has none"):
+        perform(type="world-state-detecting", object_type="toaster")
+
+
+@pytest.mark.parametrize(("name", "arm"), [("milk", "left"), ("cereal", "right"), ("bowl", "right")])
+def test_pick_up_brings_the_tool_to_the_object_within_limits(scene: BulletWorld, name: str, arm: str) -> None:
+    robot, body = scene.robot, scene.get_object(name)
+    other = {"left": "right", "right": "left"}[arm]
+    still = {j: robot.get_joint_position(j) for j in robot.description.arm(other).joints}
+    stood = body.get_position_and_orientation()
+    perform(type="pick-up", object=body, arm=arm)
+    assert body.get_position_and_orientation() == stood
+    assert robot.attachments[body].carrier_link == robot.description.arm(arm).tool_frame
+    low, high = body.get_AABB()
+    tool = robot.get_link_position(robot.description.arm(arm).tool_frame)
+    assert all(a - 0.05 < x < b + 0.05 for a, x, b in zip(low, tool, high, strict=True))
+    for joint, value in robot.get_joint_positions().items():
+        lower, upper = robot.joint_limits(joint)
+        assert lower - 1e-6 <= value <= upper + 1e-6, joint
+    assert {j: robot.get_joint_position(j) for j in still} == still
+    with pytest.raises(GraspFailed, match="holds it already"):
+        perform(type="pick-up", object=body, arm=other)
+    perform(type="move-arm-joints", **{f"{arm}-arm": "park"})
+    assert body.carrier is robot
+
+
+def test_out_of_reach_is_told_and_changes_nothing(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    milk.set_position([1.75, 1, 0.95])
+    before = snapshot(scene)
+    with pytest.raises(Unreachable) as raised:
+        perform(type="pick-up", object=milk, arm="right")
+    assert 0.05 < raised.value.distance < 1
+    with pytest.raises(Unreachable):
+        perform(type="move-tcp", target=[3, 0, 1])
+    with pytest.raises(PlaceFailed, match="doesn't hold"):
+        perform(type="place", object=milk, target=[1.3, 1, 0.95], arm="left")
+    assert snapshot(scene) == before
+
+
+def test_move_tcp_reaches_position_and_orientation(scene: BulletWorld) -> None:
+    robot = scene.robot
+    target, turn = [1.15, 0.85, 1.2], [0, 0.7071068, 0, 0.7071068]
+    perform(type="move-tcp", target=target, orientation=turn, arm="left")
+    position, orientation = robot.get_link_position_and_orientation("l_gripper_tool_frame")
+    assert math.dist(position, target) < 0.01
+    assert math.degrees(geometry.angle(orientation, turn)) < 2
+
+
+def test_place_sets_down_upright_where_it_was_asked(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    perform(type="place", object=milk, target=[1.35, 0.95, 0.98], arm="left")
+    assert math.dist(milk.get_position(), [1.35, 0.95, 0.947]) < 0.005
+    assert geometry.rotate(milk.get_orientation(), (0, 0, 1))[2] > 0.999
+    assert milk.carrier is None
+    perform(type="move-arm-joints", left_arm="park")
+    perform(type="pick-up", object=milk, arm="left")
+    before = snapshot(scene)
+    with pytest.raises(PlaceFailed, match="nothing is within"):
+        perform(type="place", object=milk, target=[0.9, 1.1, 1.0], arm="left")
+    assert snapshot(scene) == before
+    assert milk.carrier is scene.robot
+
+
+def test_accessing_moves_the_handle_with_the_hand_and_the_spoon_with_the_drawer(scene: BulletWorld) -> None:
+    kitchen, spoon, robot = scene.get_object("kitchen"), scene.get_object("spoon"), scene.robot
+    before = snapshot(scene)
+    slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
+    with pytest.raises(AccessFailed, match=r"up to 0\.48"):
+        perform(**slots, distance=0.6)
+    assert snapshot(scene) == before
+    lay = spoon.get_position()
+    perform(**slots, distance=0.3)
+    assert kitchen.get_joint_position(DRAWER) == pytest.approx(0.3)
+    assert spoon.get_position()[0] == pytest.approx(lay[0] - 0.3, abs=1e-3)
+    assert math.dist(robot.get_link_position("l_gripper_tool_frame"), kitchen.get_link_position(HANDLE)) < 0.05
+
+
+def test_grippers_open_and_close(scene: BulletWorld) -> None:
+    joints = scene.robot.description.arm("left").gripper.joints
+    perform(type="opening-gripper", gripper="left")
+    assert {scene.robot.get_joint_position(j) for j in joints} == {0.548}
+    perform(type="closing-gripper", gripper="left")
+    assert {scene.robot.get_joint_position(j) for j in joints} == {0.0}
+
+
+def test_a_block_fails_with_all_its_failures_and_leaves_no_thread(scene: BulletWorld, sink: MemorySink) -> None:
+    threads = threading.active_count()
+    with pytest.raises(BranchesFailed) as raised, par as s:
+        perform(type="moving", target=[1.2, 0.7, 0])
+        perform(type="looking", target=[0.65, 0.7, 9])
+    assert [type(failure) for failure in raised.value.failures] == [InCollision, LookingFailed]
+    assert s.state is State.FAILED
+    failures: list[BaseException] = []
+    with par(failures) as s:
+        perform(type="moving", target=[1.2, 0.7, 0])
+    assert s.state is State.FAILED
+    assert [type(failure) for failure in failures] == [InCollision]
+    with pytest.raises(ZeroDivisionError), par as s:
+        s(lambda: 1 / 0)
+    assert par(lambda: 1, lambda: 2) == [1, 2]
+    assert threading.active_count() == threads
+    tasks = [record for record in sink.records if isinstance(record, Task)]
+    started = {task.task for task in tasks if task.phase == Task.STARTED}
+    assert started == {task.task for task in tasks if task.phase == Task.FINISHED}
+    perform(type="moving", target=[0.3, 0.7, 0])  # the modules are free again
+
+
+def test_designators_that_no_module_takes(scene: BulletWorld) -> None:
+    def resolver(designator: MotionDesignator) -> list[dict[str, object]]:
+        return [{"cmd": "dance"}] if designator.type == "dancing" else []
+
+    class Dancing(ProcessModule):
+        def _execute(self, designator: MotionDesignator) -> str:
+            return "danced"
+
+    with MotionDesignator.resolvers.added(resolver):
+        with pytest.raises(NoProcessModule, match="dance"):
+            perform(type="dancing")
+        dancing = Dancing()
+        with ProcessModule.resolvers.added(lambda designator: dancing if designator.type == "dancing" else None):
+            assert perform(type="dancing") == "danced"
+        process_module.register("pr2", "ballroom", {"dance": dancing})
+        with process_module.execution_environment("ballroom"):
+            assert perform(type="dancing") == "danced"
+            with pytest.raises(NoProcessModule, match="ballroom"):
+                perform(type="opening-gripper", gripper="left")

@@ -1,0 +1,212 @@
+"""Worlds and objects: what the thesis' tables 4.1 and 4.2 promise, several worlds at once, events, time."""
+
+from __future__ import annotations
+
+import gc
+import math
+import os
+import threading
+
+import psutil
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
+from pycram.reasoning.query import asking
+
+
+def poses(world: BulletWorld) -> dict[str, object]:
+    return {b.name: (b.get_position_and_orientation(), b.get_joint_positions()) for b in world.objects}
+
+
+def test_setting_a_pose_is_exact_and_no_time_passes(world: BulletWorld) -> None:
+    for mesh in ("spoon.stl", "bowl.stl", "milk.stl"):
+        body = Object(mesh, "thing", mesh, [0, 0, 1])
+        body.set_position_and_orientation([0.3, -0.2, 1.7], [0.1, 0.2, 0.3, 0.9])
+        length = math.sqrt(0.01 + 0.04 + 0.09 + 0.81)
+        assert body.get_position() == pytest.approx([0.3, -0.2, 1.7], abs=1e-12)
+        assert body.get_orientation() == pytest.approx([x / length for x in (0.1, 0.2, 0.3, 0.9)], abs=1e-12)
+    assert world.sim_step == 0
+
+
+def test_objects_fall_as_gravity_says(world: BulletWorld) -> None:
+    body = Object("milk", "milk", "milk.stl", [0, 0, 10])
+    world.simulate(1.0)
+    assert world.sim_step == 240
+    fallen = 10 - body.get_position()[2]
+    assert 0.9 * 4.9 < fallen < 4.95  # PyBullet's air brakes a little
+
+
+def test_worlds_dont_disturb_each_other() -> None:
+    with BulletWorld() as first, BulletWorld() as second:
+        first.set_gravity([0, 0, -9.8])
+        here = Object("cup", "cup", "cup.stl", [0, 0, 1], world=first)
+        there = Object("cup", "cup", "cup.stl", [5, 0, 1], world=second)
+        robot = Object("pr2", "robot", "pr2.urdf", world=second)
+        second.robot = robot
+        robot.attach(there, "r_gripper_tool_frame")
+        first.simulate(0.5)
+        assert there.get_position() == pytest.approx([5, 0, 1])
+        assert here.get_position()[2] < 0
+        here.set_position([0, 0, 3])
+        robot.set_position([1, 0, 0])
+        assert here.get_position() == pytest.approx([0, 0, 3])
+        assert there.get_position() == pytest.approx([6, 0, 1])
+        assert first.robot is None
+
+
+def test_the_current_world_is_always_an_open_one() -> None:
+    first, second, third = BulletWorld(), BulletWorld(), BulletWorld()
+    assert BulletWorld.current_bullet_world is third
+    second.exit()
+    third.exit()
+    third.exit()
+    assert BulletWorld.current_bullet_world is first
+    with pytest.raises(ZeroDivisionError), BulletWorld():
+        _ = 1 / 0
+    assert BulletWorld.current_bullet_world is first
+    first.exit()
+    assert BulletWorld.current_bullet_world is None
+    with pytest.raises(WorldClosed, match="simulate"):
+        first.simulate(1)
+
+
+def test_tables_of_methods(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    assert scene.get_objects_by_name("milk") == [milk]
+    assert scene.get_objects_by_type("environment") == [scene.get_object("floor"), scene.get_object("kitchen")]
+    assert scene.get_object_by_id(milk.id) is milk
+    assert BulletWorld.robot is scene.robot
+    robot = scene.robot
+    assert robot is not None
+    assert robot.links[0] == "base_footprint"
+    assert robot.get_link_id("base_footprint") == -1
+    assert robot.get_joint_id("r_shoulder_pan_joint") >= 0
+    assert milk.get_pose() == milk.get_position()
+    assert robot.get_link_position_and_orientation("base_footprint") == robot.get_position_and_orientation()
+    with pytest.raises(UnknownName, match="r_gripper_tool_frame"):
+        robot.get_link_position("r_gripper_tol_frame")
+    with pytest.raises(UnknownName, match="milk"):
+        scene.get_object("mikl")
+    with pytest.raises(BadArgument):
+        Object("milk", "milk", "milk.stl")
+
+
+def test_robots_hold_their_posture_and_things_have_weight(scene: BulletWorld) -> None:
+    robot = scene.robot
+    assert robot is not None
+    before = robot.get_joint_positions()
+    scene.simulate(2)
+    after = robot.get_joint_positions()
+    assert max(abs(after[name] - before[name]) for name in before) < 5e-3
+    assert robot.get_position() == pytest.approx([0.65, 0.7, 0], abs=1e-9)
+
+    def mass(body: Object) -> float:
+        return sum(scene.engine.mass(body.handle, link) for link in body.links)
+
+    assert mass(scene.get_object("spoon")) < 0.1
+    assert mass(scene.get_object("milk")) == pytest.approx(1.05)
+    assert 100 < mass(robot) < 260
+
+
+def test_events_fire_and_their_handlers_may_do_anything(scene: BulletWorld) -> None:
+    told: list[tuple[str, object]] = []
+    robot, milk, kitchen = scene.robot, scene.get_object("milk"), scene.get_object("kitchen")
+    assert robot is not None
+
+    def in_another_thread(carrier: Object, body: Object) -> None:
+        told.append(("attached", (carrier.name, body.name)))
+        thread = threading.Thread(target=lambda: told.append(("position", milk.get_position())))
+        thread.start()
+        thread.join(10)  # would wait for ever if the world were locked
+        assert not thread.is_alive()
+
+    def detach_again(carrier: Object, body: Object) -> None:
+        carrier.detach(body)
+
+    attached, detached, manipulated = (
+        scene.get_attachment_event(),
+        scene.get_detachment_event(),
+        scene.get_manipulation_event(),
+    )
+    attached += in_another_thread
+    attached += detach_again
+    detached += lambda carrier, body: told.append(("detached", (carrier.name, body.name)))
+    manipulated += lambda body: told.append(("manipulated", body.name))
+    robot.attach(milk, "r_gripper_tool_frame")
+    kitchen.set_joint_position("iai_fridge_door_joint", 0.5)
+    attached -= in_another_thread
+    assert [kind for kind, _ in told] == ["attached", "position", "detached", "manipulated"]
+    assert told[-1] == ("manipulated", "kitchen")
+
+
+def test_reset_puts_everything_back(scene: BulletWorld) -> None:
+    robot, milk, kitchen = scene.robot, scene.get_object("milk"), scene.get_object("kitchen")
+    assert robot is not None
+    robot.attach(milk)
+    kitchen.set_joint_position("iai_fridge_door_joint", 0.5)
+    scene.reset()
+    assert not robot.attachments
+    assert milk.get_position() == pytest.approx([1.3, 1, 0.95])
+    assert robot.get_position() == pytest.approx([0, 0, 0])
+    assert kitchen.get_joint_position("iai_fridge_door_joint") == 0.0
+
+
+def test_real_time_runs_and_stops(world: BulletWorld) -> None:
+    passed = threading.Event()
+    body = Object("cup", "cup", "cup.stl", [0, 0, 5])
+    world.set_realtime(True)
+    for _ in range(500):
+        if body.get_position()[2] < 4.9:
+            break
+        passed.wait(0.01)
+    assert body.get_position()[2] < 4.9
+    world.set_realtime(False)
+    steps = world.sim_step
+    passed.wait(0.1)
+    assert world.sim_step == steps
+    world.set_realtime(True)
+    world.exit()
+    assert not [thread for thread in threading.enumerate() if "realtime" in thread.name]
+
+
+def test_a_change_inside_a_query_is_refused(world: BulletWorld) -> None:
+    body = Object("cup", "cup", "cup.stl")
+    with pytest.raises(ChangeRefused, match=r"move body.*inspect"), asking("inspect", world, {}):
+        body.set_position([1, 0, 0])
+    body.set_position([1, 0, 0])
+
+
+def test_removed_objects_say_so(world: BulletWorld) -> None:
+    cup, bowl = Object("cup", "cup", "cup.stl"), Object("bowl", "bowl", "bowl.stl", [1, 0, 0])
+    cup.attach(bowl)
+    cup.remove()
+    assert world.objects == [bowl]
+    assert bowl.carrier is None
+    with pytest.raises(WorldClosed, match="object cup"):
+        cup.get_position()
+    with pytest.raises(WorldClosed):
+        cup.remove()
+    Object("cup", "cup", "cup.stl")
+
+
+@pytest.mark.slow
+def test_200_worlds_leave_nothing_behind() -> None:
+    process = psutil.Process(os.getpid())
+
+    def use() -> None:
+        with BulletWorld() as world:
+            Object("milk", "milk", "milk.stl", [0, 0, 1])
+            Object("bowl", "bowl", "bowl.stl", [0.3, 0, 1])
+            world.simulate(0.05)
+
+    for _ in range(20):
+        use()
+    gc.collect()
+    threads, memory = threading.active_count(), process.memory_info().rss
+    for _ in range(200):
+        use()
+    gc.collect()
+    assert threading.active_count() == threads
+    assert process.num_threads() <= threads + 4
+    assert process.memory_info().rss - memory < 20e6
