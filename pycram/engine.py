@@ -385,19 +385,6 @@ class Engine:
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
 
-    @contextmanager
-    def rewound(self) -> Iterator[None]:
-        """Runs its block and puts poses, velocities, contacts and constraints back, bit for bit.
-
-        Motor targets, gravity and filters are not put back, bodies must stay: step inside, change nothing else.
-        """
-        state = bullet.saveState(physicsClientId=self._client)
-        try:
-            yield
-        finally:
-            bullet.restoreState(stateId=state, physicsClientId=self._client)
-            bullet.removeState(state, physicsClientId=self._client)
-
     def refresh(self) -> None:
         """Makes bounds and contacts current without a step."""
         bullet.performCollisionDetection(physicsClientId=self._client)
@@ -412,10 +399,6 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=self._client)
         return self._told(a, b, points)
 
-    def contacts(self, a: Body, b: Body) -> list[Touch]:
-        """Contact points with the forces that the last step found there."""
-        return self._told(a, b, bullet.getContactPoints(a.id, b.id, physicsClientId=self._client))
-
     @staticmethod
     def _told(a: Body, b: Body, points: Sequence[Sequence[object]] | None) -> list[Touch]:
         if not points:
@@ -426,11 +409,6 @@ class Engine:
             Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9])  # type: ignore[arg-type,index]
             for p in points
         ]
-
-    def near(self, lower: Sequence[float], upper: Sequence[float]) -> set[int]:
-        """Ids of the bodies whose bounds overlap a box."""
-        found = bullet.getOverlappingObjects(lower, upper, physicsClientId=self._client)
-        return {number for number, _ in found or ()}
 
     # --- pictures --------------------------------------------------------------------------------------------------
 

@@ -85,7 +85,11 @@ class UnknownName(UsageError, LookupError):
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
         nearest = difflib.get_close_matches(str(name), names, n=3, cutoff=0.4)
-        hint = f"did you mean {', '.join(nearest)}?" if nearest else f"it has {', '.join(names) if len(names) <= _FEW else f'{len(names)} of them'}"
+        hint = (
+            f"did you mean {', '.join(nearest)}?"
+            if nearest
+            else f"it has {', '.join(names) if len(names) <= _FEW else f'{len(names)} of them'}"
+        )
         super().__init__(f"{owner} has no {kind} {name!r}; {hint}")
         self.kind = kind
         self.name = name

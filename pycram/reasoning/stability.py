@@ -6,8 +6,9 @@ degrees: creep stays an order of magnitude below, a fall goes far beyond. The an
 is passed, or when all that could matter has come to rest: slower than 2 mm/s and 0.02 rad/s, which could not add up to
 the limit in the time left, and not gaining speed, as something that begins to tip does.
 
-What is simulated is a twin with everything but robots (they cost most of a step), unless a robot touches or carries the
-object or something that it rests with.
+What is simulated is a twin, never the world: PyBullet's saved states, even if restored at once, change the last bits of
+what contacts do next. Robots, which cost most of a step, are in it only if one touches or carries the object or
+something that it rests with.
 """
 
 from __future__ import annotations
@@ -45,14 +46,9 @@ def simulate(body: Object) -> tuple[bool, Mapping[str, object]]:
         The answer; how far (m) and by how much (rad) it moved, after how many steps, in how many that were simulated.
     """
     group = _group(body)
-    if any(other.is_robot or other.carried or other.carrier for other in group):
-        engine = body.world.engine  # attachments and a robot's motors are there already
-        movable = [other.handle for other in group if not other.fixed]
-        with engine.rewound():
-            return _watch(engine, body.handle, movable)
-    copy = twin(body.world, "physics")
-    everything = [other for other in body.world.objects if not other.is_robot]
-    bodies = copy.sync(everything)
+    robots = any(other.is_robot for other in group)
+    copy = twin(body.world, "physics with robots" if robots else "physics")
+    bodies = copy.sync((other for other in body.world.objects if robots or not other.is_robot), holding=True)
     movable = [bodies[other.name] for other in group if not other.fixed]
     try:
         return _watch(copy.engine, bodies[body.name], movable)
@@ -66,15 +62,14 @@ def _group(body: Object) -> list[Object]:
     engine = world.engine
     engine.refresh()
     group, queue = [body], [body]
-    for attachment in body.attachments.values():
-        other = attachment.other(body)
-        group.append(other)
     while queue:
         current = queue.pop()
         if current.fixed:
             continue
         for other in world.objects:
-            if other not in group and engine.touches(current.handle, other.handle, _NEAR):
+            if other in group:
+                continue
+            if other in current.attachments or engine.touches(current.handle, other.handle, _NEAR):
                 group.append(other)
                 queue.append(other)
     return group

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.engine import Engine
 from pycram.funnel import Reading, read
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from pycram.attachments import Attachment
     from pycram.bullet_world import BulletWorld
     from pycram.engine import Body
     from pycram.objects import Object
@@ -45,17 +47,20 @@ class Twin:
         self.engine = Engine()
         self._copies: dict[str, _Copy] = {}
         self._gravity: tuple[float, float, float] | None = None
+        self._held: list[tuple[int, Body, str, Body, bool]] = []
 
-    def sync(self, bodies: Iterable[Object] | None = None) -> Mapping[str, Body]:
+    def sync(self, bodies: Iterable[Object] | None = None, *, holding: bool = False) -> Mapping[str, Body]:
         """Brings the copies to the world's state.
 
         Args:
             bodies: the objects that are wanted; others are put out of the way. All by default.
+            holding: attachments among them hold when the twin is stepped.
 
         Returns:
             The engine's bodies of the wanted objects, by name.
         """
         wanted = {body.name: body for body in (self.world.objects if bodies is None else bodies)}
+        self._let_go()
         if self._gravity != self.world.gravity:
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
@@ -67,7 +72,30 @@ class Twin:
             elif name not in wanted and copy.state is not None:
                 self.engine.set_pose(copy.body, _AWAY)
                 copy.state = None
-        return {name: self._copy(body) for name, body in wanted.items()}
+        copies = {name: self._copy(body) for name, body in wanted.items()}
+        if holding:
+            for body in wanted.values():
+                for held in body.carried:
+                    if held.body.name in copies:
+                        self._hold(held, copies)
+        return copies
+
+    def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
+        carrier, body = copies[held.carrier.name], copies[held.body.name]
+        pose = geometry.multiply(
+            geometry.invert(self.engine.link_pose(carrier, held.carrier_link)),
+            self.engine.link_pose(body, held.body_link),
+        )
+        constraint = self.engine.fix(carrier, held.carrier_link, body, held.body_link, pose)
+        robot = held.carrier.is_robot
+        self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
+        self._held.append((constraint, carrier, held.carrier_link, body, robot))
+
+    def _let_go(self) -> None:
+        for constraint, carrier, link, body, robot in self._held:
+            self.engine.unfix(constraint)
+            self.engine.pass_through(carrier, link, body, robot=robot, enable=False)
+        self._held.clear()
 
     def _copy(self, body: Object) -> Body:
         now = read(body)
@@ -108,7 +136,7 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach" (never stepped), "physics" (stepped) or "studio" (pictures).
+        purpose: "reach" (never stepped), "physics", "physics with robots" (both stepped) or "studio" (pictures).
     """
     with _registry:
         mine = _twins.setdefault(world, {})

@@ -204,6 +204,8 @@ def _hiding(body: Object, covering: NDArray[np.int64], alone: int) -> dict[str, 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
     """The part of the image plane that can show the object; None and why if none can."""
     low, high = body.get_AABB()
+    if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
+        return None, "is around the camera"
     corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
     points = camera.to_frame(corners)
     depth = points[:, 2]

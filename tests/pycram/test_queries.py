@@ -71,6 +71,7 @@ def test_contact_and_support(scene: BulletWorld) -> None:
 
 def test_visible_and_occluding(scene: BulletWorld) -> None:
     milk, cereal = scene.get_object("milk"), scene.get_object("cereal")
+    scene.robot.set_position([0, -1, 0])  # out of the picture
     x, y, z = milk.get_position()
     eye = [x - 0.8, y, z]
     assert btr.visible(milk, eye)

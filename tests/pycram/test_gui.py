@@ -1,0 +1,60 @@
+"""The window, on a screen that the test starts itself."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PLAN = """
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import DisplayError
+world = BulletWorld("GUI")
+world.set_gravity([0, 0, -9.8])
+Object("floor", "environment", "plane.urdf")
+milk = Object("milk", "milk", "milk.stl", [0, 0, 0.2])
+try:
+    BulletWorld("GUI")
+except DisplayError as error:
+    print("refused:", error)
+world.simulate(0.5)
+print("height", round(milk.get_position()[2], 2))
+world.exit()
+with BulletWorld("GUI") as again:
+    again.simulate(0.1)
+print("ended")
+"""
+
+
+@pytest.fixture
+def display() -> Iterator[str]:
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        number = told.readline().strip()  # it says so when it is ready
+    assert number, "Xvfb didn't start"
+    yield f":{number}"
+    server.terminate()
+    server.wait()
+
+
+def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", PLAN],
+        env=os.environ | {"DISPLAY": display},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=100,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "PyBullet has one window" in ended.stdout
+    assert ended.stdout.splitlines()[-2:] == ["height 0.1", "ended"]
