@@ -12,7 +12,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -174,6 +174,7 @@ class Engine:
     """
 
     def __init__(self, *, window: bool = False) -> None:
+        self._window = window
         if window:
             with _quiet(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -448,7 +449,8 @@ class Engine:
         if self._client >= 0:
             client, self._client = self._client, -1
             if bullet.isConnected(client):
-                bullet.disconnect(client)
+                with _quiet(1) if self._window else nullcontext():
+                    bullet.disconnect(client)
 
     @property
     def connected(self) -> bool:
