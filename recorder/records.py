@@ -13,8 +13,6 @@ from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
-import numpy as np
-
 from recorder.proto import log_pb2
 from recorder.proto.log_pb2 import (
     Argument,
@@ -110,6 +108,14 @@ class Recordable(Protocol):
         """Returns None, a bool, number, string, list or dict."""
 
 
+@runtime_checkable
+class _Array(Protocol):
+    """NumPy's arrays and scalars, told by what they can: whoever only reads records need not wait for numpy."""
+
+    def tolist(self) -> object:
+        """Returns plain numbers, nested as the array is."""
+
+
 def _plain(value: object) -> object:
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
@@ -128,10 +134,10 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
     (Recordable, lambda value: _plain(value.__record__())),
     (int, int),
     (float, _finite),
-    ((np.generic, np.ndarray), lambda value: _plain(value.tolist())),
     (Mapping, lambda value: {str(key): _plain(item) for key, item in value.items()}),
     (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
     ((list, tuple), lambda value: [_plain(item) for item in value]),
+    (_Array, lambda value: _plain(value.tolist())),
 )
 
 
