@@ -47,7 +47,7 @@ class FrameTree:
         """
         self._models[sha256] = Urdf.parse(content)
 
-    def transforms(self, record: object) -> Iterator[tuple[str, Message]]:
+    def transforms(self, record: object) -> Iterator[tuple[str, FrameTransforms]]:
         """The frames that a record changed.
 
         Args:
@@ -75,7 +75,7 @@ class FrameTree:
 
     def _message(
         self, world: str, step: int, bodies: Iterable[BodyState], *, whole: bool = False
-    ) -> Iterator[tuple[str, Message]]:
+    ) -> Iterator[tuple[str, FrameTransforms]]:
         message = FrameTransforms()
         seconds, steps = divmod(step, _STEPS)
         nanos = steps * _NS // _STEPS

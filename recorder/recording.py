@@ -69,12 +69,13 @@ def record(
     file = Path(path)
     program = _program() if source is None else Path(source)
     title = name or (program.stem if program else "plan")
-    sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
-    sinks: list[journal.Sink] = [sink]
+    viewers: list[journal.Sink] = []
     if live is not None:
         from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
 
-        sinks.append(RerunSink(live, title))
+        viewers.append(RerunSink(live, title))
+    sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
+    sinks: list[journal.Sink] = [sink, *viewers]
     log = Journal(sinks)
     _leave_to_parent(sink, log)
     start = time.perf_counter_ns()
