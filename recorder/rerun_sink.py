@@ -7,6 +7,7 @@ counted: the file has them all.
 
 from __future__ import annotations
 
+import ctypes
 import socket
 import sys
 import threading
@@ -53,6 +54,7 @@ class RerunSink:
         self._waiting: deque[tuple[str, bytes] | AssetFile] = deque()
         self._changed = threading.Condition()
         self._ended = False
+        self._gone = False
         self.dropped = 0
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
@@ -82,6 +84,8 @@ class RerunSink:
             self._ended = True
             self._changed.notify()
         self._thread.join(_PATIENCE)
+        if self._thread.is_alive() or self._gone:
+            self._abandon()
         left = self.dropped + len(self._waiting)
         if left:
             print(f"recorder: the viewer at {self._url} missed {left} records; the file has them", file=sys.stderr)
@@ -98,7 +102,14 @@ class RerunSink:
                 self._show(_KINDS[topic].FromString(payload))
             else:
                 self._frames.learn(item.sha256, item.content)
-        self._stream.flush(timeout_sec=_PATIENCE / 2)
+        try:
+            self._stream.flush(timeout_sec=_PATIENCE / 2)
+        except Exception:  # noqa: BLE001  the viewer's library has its own errors; the viewer is gone or stalled
+            self._gone = True
+
+    def _abandon(self) -> None:
+        """Keeps the stream alive for ever: when it is freed it waits for its viewer, and the process couldn't end."""
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._stream))
 
     def _show(self, record: Record) -> None:
         stream = self._stream
