@@ -1,0 +1,36 @@
+"""The definition of the log is the only one: the modules are compiled from it, and its envelope is the same everywhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from recorder import compile_proto
+from recorder.records import TOPICS
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_checked_in_modules_are_what_the_definition_compiles_to(tmp_path: Path) -> None:
+    compile_proto.compile_proto(tmp_path)
+    for name in ("log_pb2.py", "log_pb2.pyi"):
+        made = (tmp_path / "recorder" / "proto" / name).read_text()
+        kept = (compile_proto.ROOT / "recorder" / "proto" / name).read_text()
+        # the compiler writes its own version, which may be newer on another machine
+        assert _without_version(made) == _without_version(kept), f"run: make proto ({name})"
+
+
+def _without_version(text: str) -> list[str]:
+    lines = [line for line in text.splitlines() if "Protobuf Python Version" not in line]
+    start = next((i for i, line in enumerate(lines) if "ValidateProtobufRuntimeVersion" in line), None)
+    return lines if start is None else lines[:start] + lines[start + 8 :]
+
+
+@pytest.mark.parametrize("record", TOPICS, ids=lambda record: record.__name__)
+def test_every_record_has_the_envelope(record: type) -> None:
+    fields = {field.number: field.name for field in record.DESCRIPTOR.fields}
+    envelope = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread")
+    assert tuple(fields[number] for number in range(1, 7)) == envelope
+    assert not [number for number in fields if 7 <= number <= 15], "reserved for the envelope"
