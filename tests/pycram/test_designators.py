@@ -1,0 +1,92 @@
+"""Designators: the interface of the original, and users' own resolvers."""
+
+from __future__ import annotations
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import DesignatorError, MotionDesignator
+
+
+def looking(**more: object) -> MotionDesignator:
+    return MotionDesignator([("type", "looking"), ("target", [1, 0, 1]), *more.items()])
+
+
+def test_slots_and_dictionaries() -> None:
+    designator = MotionDesignator([("type", "moving"), ("target", [1, 2, 0])])
+    assert designator.prop_value("target") == [1, 2, 0]
+    assert designator.prop_value("nothing") is None
+    assert designator.check_constraints([("type", "moving"), "target"])
+    assert not designator.check_constraints([("type", "moving"), "orientation"])
+    assert not designator.check_constraints([("type", "looking")])
+    made = designator.make_dictionary([("cmd", "navigate"), "target", ("orientation", [0, 0, 0, 1])])
+    assert made == {"cmd": "navigate", "target": [1, 2, 0], "orientation": [0, 0, 0, 1]}
+    copy = designator.copy([("target", [0, 0, 0])])
+    assert copy.prop_value("target") == [0, 0, 0]
+    assert designator.prop_value("target") == [1, 2, 0]
+
+
+def test_equating_and_becoming_effective() -> None:
+    first, second = looking(), looking()
+    assert not first.equal(second)
+    second.equate(first)
+    assert second.first() is first
+    assert first.current() is second
+    assert first.newest_effective() is None
+    first.reference()
+    assert second.newest_effective() is first
+    found = second.make_effective(data="the thing", timestamp=12.0)
+    assert found.reference() == "the thing"
+    assert first.current() is first.newest_effective() is found
+    assert found.timestamp == 12.0
+
+
+def test_solutions_are_found_one_after_the_other() -> None:
+    asked: list[int] = []
+
+    def resolver(designator: MotionDesignator) -> object:
+        if designator.type != "waving":
+            return
+        for number in range(3):
+            asked.append(number)
+            yield {"cmd": "wave", "times": number}
+
+    with MotionDesignator.resolvers.added(resolver):
+        designator = MotionDesignator([("type", "waving")])
+        assert designator.reference() == designator.reference() == {"cmd": "wave", "times": 0}
+        assert asked == [0]
+        following = designator.next_solution()
+        assert following.reference()["times"] == 1
+        assert following.first() is designator
+        assert [solution["times"] for solution in designator.solutions()] == [0, 1, 2]
+        assert following.next_solution().next_solution() is None
+    with pytest.raises(DesignatorError, match="unknown type 'waving'"):
+        MotionDesignator([("type", "waving")]).reference()
+
+
+def test_moving_without_orientation_keeps_the_robots() -> None:
+    with BulletWorld() as world:
+        world.robot = Object("pr2", "robot", "pr2.urdf", [0, 0, 0], [0, 0, 0.6, 0.8])
+        plain = MotionDesignator([("type", "moving"), ("target", [1, 0, 0])])
+        assert plain.reference()["orientation"] == pytest.approx([0, 0, 0.6, 0.8])
+        turned = MotionDesignator([("type", "moving"), ("target", [1, 0, 0]), ("orientation", [0, 0, 0, 1])])
+        assert [s["orientation"][3] for s in turned.solutions()] == pytest.approx([1, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("slots", "told"),
+    [
+        ([("target", [1, 0, 1])], "no slot type"),
+        ([("type", "loking"), ("target", [1, 0, 1])], "did you mean looking"),
+        ([("type", "accessing"), ("drawer-joint", "j")], "drawer-handle, part-of"),
+        ([("type", "detecting"), ("object", "milk"), ("object-type", "milk")], "given twice"),
+        ([("type", "moving"), ("target", [1, 0, float("nan")])], "target"),
+        ([("type", "place"), ("object", "milk"), ("target", [1, 0, 1])], "an Object of a world"),
+        ([("type", "move-arm-joints")], "left-arm or right-arm"),
+        ([("type", "pick-up"), ("object", None)], "missing slot object"),
+    ],
+)
+def test_errors_say_what_the_designator_takes(slots: list[tuple[str, object]], told: str) -> None:
+    with pytest.raises(DesignatorError, match=told) as raised:
+        MotionDesignator(slots).reference()
+    assert raised.value.takes
