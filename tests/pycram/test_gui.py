@@ -60,4 +60,6 @@ def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None
     )
     assert ended.returncode == 0, ended.stderr
     assert "PyBullet has one window" in ended.stdout
-    assert ended.stdout.splitlines()[-2:] == ["the same as without a window: True", "ended"]
+    # the window's native thread greets on stdout too, whenever it likes
+    assert "the same as without a window: True" in ended.stdout
+    assert ended.stdout.rstrip().endswith("ended")
