@@ -14,6 +14,7 @@ from contextlib import ExitStack
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
+from recorder.interrupts import Uninterrupted
 from recorder.records import TOPICS, Record
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ class Journal:
             RecordingError: a sink can't keep it.
         """
         topic = TOPICS[type(record)]
-        with self._lock:
+        with Uninterrupted(), self._lock:
             self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
             record.seq = seq = self._next
             record.wall_time_ns = self._latest_ns
@@ -110,7 +111,7 @@ class Journal:
             RecordingError: a sink can't keep one.
         """
         for asset in assets:
-            with self._lock:
+            with Uninterrupted(), self._lock:
                 if asset.key not in self._attached:
                     for sink in self._sinks:
                         sink.attach(asset)
@@ -118,7 +119,7 @@ class Journal:
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
-        with self._lock, ExitStack() as closing:
+        with Uninterrupted(), self._lock, ExitStack() as closing:
             for sink in reversed(self._sinks):
                 closing.callback(sink.close)
 

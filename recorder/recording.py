@@ -74,10 +74,16 @@ def record(
         from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
 
         viewers.append(RerunSink(live, title))
-    sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
+    try:
+        sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
+    except BaseException:
+        for viewer in viewers:
+            viewer.close()
+        raise
     sinks: list[journal.Sink] = [sink, *viewers]
     log = Journal(sinks)
     _leave_to_parent(sink, log)
+    owner = os.getpid()
     start = time.perf_counter_ns()
     log.append(Run(phase=Run.STARTED, name=title))
     if program is not None and program.is_file():
@@ -87,12 +93,14 @@ def record(
         yield Recording(file, log)
     except BaseException as error:
         try:
-            _finish(log, title, start, error)
+            if os.getpid() == owner:
+                _finish(log, title, start, error)
         except OSError as lost:
             lost.__context__, error.__context__ = error.__context__, lost
         raise
     else:
-        _finish(log, title, start, None)
+        if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
+            _finish(log, title, start, None)
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:

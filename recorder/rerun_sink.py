@@ -7,6 +7,7 @@ counted: the file has them all.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import socket
 import sys
@@ -31,6 +32,8 @@ _PATIENCE: Final = 2.0  # s for the viewer to take what is left at the end
 _STEPS: Final = 240  # a simulated second
 _KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
 _PORT: Final = 9876
+_SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
+_HINT: Final = "say rerun+http://127.0.0.1:9876/proxy"
 
 
 class RerunSink:
@@ -54,7 +57,6 @@ class RerunSink:
         self._waiting: deque[tuple[str, bytes] | AssetFile] = deque()
         self._changed = threading.Condition()
         self._ended = False
-        self._gone = False
         self.dropped = 0
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
@@ -84,8 +86,7 @@ class RerunSink:
             self._ended = True
             self._changed.notify()
         self._thread.join(_PATIENCE)
-        if self._thread.is_alive() or self._gone:
-            self._abandon()
+        self._abandon()
         left = self.dropped + len(self._waiting)
         if left:
             print(f"recorder: the viewer at {self._url} missed {left} records; the file has them", file=sys.stderr)
@@ -102,13 +103,11 @@ class RerunSink:
                 self._show(_KINDS[topic].FromString(payload))
             else:
                 self._frames.learn(item.sha256, item.content)
-        try:
+        with contextlib.suppress(Exception):  # the viewer's library has its own errors; the viewer is gone or stalled
             self._stream.flush(timeout_sec=_PATIENCE / 2)
-        except Exception:  # noqa: BLE001  the viewer's library has its own errors; the viewer is gone or stalled
-            self._gone = True
 
     def _abandon(self) -> None:
-        """Keeps the stream alive for ever: when it is freed it waits for its viewer, and the process couldn't end."""
+        """Keeps the stream alive for ever: freed, it waits for its viewer without end, flushed or not."""
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._stream))
 
     def _show(self, record: Record) -> None:
@@ -133,10 +132,14 @@ class RerunSink:
 
 def _probe(url: str) -> None:
     """Makes sure that somebody listens: the viewer's library would wait for seconds, and then say nothing."""
-    place = urlparse(url)
-    if place.hostname is None:
-        raise RecordingError(url, "is no address of a viewer", "say rerun+http://127.0.0.1:9876/proxy")
     try:
-        socket.create_connection((place.hostname, place.port or _PORT), timeout=1.0).close()
+        place = urlparse(url)
+        port = place.port or _PORT
+    except ValueError as error:
+        raise RecordingError(url, f"is no address of a viewer ({error})", _HINT) from error
+    if place.scheme not in _SCHEMES or place.hostname is None or place.path.rstrip("/") != "/proxy":
+        raise RecordingError(url, "is no address of a viewer", _HINT)
+    try:
+        socket.create_connection((place.hostname, port), timeout=1.0).close()
     except OSError as error:
         raise RecordingError(url, f"no viewer answers ({error})", "start one: rerun") from error
