@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -62,7 +64,9 @@ def test_a_real_viewer_gets_the_records(tmp_path: Path) -> None:
         port = free.getsockname()[1]
     live = tmp_path / "live.rrd"
     command = [sys.executable, "-m", "rerun", "--save", str(live), "--port", str(port), "--expect-data-soon"]
-    viewer = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    # in a session of its own: the command is a wrapper, and signals to it don't reach the server below
+    quiet = subprocess.DEVNULL
+    viewer = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         deadline = time.monotonic() + 30
         while True:
@@ -76,6 +80,6 @@ def test_a_real_viewer_gets_the_records(tmp_path: Path) -> None:
         while not live.exists() or live.stat().st_size < 20_000:
             assert time.monotonic() < deadline, "nothing arrived"
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGKILL)
         viewer.wait()
     assert b"milk" in live.read_bytes() or live.stat().st_size > 20_000
