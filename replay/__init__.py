@@ -1,12 +1,28 @@
 """Opens recordings: any step back, from the file alone.
 
-``replay.open(path)`` gives the records by step; ``replay.state_at(log, step)`` what was true after one.
+``replay.open(path)`` gives a :class:`Log`: its records by step, and with ``log.state_at(step)`` what was true of every
+world after one. Needs neither the plan nor the physics engine.
 """
 
-from replay.errors import NoSuchStep, NotALog, ReplayError
-from replay.fold import state_at
+from replay.errors import Damaged, NoSuchName, NoSuchStep, NotALog, ReplayError, Unreadable
+from replay.fold import fold, state_at
 from replay.log import Log
 from replay.log import open_log as open  # noqa: A004  replay.open reads well
-from replay.state import State
+from replay.state import Attachment, Body, State, World
 
-__all__ = ["Log", "NoSuchStep", "NotALog", "ReplayError", "State", "open", "state_at"]
+__all__ = [
+    "Attachment",
+    "Body",
+    "Damaged",
+    "Log",
+    "NoSuchName",
+    "NoSuchStep",
+    "NotALog",
+    "ReplayError",
+    "State",
+    "Unreadable",
+    "World",
+    "fold",
+    "open",
+    "state_at",
+]

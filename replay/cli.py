@@ -1,25 +1,32 @@
 """``pycram-replay VERB LOG ...``: results on stdout, talk on stderr.
 
-Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete.
+Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done as far as possible, but the recording was incomplete.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
+import importlib
 import os
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from replay.errors import ReplayError
-from replay.log import open_log
-from replay.verbs import info, log, show, state, tree
+from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from types import ModuleType
 
-_VERBS = {"info": info, "log": log, "show": show, "tree": tree, "state": state}
-FINE, USAGE, INCOMPLETE = 0, 2, 3
+#: A verb's module is loaded when it is called: some need what others can do without.
+VERBS: Final = {
+    "info": "what ran, when, for how long, and how it ended",
+    "log": "the records as lines",
+    "show": "one record whole",
+    "tree": "the tasks, how they ended, and the way down to the failure",
+    "state": "poses, joints and attachments after a step",
+}
+FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
+_INTERRUPTED = 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,30 +38,63 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    parser = argparse.ArgumentParser(prog="pycram-replay", description="Looks into recordings of plans.")
-    verbs = parser.add_subparsers(dest="verb", required=True)
-    for name, verb in _VERBS.items():
-        sub = verbs.add_parser(name, help=verb.HELP, description=verb.HELP)
-        sub.add_argument("log", metavar="LOG", help="the recording")
-        verb.add(sub)
-        sub.add_argument("--json", action="store_true", help="for machines")
-    options = parser.parse_args(argv)
+    given = list(sys.argv[1:] if argv is None else argv)
+    verb = _module(given[0]) if given and given[0] in VERBS else None
     try:
-        with open_log(options.log) as recording:
-            facts, text = _VERBS[options.verb].run(recording, options)
-            complete, missing = recording.complete, recording.missing
-    except ReplayError as error:
-        print(f"pycram-replay: {error}", file=sys.stderr)
-        return USAGE
+        options = _parser(given[:1], verb).parse_args(given)
+    except SystemExit as end:  # after its help, or its complaint
+        return FINE if not end.code else USAGE
     try:
-        print(json.dumps(facts, ensure_ascii=False) if options.json else text)
+        code = _run(_module(options.verb), options)
         sys.stdout.flush()
     except BrokenPipeError:  # somebody's head has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    if not complete:
-        print(f"pycram-replay: the recording is incomplete: {missing}", file=sys.stderr)
-        return INCOMPLETE
-    return FINE
+        return FINE
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    return code
+
+
+def _module(verb: str) -> ModuleType:
+    return importlib.import_module(f"replay.verbs.{verb}")
+
+
+def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="pycram-replay",
+        description="Looks into recordings of plans.",
+        epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete.",
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for name, text in VERBS.items():
+        verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        verb.add_argument("log", metavar="LOG", help="the recording")
+        if module is not None and name in given:
+            module.add(verb)
+        verb.add_argument("--json", action="store_true", help="for machines")
+    return parser
+
+
+def _run(verb: ModuleType, options: argparse.Namespace) -> int:
+    from replay.log import open_log  # noqa: PLC0415  --help needn't wait for it
+
+    try:
+        with open_log(options.log) as log:
+            code: int = verb.run(log, options)
+            missing = log.missing
+    except (Damaged, Unreadable) as error:
+        return _complain(str(error), INCOMPLETE)
+    except ReplayError as error:
+        return _complain(str(error), USAGE)
+    if missing:
+        return _complain(f"the recording is incomplete: {missing}", code or INCOMPLETE)
+    return code
+
+
+def _complain(text: str, code: int) -> int:
+    sys.stdout.flush()
+    print(f"pycram-replay: {text}", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

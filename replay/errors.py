@@ -1,7 +1,8 @@
-"""What opening and reading recordings can raise."""
+"""What opening and reading recordings can raise; every one says what, where, and what to do."""
 
 from __future__ import annotations
 
+import difflib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -27,6 +28,26 @@ class NotALog(ReplayError):
         self.cause = cause
 
 
+class Unreadable(NotALog):
+    """A recording that is so damaged, or was cut so early, that nothing of it can be read."""
+
+
+class Damaged(ReplayError):
+    """A part of a recording that can't be read; the rest can.
+
+    Attributes:
+        path: the file.
+        where: the part: a step, an attached file.
+        cause: what is wrong with it.
+    """
+
+    def __init__(self, path: str | Path, where: str, cause: str) -> None:
+        super().__init__(f"{path}: {where} is damaged: {cause}")
+        self.path = str(path)
+        self.where = where
+        self.cause = cause
+
+
 class NoSuchStep(ReplayError, LookupError):
     """A step that the recording doesn't have.
 
@@ -36,7 +57,7 @@ class NoSuchStep(ReplayError, LookupError):
     """
 
     def __init__(self, step: object, steps: int, hint: str = "") -> None:
-        super().__init__(f"there is no step {step}; the recording has steps 0 to {steps - 1}{hint}")
+        super().__init__(f"there is no step {step}: {hint or f'the recording has steps 0 to {steps - 1}'}")
         self.step = step
         self.steps = steps
 
@@ -52,4 +73,6 @@ class NoSuchName(ReplayError, LookupError):
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         self.name = name
         self.known = sorted(known)
-        super().__init__(f"there is no {kind} {name!r}; there are {', '.join(self.known) or 'none'}")
+        near = difflib.get_close_matches(name, self.known, 3)
+        told = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.known) or 'none'}"
+        super().__init__(f"there is no {kind} {name!r}; {told}")

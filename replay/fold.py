@@ -1,143 +1,223 @@
-"""Folds records into states: the nearest keyframe of each world, then the effects up to a step. No physics runs."""
+"""Folds records into states: of each world its last keyframe, then the effects up to a step. No physics runs.
+
+Effects are what was read back when it happened, with all bits; so a state is exact, and folding the records from the
+start or from any keyframe gives the same.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation
-from replay.errors import NoSuchStep
+from replay.errors import Damaged
 from replay.state import Attachment, Body, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from recorder import records
     from recorder.geometry import Quaternion, Vector
     from replay.log import Log
 
+_AT_REST: Final = (0.0,) * 6
+_OF_WORLDS: Final = (Mutation, Keyframe)
 
-def state_at(log: Log, step: int) -> State:
+
+def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
+    """The state after records that begin with the opening of each world, or a keyframe of it.
+
+    Args:
+        all_records: in order; those that don't change worlds count as steps only.
+        step: the step that the state is told to be of; by default that of the last record.
+    """
+    worlds: dict[str, _World] = {}
+    for record in all_records:
+        step = max(step, record.seq)
+        if isinstance(record, Mutation | Keyframe):
+            _take(worlds, record)
+    return State(step, {name: world.frozen() for name, world in worlds.items()})
+
+
+def state_at(log: Log, step: int | str) -> State:
     """What is true after a step.
 
     Args:
         log: the recording.
-        step: negative steps count from the end.
+        step: a number, or a name as :func:`replay.steps.step_of` knows them.
 
     Raises:
         NoSuchStep: there is no such step.
+        Damaged: a record makes no sense.
     """
-    last = step + len(log) if step < 0 else step
-    if not 0 <= last < len(log):
-        raise NoSuchStep(step, len(log))
-    worlds: dict[str, World] = {}
-    for record in _since_keyframes(log, last):
-        apply(worlds, record)
-    return State(last, worlds, log.asset)
+    last = log.step(step)
+    here = log.chunk_of(last)
+    worlds: dict[str, _World] = {}
+    since = last
+    for name, (changes, keyframes) in log.worlds.items():
+        base = _base(log, name, keyframes, here, last)
+        begin = changes[0] if base is None else log.chunk_of(base.seq)
+        start = 0 if base is None else base.seq
+        chunks = [number for number in changes if begin <= number <= here]
+        if chunks:
+            since = min(since, start)
+        for record in log.records_in(chunks, _OF_WORLDS, name):
+            if start <= record.seq <= last:
+                try:
+                    _take(worlds, record)
+                except (ValueError, IndexError) as error:
+                    raise Damaged(log.path, f"step {record.seq}", str(error)) from error
+    doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= last)
+    return State(
+        last,
+        {name: world.frozen() for name, world in worlds.items()},
+        f"what steps {doubt} changed is lost" if doubt else "",
+        log.assets,
+    )
 
 
-def _since_keyframes(log: Log, last: int) -> list[Keyframe | Mutation]:
-    """The records that make up the state, in order: of each world its last keyframe or opening, and what follows it."""
-    found: list[Keyframe | Mutation] = []
-    settled: set[str] = set()
-    opened = {world for world, first in log.first_steps.items() if first <= last}
-    for record in log.backwards(last):
-        if not isinstance(record, Keyframe | Mutation) or record.world in settled or record.world not in opened:
-            continue
-        found.append(record)
-        if isinstance(record, Keyframe) or record.WhichOneof("command") in ("open_world", "close_world"):
-            settled.add(record.world)
-            if settled >= opened:
-                break
-    found.reverse()
-    return found
+def _range(gap: range) -> str:
+    return str(gap.start) if len(gap) == 1 else f"{gap.start}-{gap.stop - 1}"
 
 
-def apply(worlds: dict[str, World], record: Keyframe | Mutation) -> None:
-    """Brings worlds from before a record to after it.
+def _base(log: Log, world: str, keyframes: Sequence[int], here: int, last: int) -> records.Record | None:
+    """The last keyframe of a world at or before a step."""
+    for number in reversed(keyframes):
+        if number <= here:
+            frames = [frame for frame in log.records_in([number], Keyframe, world) if frame.seq <= last]
+            if frames:
+                return frames[-1]
+    return None
 
-    Args:
-        worlds: the open worlds; changed.
-        record: the next record.
-    """
+
+class _World:
+    """A world in the making."""
+
+    def __init__(self, name: str, mode: str = "DIRECT") -> None:
+        self.told = World(name, mode=mode)
+        self.bodies: dict[str, Body] = {}
+        self.attachments: dict[tuple[str, str], Attachment] = {}
+
+    def frozen(self) -> World:
+        """What it is now."""
+        return replace(
+            self.told,
+            bodies=dict(self.bodies),
+            attachments=dict(self.attachments),
+        )
+
+    def tell(self, **facts: object) -> None:
+        """Changes what is told of the world itself."""
+        self.told = replace(self.told, **facts)  # type: ignore[arg-type]
+
+    def load(self, loaded: records.LoadBody) -> None:
+        """Adds a body as it was loaded."""
+        self.bodies[loaded.body] = Body(
+            loaded.body,
+            loaded.type,
+            loaded,
+            _vector(loaded.position) if loaded.position else (0.0, 0.0, 0.0),
+            _quaternion(loaded.orientation) if loaded.orientation else (0.0, 0.0, 0.0, 1.0),
+            joints=dict.fromkeys(loaded.joints, 0.0),
+            joint_velocities=dict.fromkeys(loaded.joints, 0.0),
+            color=tuple(loaded.color),
+        )
+
+    def attach(self, made: records.Attachment) -> None:
+        """Adds an attachment, or changes its relative pose."""
+        position, orientation = _vector(made.position), _quaternion(made.orientation)
+        self.attachments[made.carrier, made.body] = Attachment(
+            made.carrier, made.carrier_link, made.body, made.body_link, position, orientation
+        )
+
+    def change(self, state: records.BodyState) -> None:
+        """Changes a body; one whose loading is lost stays unknown."""
+        body = self.bodies.get(state.body)
+        if body is None:
+            return
+        facts: dict[str, object] = {}
+        if state.position:
+            facts |= {"position": _vector(state.position), "velocity": _AT_REST}
+        if state.orientation:
+            facts["orientation"] = _quaternion(state.orientation)
+        if state.velocity:
+            facts["velocity"] = tuple(state.velocity)
+        if state.joints:
+            speeds = state.joint_velocities or [0.0] * len(state.joints)
+            facts["joints"] = _changed(body.joints, state.joints, state.joint_positions)
+            facts["joint_velocities"] = _changed(body.joint_velocities, state.joints, speeds)
+        self.bodies[state.body] = replace(body, **facts)  # type: ignore[arg-type]
+
+    def take_effect(self, effect: records.Effect) -> None:
+        """Makes true what was read back."""
+        for ended in effect.detached:
+            self.attachments.pop((ended.carrier, ended.body), None)
+        for name in effect.removed:
+            self.bodies.pop(name, None)
+            for pair in [pair for pair in self.attachments if name in pair]:
+                del self.attachments[pair]
+            if self.told.robot == name:
+                self.tell(robot="")
+        for made in effect.attached:
+            self.attach(made)
+        for state in effect.bodies:
+            self.change(state)
+
+
+def _take(worlds: dict[str, _World], record: records.Record) -> None:
+    """Brings worlds from before a record to after it."""
     if isinstance(record, Keyframe):
-        worlds[record.world] = _from_keyframe(record)
-        return
-    command = record.WhichOneof("command")
-    if command == "open_world":
-        worlds[record.world] = World(record.world, record.open_world.mode)
-        return
-    if command == "close_world":
-        worlds.pop(record.world, None)
-        return
-    world = worlds.setdefault(record.world, World(record.world))
-    world.sim_step = record.sim_step
+        worlds[record.world] = _of_keyframe(record)
+    elif isinstance(record, Mutation):
+        command = record.WhichOneof("command")
+        if command == "open_world":
+            worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
+            worlds[record.world] = _World(record.world, record.open_world.mode)
+        world = worlds.setdefault(record.world, _World(record.world))
+        world.tell(sim_step=record.sim_step)
+        _obey(world, record, command or "")
+        world.take_effect(record.effect)
+
+
+def _obey(world: _World, record: Mutation, command: str) -> None:
+    """Makes true what a command says by itself, beside its effect on bodies."""
     if command == "load_body":
-        _load(world, record.load_body)
+        world.load(record.load_body)
     elif command == "set_gravity":
-        world.gravity = _vector(record.set_gravity.gravity)
+        world.tell(gravity=_vector(record.set_gravity.gravity))
     elif command == "set_realtime":
-        world.realtime = record.set_realtime.enabled
+        world.tell(realtime=record.set_realtime.enabled)
     elif command == "set_robot":
-        world.robot = record.set_robot.body
+        world.tell(robot=record.set_robot.body)
     elif command == "set_color":
-        world.bodies[record.set_color.body].color = tuple(record.set_color.color)
-    _take_effect(world, record.effect)
+        painted = world.bodies.get(record.set_color.body)
+        if painted is not None:
+            world.bodies[painted.name] = replace(painted, color=tuple(record.set_color.color))
+    elif command == "close_world":
+        world.bodies.clear()
+        world.attachments.clear()
+        world.tell(open=False, realtime=False, robot="")
 
 
-def _take_effect(world: World, effect: records.Effect) -> None:
-    for gone in effect.detached:
-        world.attachments.pop((gone.carrier, gone.body), None)
-    for made in effect.attached:
-        world.attachments[made.carrier, made.body] = _attachment(made)
-    for name in effect.removed:
-        world.bodies.pop(name, None)
-        if world.robot == name:
-            world.robot = ""
-    for state in effect.bodies:
-        _take_state(world.bodies[state.body], state)
-
-
-def _from_keyframe(frame: Keyframe) -> World:
-    world = World(
-        frame.world, frame.mode, frame.sim_step, _vector(frame.gravity or (0.0, 0.0, 0.0)), frame.realtime, frame.robot
+def _of_keyframe(frame: Keyframe) -> _World:
+    world = _World(frame.world, frame.mode)
+    world.tell(
+        sim_step=frame.sim_step,
+        gravity=_vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),
+        realtime=frame.realtime,
+        robot=frame.robot,
     )
     for loaded in frame.loaded:
-        _load(world, loaded)
+        world.load(loaded)
     for state in frame.bodies:
-        _take_state(world.bodies[state.body], state)
+        world.change(state)
     for made in frame.attachments:
-        world.attachments[made.carrier, made.body] = _attachment(made)
+        world.attach(made)
     return world
 
 
-def _load(world: World, loaded: records.LoadBody) -> None:
-    body = Body(loaded.body, loaded.type, loaded, color=tuple(loaded.color))
-    body.position, body.orientation = _vector(loaded.position), _quaternion(loaded.orientation)
-    body.joints = dict.fromkeys(loaded.joints, 0.0)
-    body.joint_velocities = dict.fromkeys(loaded.joints, 0.0)
-    world.bodies[loaded.body] = body
-
-
-def _take_state(body: Body, state: records.BodyState) -> None:
-    if state.position:
-        body.position, body.orientation = _vector(state.position), _quaternion(state.orientation)
-        body.velocity = (0.0,) * 6
-    if state.velocity:
-        body.velocity = tuple(state.velocity)
-    for index, joint in enumerate(state.joints):
-        body.joints[joint] = state.joint_positions[index]
-        body.joint_velocities[joint] = state.joint_velocities[index] if state.joint_velocities else 0.0
-
-
-def _attachment(made: records.Attachment) -> Attachment:
-    return Attachment(
-        made.carrier,
-        made.carrier_link,
-        made.body,
-        made.body_link,
-        _vector(made.position),
-        _quaternion(made.orientation),
-    )
+def _changed(before: Mapping[str, float], names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
+    return {**before, **dict(zip(names, values, strict=True))}
 
 
 def _vector(values: Sequence[float]) -> Vector:

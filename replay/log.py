@@ -1,81 +1,60 @@
-"""Opens recordings: records by their step, also from files whose process was killed.
+"""A recording: its records by step, also of a file whose process was killed, or is still running.
 
-A finished file has an index of its chunks; one that was cut is scanned once for whole chunks. Either way a chunk is
-decompressed when a step in it is asked for, and its first step is found by bisection: steps increase along the file.
+No question costs more than a few chunks, however long the recording is; see :mod:`replay.index` and
+:mod:`replay.chunks`.
 """
 
 from __future__ import annotations
 
-import io
-import struct
-from collections import OrderedDict
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, BinaryIO
 
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, Message, Metadata, Schema
-from mcap.stream_reader import breakup_chunk
+from recorder.records import TOPICS, Keyframe, Mutation
+from replay.assets import Assets
+from replay.chunks import KINDS, Chunks, Kinds, kinds_of, worlds_of
+from replay.errors import Damaged, NoSuchStep, NotALog, Unreadable
+from replay.fold import state_at
+from replay.index import MAGIC, Index
+from replay.steps import STEPS_PER_SECOND, step_of
 
-from recorder.records import TOPICS, Event, Keyframe, Mutation, Query, Run, Task
-from replay.errors import NoSuchStep, NotALog
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
     from types import TracebackType
 
     from typing_extensions import Self
 
     from recorder.records import Record
+    from replay.state import State
 
-MAGIC: Final = b"\x89MCAP0\r\n"
-KINDS: Final = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
-_CACHED: Final = 16  # chunks
-_HEADER: Final = 9  # bytes of opcode and length before each MCAP record
-_BROKEN: Final = (McapError, struct.error, ValueError, EOFError, OSError, KeyError, IndexError, MemoryError)
-
-__all__ = ["KINDS", "Event", "Keyframe", "Log", "Mutation", "Query", "Run", "Task", "open_log"]
-
-
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Where something lies in the file: offset of its MCAP record, and its length after the header."""
-
-    offset: int
-    length: int
+__all__ = ["KINDS", "Log", "open_log"]
 
 
 class Log:
-    """A recording; use :func:`open_log` or ``replay.open``.
+    """A recording; opened by :func:`open_log`, which is ``replay.open``. Not for several threads at once.
 
     Attributes:
         path: the file.
-        complete: whether the file was closed by its recorder and is whole.
-        missing: in words, what is missing otherwise.
-        metadata: what the recorder said of the run: versions, platform, arguments.
+        assets: the attached files by ``<sha256>/<file name>``.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.complete = False
-        self.missing = ""
-        self.metadata: dict[str, str] = {}
-        self._chunks: list[_Place] = []
-        self._attachments: dict[str, _Place] = {}
-        self._topics: dict[int, str] = {}
-        self._cache: OrderedDict[int, list[Record]] = OrderedDict()
-        self._first: dict[int, int] = {}
         self._file = _open(self.path)
         try:
-            self._index()
-            self._length = self._count()
+            self._index = Index(self._file)
+            _check_ours(self.path, self._index)
+            self._chunks = Chunks(self._index)
+            self._steps = self._count()
         except BaseException:
             self._file.close()
             raise
+        self.assets = Assets(self.path, self._index)
 
     def __enter__(self) -> Self:
         return self
@@ -85,227 +64,260 @@ class Log:
     ) -> None:
         self.close()
 
+    def __repr__(self) -> str:
+        return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.missing}>"
+
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
 
-    # --- reading ---------------------------------------------------------------------------------------------------
+    # --- what is there ---------------------------------------------------------------------------------------------
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """What the recorder said of the run: plan, versions, platform, arguments."""
+        return {
+            key if name == "pycram" else f"{name}.{key}": value
+            for name, told in self._index.metadata.items()
+            for key, value in told.items()
+        }
+
+    @property
+    def closed(self) -> bool:
+        """Whether its recorder closed the file; then nothing will be added."""
+        return self._index.closed
+
+    @property
+    def live(self) -> bool:
+        """Whether a recorder is writing the file now."""
+        return not self.closed and _is_locked(self._file)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was closed by its recorder, and nothing of it was found to be damaged so far."""
+        return not self.missing
+
+    @property
+    def missing(self) -> str:
+        """In words, what is missing of the recording; empty if nothing is known to be."""
+        told = []
+        if not self.closed:
+            writer = "it is still being written" if self.live else "its process was killed"
+            torn = f", its last {self._index.torn} bytes are torn" if self._index.torn else ""
+            told.append(f"it was not closed ({writer}){torn}")
+        elif not self._index.whole:
+            told.append("the index at its end is damaged")
+        told += self._index.damage
+        told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.hurt.items())]
+        if self._lost and not self._chunks.hurt:
+            told.append(f"{self._lost} records are lost on the way")
+        return "; ".join(told)
+
+    @cached_property
+    def worlds(self) -> Mapping[str, tuple[Sequence[int], Sequence[int]]]:
+        """The worlds by name, in the order of their appearance; see :func:`replay.chunks.worlds_of`."""
+        return worlds_of(self._chunks)
+
+    def counts(self) -> dict[str, int]:
+        """How many records of each kind there are, by the file's own index; nothing is decoded."""
+        found: dict[str, int] = {}
+        for channel, kind in kinds_of(self._index).items():
+            count = self._index.counts.get(channel, 0)
+            if count:
+                name = TOPICS[kind].removeprefix("/")
+                found[name] = found.get(name, 0) + count
+        return found
+
+    # --- records ---------------------------------------------------------------------------------------------------
 
     def __len__(self) -> int:
-        return self._length
+        return self._steps
 
     def __getitem__(self, step: int) -> Record:
         """The record of a step; negative steps count from the end.
 
         Raises:
             NoSuchStep: there is none.
+            Damaged: there was one, but it is lost.
         """
-        wanted = step + self._length if step < 0 else step
-        if not 0 <= wanted < self._length:
-            raise NoSuchStep(step, self._length)
-        for record in self._records(self._chunk_of(wanted)):
+        wanted = step + self._steps if step < 0 else step
+        if not 0 <= wanted < self._steps:
+            raise NoSuchStep(step, self._steps)
+        for record in self._chunks.records(self.chunk_of(wanted)):
             if record.seq == wanted:
                 return record
-        raise NoSuchStep(step, self._length, "; that part of the file is damaged")
+        raise Damaged(self.path, f"step {wanted}", "it was lost")
 
     def __iter__(self) -> Iterator[Record]:
         return self.records()
 
-    def records(self, kind: type[Record] | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]:
-        """Records in order, read as they are asked for.
+    def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]:
+        """Streams records; nothing but what is asked for is decoded.
 
         Args:
-            kind: only those of one type.
-            start: first step.
+            kind: only those of this type, or of one of these.
+            start: the first step, from 0.
             stop: the step before which to end; the end by default.
         """
-        end = self._length if stop is None else min(stop, self._length)
+        end = self._steps if stop is None else min(stop, self._steps)
         if start >= end:
             return
-        for index in range(self._chunk_of(start), len(self._chunks)):
-            for record in self._records(index):
-                if record.seq >= end:
-                    return
-                if record.seq >= start and (kind is None or isinstance(record, kind)):
+        for number in range(self.chunk_of(start), self.chunk_of(end - 1) + 1):
+            for record in self._chunks.records(number, kind):
+                if start <= record.seq < end:
                     yield record
 
-    def backwards(self, start: int) -> Iterator[Record]:
-        """Records from a step down to the first.
+    def backwards(self, start: int = -1, kind: Kinds | None = None) -> Iterator[Record]:
+        """Streams records from a step down to the first.
 
         Args:
-            start: the step to begin with.
+            start: the step to begin with; negative ones count from the end.
+            kind: only those of this type, or of one of these.
         """
-        for index in range(self._chunk_of(start), -1, -1):
-            for record in reversed(self._records(index)):
-                if record.seq <= start:
+        first = start + self._steps if start < 0 else start
+        for number in range(self.chunk_of(first), -1, -1):
+            for record in self._chunks.records(number, kind, backwards=True):
+                if record.seq <= first:
                     yield record
 
-    @property
-    def assets(self) -> Mapping[str, _Place]:
-        """Names of the attached files; read one with :meth:`asset`."""
-        return dict(self._attachments)
-
-    def asset(self, name: str) -> bytes:
-        """The content of an attached file.
+    def records_in(self, chunks: Sequence[int], kind: Kinds, world: str) -> Iterator[Record]:
+        """Streams a world's records of certain chunks, which :attr:`worlds` tells.
 
         Args:
-            name: ``<sha256>/<file name>``.
-
-        Raises:
-            KeyError: there is none of that name.
+            chunks: their numbers.
+            kind: only those of this type, or of one of these.
+            world: its name.
         """
-        place = self._attachments[name]
-        content: bytes = Attachment.read(ReadDataStream(io.BytesIO(self._bytes(place)))).data
-        return content
+        for number in chunks:
+            yield from self._chunks.records(number, kind, world)
 
-    @cached_property
-    def first_steps(self) -> Mapping[str, int]:
-        """The first step of each world; reads the recording once."""
-        found: dict[str, int] = {}
+    def chunk_of(self, step: int) -> int:
+        """The number of the chunk that a step is in, if it is in any.
+
+        Args:
+            step: from 0.
+        """
+        return self._chunks.chunk_of(step, self._steps)
+
+    def clock(self, world: str) -> float:
+        """The simulated time of a world at its last change, s.
+
+        Args:
+            world: its name.
+        """
+        changes, _ = self.worlds[world]
+        last = 0
+        for record in self.records_in(changes[-1:], (Mutation, Keyframe), world):
+            last = record.sim_step
+        return last / STEPS_PER_SECOND
+
+    def step(self, name: int | str) -> int:
+        """The number of a step as people name it; see :func:`replay.steps.step_of`."""
+        return step_of(self, name)
+
+    def state_at(self, step: int | str) -> State:
+        """What is true after a step; see :func:`replay.fold.state_at`."""
+        return state_at(self, step)
+
+    # --- whole or not ----------------------------------------------------------------------------------------------
+
+    def check(self) -> str:
+        """Reads everything once.
+
+        Returns:
+            What is missing or damaged, in words; empty if nothing is.
+        """
+        for number in range(len(self._chunks)):
+            self._chunks.check(number)
+        hurt = []
+        for name in self.assets:
+            try:
+                self.assets[name]
+            except Damaged as error:
+                hurt.append(f"{error.where} is damaged ({error.cause})")
+        return "; ".join(part for part in (self.missing, *hurt) if part)
+
+    def lost(self) -> list[range]:
+        """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
+        if not self._chunks.hurt and not self._lost:
+            return []
+        found = []
+        expected = 0
         for record in self.records():
-            if isinstance(record, Keyframe | Mutation):
-                found.setdefault(record.world, record.seq)
+            if record.seq > expected:
+                found.append(range(expected, record.seq))
+            expected = max(expected, record.seq + 1)
         return found
 
-    # --- index -----------------------------------------------------------------------------------------------------
+    def refresh(self) -> bool:
+        """Looks for what was written since, if the file was not closed.
 
-    def _index(self) -> None:
-        self._file.seek(0)
-        try:
-            summary = make_reader(self._file).get_summary()
-        except _BROKEN:
-            summary = None
-        if summary is None or not summary.chunk_indexes:
-            self._scan()
-        else:
-            for chunk in sorted(summary.chunk_indexes, key=lambda index: index.chunk_start_offset):
-                self._chunks.append(_Place(chunk.chunk_start_offset, chunk.chunk_length - _HEADER))
-            for attachment in summary.attachment_indexes:
-                self._attachments[attachment.name] = _Place(attachment.offset, attachment.length - _HEADER)
-            self._topics = {number: channel.topic for number, channel in summary.channels.items()}
-            for index in summary.metadata_indexes:
-                self._take_metadata(_Place(index.offset, index.length - _HEADER))
-            self.complete = True
-        if not set(self._topics.values()) >= {"/run", "/mutation"}:
-            raise NotALog(self.path, "is an MCAP file, but no recording of PyCRAM")
-
-    def _take_metadata(self, place: _Place) -> None:
-        told = Metadata.read(ReadDataStream(io.BytesIO(self._bytes(place))))
-        self.metadata |= {
-            f"{told.name}.{key}" if told.name != "pycram" else key: told.metadata[key] for key in told.metadata
-        }
-
-    def _scan(self) -> None:
-        """Finds the whole parts of a file without index."""
-        self.missing = "it was not closed: its process was killed, or still writes it"
-        size = self.path.stat().st_size
-        offset = len(MAGIC)
-        while offset + _HEADER <= size:
-            self._file.seek(offset)
-            header = self._file.read(_HEADER)
-            length = int.from_bytes(header[1:], "little")
-            if header[0] == Opcode.DATA_END:
-                break
-            if offset + _HEADER + length > size:
-                self.missing += f"; the last {size - offset} bytes are torn"
-                break
-            place = _Place(offset, length)
-            try:
-                self._take(header[0], place)
-            except _BROKEN as error:
-                self.missing += f"; what stands at byte {offset} is damaged ({error})"
-            offset += _HEADER + length
-
-    def _take(self, opcode: int, place: _Place) -> None:
-        if opcode == Opcode.CHUNK:
-            self._chunks.append(place)
-            if not self._topics:
-                self._learn(place)
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(ReadDataStream(io.BytesIO(self._bytes(place))))
-            self._topics[channel.id] = channel.topic
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(ReadDataStream(io.BytesIO(self._bytes(place))))
-            self._attachments[attachment.name] = place
-        elif opcode == Opcode.METADATA:
-            self._take_metadata(place)
-
-    def _learn(self, place: _Place) -> None:
-        for record in breakup_chunk(Chunk.read(ReadDataStream(io.BytesIO(self._bytes(place))))):
-            if isinstance(record, Channel):
-                self._topics[record.id] = record.topic
-
-    def _bytes(self, place: _Place) -> bytes:
-        self._file.seek(place.offset + _HEADER)
-        return self._file.read(place.length)
+        Returns:
+            Whether there is anything new.
+        """
+        last = len(self._chunks) - 1
+        if not self._index.refresh():
+            return False
+        self._chunks.refresh(last)
+        self.__dict__.pop("worlds", None)
+        self._steps = self._count()
+        return True
 
     def _count(self) -> int:
-        while self._chunks:
-            records = self._records(len(self._chunks) - 1)
-            if records:
-                return records[-1].seq + 1
-            self._chunks.pop()  # damaged, or of other topics only
-        raise NotALog(self.path, "has no record that can be read")
-
-    def _chunk_of(self, step: int) -> int:
-        """Index of the chunk that a step is in: the last one that doesn't begin behind it."""
-        low, high = 0, len(self._chunks) - 1
-        while low < high:
-            middle = (low + high + 1) // 2
-            if self._first_of(middle) <= step:
-                low = middle
-            else:
-                high = middle - 1
-        return low
-
-    def _first_of(self, index: int) -> int:
-        if index not in self._first:
-            records = self._records(index)
-            # a chunk without records of ours counts as the one before it
-            self._first[index] = records[0].seq if records else self._first_of(index - 1) if index else 0
-        return self._first[index]
-
-    def _records(self, index: int) -> list[Record]:
-        if index in self._cache:
-            self._cache.move_to_end(index)
-            return self._cache[index]
-        found: list[Record] = []
-        try:
-            chunk = Chunk.read(ReadDataStream(io.BytesIO(self._bytes(self._chunks[index]))))
-            for record in breakup_chunk(chunk, validate_crc=True):
-                if isinstance(record, Channel | Schema):
-                    if isinstance(record, Channel):
-                        self._topics[record.id] = record.topic
-                elif isinstance(record, Message):
-                    kind = KINDS.get(self._topics.get(record.channel_id, "").removeprefix("/"))
-                    if kind is not None:
-                        found.append(kind.FromString(record.data))
-        except (*_BROKEN, ArithmeticError, RuntimeError, AssertionError) as error:
-            self._damaged(index, error)
-        except Exception as error:  # noqa: BLE001  decompressors and protobuf have errors of their own without common base
-            self._damaged(index, error)
-        self._cache[index] = found
-        if len(self._cache) > _CACHED:
-            self._cache.popitem(last=False)
-        return found
-
-    def _damaged(self, index: int, error: Exception) -> None:
-        self.complete = False
-        told = f"chunk {index} is damaged ({error})"
-        if told not in self.missing:
-            self.missing = f"{self.missing}; {told}" if self.missing else told
+        """The number of steps: one more than the last one's."""
+        for number in range(len(self._chunks) - 1, -1, -1):
+            last = next(self._chunks.records(number, backwards=True), None)
+            if last is not None:
+                self._lost = max(0, last.seq + 1 - sum(self.counts().values()))
+                return last.seq + 1
+        raise Unreadable(self.path, "has no record that can be read")
 
 
-def _open(path: Path) -> io.BufferedReader:
+def _open(path: Path) -> BinaryIO:
     try:
         file = path.open("rb")
+        try:
+            start = file.read(len(MAGIC))
+        except BaseException:
+            file.close()
+            raise
     except OSError as error:
         raise NotALog(path, error.strerror or str(error)) from error
-    start = file.read(len(MAGIC))
     if start != MAGIC:
         file.close()
         raise NotALog(path, "is empty" if not start else "is no MCAP file")
     return file
+
+
+def _check_ours(path: Path, index: Index) -> None:
+    """Says what a file without any channel that we know is.
+
+    Raises:
+        NotALog: it is somebody else's, or of another release.
+        Unreadable: it is too damaged to say.
+    """
+    if kinds_of(index):
+        return
+    names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
+    if names:
+        raise NotALog(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+    if index.channels or (index.closed and index.whole):
+        raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
+    raise Unreadable(path, "has no record that can be read")
+
+
+def _is_locked(file: BinaryIO) -> bool:
+    """Whether a recorder holds its lock on the file."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    fcntl.flock(file.fileno(), fcntl.LOCK_UN)
+    return False
 
 
 def open_log(path: str | Path) -> Log:

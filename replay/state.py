@@ -1,52 +1,72 @@
-"""What is true of worlds after a step: plain data, without a physics engine."""
+"""What is true of worlds after a step: plain data, without a physics engine. Each state has its own mappings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING
 
-from recorder import geometry
-from recorder.urdf import Urdf, UrdfError
 from replay.errors import NoSuchName
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.records import LoadBody
+    from recorder.urdf import Urdf
+    from replay.assets import Assets
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Body:
     """A body.
 
     Attributes:
         name: its name.
         type: what it is ("robot", "environment", "milk", ...).
-        loaded: how it was loaded.
+        loaded: the record of how it was loaded: models, pose then, robot description.
         position: of its base link in the world, m.
         orientation: of its base link, xyzw.
-        velocity: linear (m/s) and angular (rad/s).
+        velocity: of its base, linear (m/s), then angular (rad/s).
         joints: values by name, rad or m.
         joint_velocities: by name, rad/s or m/s.
-        color: RGBA if it was painted, else empty.
+        color: RGBA 0..1; empty: as its model says.
     """
 
     name: str
     type: str
     loaded: LoadBody
-    position: Vector = (0.0, 0.0, 0.0)
-    orientation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    position: Vector
+    orientation: Quaternion
     velocity: tuple[float, ...] = (0.0,) * 6
-    joints: dict[str, float] = field(default_factory=dict)
-    joint_velocities: dict[str, float] = field(default_factory=dict)
+    joints: Mapping[str, float] = field(default_factory=dict)
+    joint_velocities: Mapping[str, float] = field(default_factory=dict)
     color: tuple[float, ...] = ()
 
     @property
     def pose(self) -> Pose:
         """Position and orientation."""
         return self.position, self.orientation
+
+    @property
+    def fixed_base(self) -> bool:
+        """Whether physics leave its base where it is."""
+        return self.loaded.fixed_base
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of its attached files; the first is the URDF."""
+        names = (asset.path.rpartition("/")[2] for asset in self.loaded.assets)
+        return tuple(f"{asset.sha256}/{name}" for asset, name in zip(self.loaded.assets, names, strict=True))
+
+    def joint(self, name: str) -> float:
+        """The value of a joint, rad or m.
+
+        Raises:
+            NoSuchName: there is none of that name.
+        """
+        if name not in self.joints:
+            raise NoSuchName(f"movable joint of {self.name}", name, self.joints)
+        return self.joints[name]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +75,11 @@ class Attachment:
 
     Attributes:
         carrier: name of the body that carries.
-        carrier_link: its link.
+        carrier_link: its link; "" is its base.
         body: name of the carried one.
-        body_link: the link that is held.
+        body_link: the link that is held; "" is its base.
         position: of the carried one's base in the carrier's link, m.
-        orientation: xyzw.
+        orientation: of the same, xyzw.
     """
 
     carrier: str
@@ -70,29 +90,36 @@ class Attachment:
     orientation: Quaternion
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class World:
     """A world.
 
     Attributes:
         name: its name.
+        open: whether it still is; a closed one is empty.
         mode: "DIRECT" or "GUI".
         sim_step: simulated steps of 1/240 s.
         gravity: m/s^2.
         realtime: whether it runs at the pace of the clock.
         robot: name of the robot that plans control, or "".
         bodies: by name, in the order of loading.
-        attachments: by carrier and body.
+        attachments: by names of carrier and body.
     """
 
     name: str
+    open: bool = True
     mode: str = "DIRECT"
     sim_step: int = 0
     gravity: Vector = (0.0, 0.0, 0.0)
     realtime: bool = False
     robot: str = ""
-    bodies: dict[str, Body] = field(default_factory=dict)
-    attachments: dict[tuple[str, str], Attachment] = field(default_factory=dict)
+    bodies: Mapping[str, Body] = field(default_factory=dict)
+    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time, s."""
+        return self.sim_step / 240
 
     def body(self, name: str) -> Body:
         """A body by name.
@@ -104,36 +131,55 @@ class World:
             raise NoSuchName("object", name, self.bodies)
         return self.bodies[name]
 
+    def carrier(self, body: str) -> Attachment | None:
+        """How a body is carried; None if it isn't."""
+        return next((held for held in self.attachments.values() if held.body == body), None)
 
-@dataclass(frozen=True)
+    def carried(self, carrier: str) -> list[Attachment]:
+        """What a body carries itself."""
+        return [held for held in self.attachments.values() if held.carrier == carrier]
+
+
+@dataclass(frozen=True, slots=True)
 class State:
     """Everything after a step.
 
     Attributes:
         step: the step.
-        worlds: the open worlds by name.
-        asset: reads an attached file of the recording.
+        worlds: by name, in the order of their opening; those that were closed are empty.
+        doubt: in words, why this may not be all that is true: records were lost that could have changed it; else empty.
+        assets: the files that are attached to the recording.
     """
 
     step: int
     worlds: Mapping[str, World]
-    asset: Callable[[str], bytes] = field(repr=False)
+    doubt: str = ""
+    assets: Assets | None = field(default=None, repr=False, compare=False)
 
     def world(self, name: str | None = None) -> World:
-        """A world by name, or the only one, or the one opened last.
+        """A world by name; without one, the open one that was opened last.
 
         Raises:
             NoSuchName: there is none.
         """
-        if name is None and self.worlds:
-            return list(self.worlds.values())[-1]
+        opened = [world for world in self.worlds.values() if world.open]
+        if name is None and opened:
+            return opened[-1]
         if name is None or name not in self.worlds:
-            raise NoSuchName("open world", name or "", self.worlds)
+            raise NoSuchName("world", name or "", self.worlds)
         return self.worlds[name]
 
-    @cached_property
-    def _models(self) -> dict[str, Urdf]:
-        return {}
+    def body(self, name: str, world: str | None = None) -> Body:
+        """A body by name, of one world, or of the first open one that has it.
+
+        Raises:
+            NoSuchName: there is none.
+        """
+        worlds = [self.world(world)] if world is not None else list(self.worlds.values())
+        for candidate in worlds:
+            if name in candidate.bodies:
+                return candidate.bodies[name]
+        raise NoSuchName("object", name, (known for candidate in worlds for known in candidate.bodies))
 
     def urdf(self, body: Body) -> Urdf:
         """The model of a body, from the recording.
@@ -141,23 +187,30 @@ class State:
         Raises:
             NoSuchName: the recording doesn't have it.
         """
-        asset = body.loaded.assets[0]
-        key = f"{asset.sha256}/{asset.path}"
-        if key not in self._models:
-            try:
-                self._models[key] = Urdf.parse(self.asset(key))
-            except KeyError:
-                raise NoSuchName("attached model", key, ()) from None
-        return self._models[key]
+        if self.assets is None or not body.models:
+            raise NoSuchName("attached model of", body.name, ())
+        return self.assets.urdf(body.models[0])
 
-    def link_pose(self, body: Body, link: str) -> Pose:
+    def link_pose(self, body: Body, link: str = "") -> Pose:
         """Pose of a link in the world.
 
+        Args:
+            body: one of this state.
+            link: its name; "" is the base.
+
+        Returns:
+            Position (m) and orientation (xyzw).
+
         Raises:
-            NoSuchName: there is no such link.
+            NoSuchName: there is no such link, or no model of the body.
         """
+        if not link:
+            return body.pose
+        from recorder import geometry  # noqa: PLC0415  these need numpy, which most questions don't
+        from recorder.urdf import UrdfError  # noqa: PLC0415
+
         model = self.urdf(body)
         try:
             return geometry.multiply(body.pose, model.forward_kinematics(body.joints, link))
         except UrdfError:
-            raise NoSuchName("link", link, model.links) from None
+            raise NoSuchName(f"link of {body.name}", link, model.links) from None

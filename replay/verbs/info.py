@@ -2,61 +2,53 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from datetime import datetime, timezone
+import dataclasses
+import json
 from typing import TYPE_CHECKING
 
-from recorder.records import TOPICS, Run
+from replay.summary import summary
 
 if TYPE_CHECKING:
     import argparse
 
     from replay.log import Log
+    from replay.summary import Summary
 
-HELP = "what ran, when, how long, and how it ended"
+_TOLD = ("pycram", "pybullet", "python", "platform")
 
 
-def add(parser: argparse.ArgumentParser) -> None:
+def add(_: argparse.ArgumentParser) -> None:
     """Takes nothing more."""
 
 
-def run(log: Log, _: argparse.Namespace) -> tuple[object, str]:
-    """Counts the records.
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the summary."""
+    facts = summary(log)
+    if options.json:
+        told = dataclasses.asdict(facts) | {"file": str(log.path), "started": facts.started.isoformat()}
+        print(json.dumps(told, ensure_ascii=False))
+    else:
+        print("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
+    return 0
 
-    Returns:
-        The facts, for machines and for people.
-    """
-    counts = Counter(TOPICS[type(record)].removeprefix("/") for record in log.records())
-    first, last = log[0], log[-1]
-    end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
-    outcome = "not finished" if end is None else "succeeded" if end.succeeded else "failed"
-    facts: dict[str, object] = {
-        "file": str(log.path),
-        "bytes": log.path.stat().st_size,
-        "complete": log.complete,
-        "missing": log.missing,
-        "plan": log.metadata.get("plan", ""),
-        "started": datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc).isoformat(timespec="seconds"),
-        "seconds": round((last.wall_time_ns - first.wall_time_ns) / 1e9, 3),
-        "outcome": outcome,
-        "failure": f"{end.failure.type}: {end.failure.message}" if end is not None and not end.succeeded else "",
-        "records": len(log),
-        "counts": dict(counts),
-        "worlds": list(log.first_steps),
-        "attachments": len(log.assets),
-        "metadata": {key: value for key, value in log.metadata.items() if key != "plan"},
-    }
-    lines = [
-        f"{key:12} {_text(value)}" for key, value in facts.items() if value not in ("", None) and key != "metadata"
+
+def _lines(log: Log, facts: Summary) -> list[tuple[str, str]]:
+    counts = ", ".join(f"{count} {kind}" for kind, count in facts.counts.items())
+    whole = "yes" if facts.checked else "yes, as far as its index tells (too long to read it all)"
+    return [
+        ("file", f"{log.path} ({_size(facts.size)})"),
+        ("plan", " ".join((facts.plan, facts.metadata.get("plan_arguments", ""))).strip()),
+        ("started", f"{facts.started:%Y-%m-%d %H:%M:%S} UTC"),
+        ("took", f"{facts.seconds:.3f} s"),
+        ("outcome", facts.outcome),
+        ("failure", facts.failure),
+        ("steps", f"0 to {facts.records - 1}: {counts}"),
+        ("worlds", ", ".join(f"{world} ({seconds:.3f} s simulated)" for world, seconds in facts.simulated.items())),
+        ("files", f"{facts.attachments} attached"),
+        ("versions", ", ".join(f"{key} {facts.metadata[key]}" for key in _TOLD if key in facts.metadata)),
+        ("complete", f"no: {facts.missing}" if facts.missing else whole),
     ]
-    told = ("pycram", "pybullet", "python", "platform")
-    lines.append("versions     " + ", ".join(f"{key} {log.metadata[key]}" for key in told if key in log.metadata))
-    return facts, "\n".join(lines)
 
 
-def _text(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{count} {kind}" for kind, count in value.items())
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return ", ".join(value) if isinstance(value, list) else str(value)
+def _size(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count} bytes"

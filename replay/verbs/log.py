@@ -1,72 +1,73 @@
-"""``log``: the records as lines, filtered."""
+"""``log``: the records as lines, filtered; also while they are written."""
 
 from __future__ import annotations
 
 import json
+import sys
+import threading
 from typing import TYPE_CHECKING
 
-from google.protobuf.json_format import MessageToDict
-
-from recorder.log_lines import text_of
-from recorder.records import TOPICS, Mutation
-from replay.log import KINDS
-from replay.steps import step_of
+from replay.chunks import KINDS
+from replay.plain import kind_of, plain_record
+from replay.search import Filter, Search
+from replay.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from recorder.records import Record
     from replay.log import Log
 
-HELP = "the records as lines"
+_PAUSE = 0.2  # s between looks at a recording that is being written
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Takes filters."""
-    parser.add_argument("--kind", choices=sorted(KINDS), action="append", help="only records of this kind; repeatable")
-    parser.add_argument("--object", help="only records that tell of this object")
-    parser.add_argument("--task", type=int, help="only records of the task with this id")
-    parser.add_argument("--text", help="only lines that contain this")
-    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help="first step")
+    parser.add_argument("--kind", choices=sorted(KINDS), action="append", help="only this kind of record; repeatable")
+    parser.add_argument("--task", metavar="ID|NAME", help="only what this task and those below it did")
+    parser.add_argument("--object", metavar="NAME", help="only records that tell of this object")
+    parser.add_argument("--world", metavar="NAME", help="only records about this world")
+    parser.add_argument("--text", metavar="TEXT", help="only lines that contain this")
+    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
+    parser.add_argument("--follow", action="store_true", help="go on while the recording is being written")
 
 
-def matching(log: Log, options: argparse.Namespace) -> Iterator[tuple[Record, str]]:
-    """The records that the filters let through, with their lines."""
-    kinds = tuple(KINDS[kind] for kind in options.kind or KINDS)
-    for record in log.records(start=step_of(log, options.start), stop=step_of(log, options.end) + 1):
-        if not isinstance(record, kinds):
-            continue
-        if options.task is not None and record.task != options.task:
-            continue
-        if options.object and not _tells_of(record, options.object):
-            continue
-        line = text_of(record)[0]
-        if options.text and options.text not in line:
-            continue
-        yield record, line
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the lines; with ``--json`` one object a line."""
+    wanted = Filter(options.kind or (), options.task, options.object, options.world, options.text)
+    search = Search(log, wanted)
+    start, stop = log.step(options.start), log.step(options.end) + 1
+    found = follow(log, search, start) if options.follow else search.matches(start, stop)
+    for record, line in found:
+        if options.json:
+            print(json.dumps(plain_record(record) | {"text": line}, ensure_ascii=False), flush=options.follow)
+        else:
+            clock = f"{record.sim_step / 240:.3f}s" if record.world else ""
+            print(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)
+    return 0
 
 
-def _tells_of(record: Record, name: str) -> bool:
-    if isinstance(record, Mutation):
-        command = getattr(record, record.WhichOneof("command") or "reset")
-        moved = (state.body for state in record.effect.bodies)
-        return name in (getattr(command, "body", None), getattr(command, "carrier", None), *moved)
-    return json.dumps(name) in str(MessageToDict(record, preserving_proto_field_name=True))
+def follow(
+    log: Log, search: Search, start: int, pause: Callable[[], object] | None = None
+) -> Iterator[tuple[Record, str]]:
+    """The records that fit, and those that will be written, until the recording is closed or its process has gone.
 
-
-def run(log: Log, options: argparse.Namespace) -> tuple[object, str]:
-    """Lists them.
-
-    Returns:
-        The records, for machines and for people.
+    Args:
+        log: the recording.
+        search: what to look for.
+        start: the first step.
+        pause: waits before the next look.
     """
-    found = list(matching(log, options))
-    facts = [
-        {"step": record.seq, "kind": TOPICS[type(record)][1:], "task": record.task, "text": line}
-        for record, line in found
-    ]
-    return facts, "\n".join(
-        f"{record.seq:6} {record.sim_step / 240:8.3f}s {TOPICS[type(record)][1:]:8} {line}" for record, line in found
-    )
+    wait = pause or (lambda: threading.Event().wait(_PAUSE))
+    while True:
+        live = log.live  # asked before the last look, so that nothing that was written until then is missed
+        log.refresh()
+        yield from search.matches(start, len(log))
+        start = len(log)
+        if log.closed or not live:
+            if not log.closed:
+                print("pycram-replay: nobody is writing this recording any more", file=sys.stderr)
+            return
+        wait()

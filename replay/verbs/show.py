@@ -5,30 +5,61 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from google.protobuf.json_format import MessageToDict
-
-from recorder.records import TOPICS
-from replay.steps import step_of
+from recorder.log_lines import text_of
+from replay.plain import kind_of, plain_record
+from replay.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
     from replay.log import Log
+    from replay.plain import Plain
 
-HELP = "one record whole"
+_WIDTH = 100  # characters; longer values are spread over lines
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Takes the step."""
-    parser.add_argument("step", metavar="STEP", help="number, -1, last, failure, or 12.5s")
+    parser.add_argument("step", metavar="STEP", help=HINT)
 
 
-def run(log: Log, options: argparse.Namespace) -> tuple[object, str]:
-    """Shows it.
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the record."""
+    record = log[log.step(options.step)]
+    told = plain_record(record)
+    if options.json:
+        print(json.dumps(told, ensure_ascii=False))
+        return 0
+    print(f"step {record.seq}: {kind_of(record)}: {text_of(record)[0]}")
+    told.pop("step")
+    told.pop("kind")
+    for line in _lines(told, "  "):
+        print(line)
+    return 0
 
-    Returns:
-        The record as it stands in the log.
-    """
-    record = log[step_of(log, options.step)]
-    facts = {"kind": TOPICS[type(record)][1:], **MessageToDict(record, preserving_proto_field_name=True)}
-    return facts, json.dumps(facts, indent=2, ensure_ascii=False)
+
+def _lines(value: dict[str, Plain], indent: str) -> Iterator[str]:
+    for key, item in value.items():
+        short = json.dumps(item, ensure_ascii=False)
+        if isinstance(item, str) and "\n" in item:
+            yield f"{indent}{key}:"
+            yield from (f"{indent}  {line}" for line in item.rstrip().splitlines())
+        elif len(short) + len(indent) + len(key) <= _WIDTH or not isinstance(item, dict | list):
+            yield f"{indent}{key}: {item if isinstance(item, str) else short}"
+        elif isinstance(item, dict):
+            yield f"{indent}{key}:"
+            yield from _lines(item, indent + "  ")
+        else:
+            yield f"{indent}{key}:"
+            yield from _items(item, indent + "  ")
+
+
+def _items(values: list[Plain], indent: str) -> Iterator[str]:
+    for item in values:
+        if isinstance(item, dict):
+            first, *others = _lines(item, indent + "  ")
+            yield f"{indent}- {first.strip()}"
+            yield from others
+        else:
+            yield f"{indent}- {json.dumps(item, ensure_ascii=False)}"

@@ -2,73 +2,73 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from typing import TYPE_CHECKING
 
-from replay.fold import state_at
-from replay.steps import step_of
+from replay.plain import plain_state
+from replay.steps import HINT
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
 
     from replay.log import Log
     from replay.state import Body, World
 
-HELP = "poses, joints and attachments after a step"
-
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Takes the step and an object."""
-    parser.add_argument("step", metavar="STEP", help="number, -1, last, failure, or 12.5s")
-    parser.add_argument("object", nargs="?", help="only this one, with its joints")
+    parser.add_argument("step", metavar="STEP", help=HINT)
+    parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this one, with its joints")
+    parser.add_argument("--world", metavar="NAME", help="only this world")
 
 
-def run(log: Log, options: argparse.Namespace) -> tuple[object, str]:
-    """Folds the records up to the step.
-
-    Returns:
-        The state, for machines and for people.
-    """
-    state = state_at(log, step_of(log, options.step))
-    facts: dict[str, object] = {"step": state.step, "worlds": {}}
-    lines = [f"after step {state.step}"]
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the state."""
+    state = log.state_at(options.step)
+    if options.object is not None:
+        state.body(options.object, options.world)
+    elif options.world is not None:
+        state.world(options.world)
+    if state.doubt:
+        print(f"pycram-replay: {state.doubt}", file=sys.stderr)
+    told = plain_state(state, options.object, options.world)
+    if options.json:
+        print(json.dumps(told, ensure_ascii=False))
+        return 0
+    print(f"after step {state.step}")
     for world in state.worlds.values():
-        bodies = [world.body(options.object)] if options.object else list(world.bodies.values())
-        facts["worlds"] = {**dict(facts["worlds"]), world.name: _facts(world, bodies)}  # type: ignore[call-overload]
-        lines.append(f"{world.name}: {world.sim_step / 240:.3f} s simulated, gravity {list(world.gravity)}")
-        lines += [line for body in bodies for line in _lines(body, joints=bool(options.object))]
-        lines += [
-            f"  {held.carrier} holds {held.body} with {held.carrier_link}"
-            for held in world.attachments.values()
-            if not options.object or options.object in (held.carrier, held.body)
-        ]
-    return facts, "\n".join(lines)
+        if options.world in (None, world.name) and (options.object is None or options.object in world.bodies):
+            for line in _world(world, options.object):
+                print(line)
+    return 0
 
 
-def _facts(world: World, bodies: list[Body]) -> dict[str, object]:
-    return {
-        "sim_step": world.sim_step,
-        "gravity": list(world.gravity),
-        "robot": world.robot,
-        "bodies": {
-            body.name: {
-                "type": body.type,
-                "position": list(body.position),
-                "orientation": list(body.orientation),
-                "joints": body.joints,
-            }
-            for body in bodies
-        },
-        "attachments": [
-            {"carrier": held.carrier, "link": held.carrier_link, "body": held.body}
-            for held in world.attachments.values()
-        ],
-    }
+def _world(world: World, only: str | None) -> Iterator[str]:
+    if not world.open:
+        yield f"{world.name}: closed"
+        return
+    gravity = ", ".join(f"{part:g}" for part in world.gravity)
+    robot = f", robot {world.robot}" if world.robot else ""
+    yield f"{world.name}: {world.seconds:.3f} s simulated, gravity [{gravity}]{robot}"
+    width = max((len(name) for name in world.bodies), default=0)
+    for body in world.bodies.values():
+        if only in (None, body.name):
+            yield from _body(world, body, width, whole=only is not None)
 
 
-def _lines(body: Body, *, joints: bool) -> list[str]:
-    position = ", ".join(f"{x:8.4f}" for x in body.position)
-    turn = ", ".join(f"{x:7.4f}" for x in body.orientation)
-    lines = [f"  {body.name:14} [{position}]  [{turn}]"]
-    if joints:
-        lines += [f"    {joint:48} {value:9.5f}" for joint, value in body.joints.items()]
-    return lines
+def _body(world: World, body: Body, width: int, *, whole: bool) -> Iterator[str]:
+    position = ", ".join(f"{part:8.4f}" for part in body.position)
+    turn = ", ".join(f"{part:7.4f}" for part in body.orientation)
+    held = world.carrier(body.name)
+    by = f"  held by {held.carrier}" + (f" ({held.carrier_link})" if held.carrier_link else "") if held else ""
+    yield f"  {body.name:{width}}  [{position}]  [{turn}]{by}"
+    if whole:
+        yield f"    type {body.type}{', fixed base' if body.fixed_base else ''}"
+        if any(body.velocity):
+            yield "    velocity [" + ", ".join(f"{part:.4f}" for part in body.velocity) + "]"
+        for other in world.carried(body.name):
+            yield f"    holds {other.body}" + (f" with {other.carrier_link}" if other.carrier_link else "")
+        for joint, value in body.joints.items():
+            yield f"    {joint:48} {value:9.5f}"

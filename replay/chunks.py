@@ -1,0 +1,234 @@
+"""The records in a recording's chunks: decompressed when they are asked for, and found by searching.
+
+A chunk has about 50 records. What is damaged is left out and noted; the rest is delivered.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from google.protobuf.message import DecodeError
+from mcap.opcode import Opcode
+
+from recorder.records import TOPICS, Keyframe, Mutation, Record
+from replay.index import HEADER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from replay.index import Index
+
+Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
+
+KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
+_CACHED: Final = 64  # chunks
+_MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
+_PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
+
+
+@dataclass(slots=True)
+class _Entries:
+    """What a chunk has of ours: channel and payload of each record, decoded when asked for."""
+
+    channels: list[int] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+    decoded: dict[int, Record | None] = field(default_factory=dict)
+
+
+class Chunks:
+    """The chunks of a file.
+
+    Attributes:
+        hurt: what is wrong with the damaged ones, as far as they were read, by their number.
+    """
+
+    def __init__(self, index: Index) -> None:
+        """Reads nothing yet.
+
+        Args:
+            index: of the file.
+        """
+        self._index = index
+        self._cache: OrderedDict[int, _Entries] = OrderedDict()
+        self._first: dict[int, int] = {}
+        self.hurt: dict[int, str] = {}
+        self.refresh(0)
+
+    def __len__(self) -> int:
+        return len(self._index.chunks)
+
+    def refresh(self, number: int) -> None:
+        """Forgets what was read of a chunk and those behind it.
+
+        Args:
+            number: of the first chunk that may have become another.
+        """
+        for known in (self._cache, self._first, self.hurt):
+            for stale in [other for other in known if other >= number]:
+                del known[stale]
+        self._kinds = kinds_of(self._index)
+        self._worlds = {channel: self._index.channels[channel].metadata.get("world") for channel in self._kinds}
+
+    # --- what is in a chunk ----------------------------------------------------------------------------------------
+
+    def channels(self, number: int) -> list[tuple[type[Record], str | None]]:
+        """What a chunk has, as far as its channels tell.
+
+        Args:
+            number: of the chunk.
+
+        Returns:
+            Type of record, and the world that the channel is for; None for a channel that is for all.
+        """
+        place = self._index.chunks[number]
+        ids = self._kinds if place.channels is None else place.ids()
+        return [(self._kinds[channel], self._worlds[channel]) for channel in ids if channel in self._kinds]
+
+    def records(
+        self, number: int, kinds: Kinds | None = None, world: str | None = None, *, backwards: bool = False
+    ) -> Iterator[Record]:
+        """The records of a chunk; nothing but what is asked for is decoded.
+
+        Args:
+            number: of the chunk.
+            kinds: only those of this type, or of one of these.
+            world: only those of this world.
+            backwards: the last one first.
+        """
+        wanted = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
+        if wanted is not None and not any(kind in wanted for kind, _ in self.channels(number)):
+            return
+        entries = self._load(number)
+        places = range(len(entries.channels))
+        for at in reversed(places) if backwards else places:
+            channel = entries.channels[at]
+            if wanted is not None and self._kinds[channel] not in wanted:
+                continue
+            if world is not None and self._worlds[channel] not in (None, world):
+                continue
+            record = self._decode(number, entries, at)
+            if record is not None and (world is None or record.world == world):
+                yield record
+
+    def check(self, number: int) -> None:
+        """Reads and decodes a whole chunk, and notes in ``hurt`` what is wrong with it."""
+        for _ in self.records(number):
+            pass
+
+    # --- where a step is -------------------------------------------------------------------------------------------
+
+    def first_step(self, number: int) -> int:
+        """The first step in a chunk; of one without readable records, that of the one before it.
+
+        Args:
+            number: of the chunk.
+        """
+        for at in range(number, -1, -1):
+            if at not in self._first:
+                first = next(self.records(at), None)
+                if first is None:
+                    continue
+                self._first[at] = first.seq
+            return self._first[at]
+        return 0
+
+    def chunk_of(self, step: int, steps: int) -> int:
+        """The number of the chunk that a step is in, if it is in any: the last one that doesn't begin behind it.
+
+        Args:
+            step: from 0.
+            steps: how many there are.
+        """
+        low, high = 0, len(self) - 1
+        first, end = 0, steps
+        guess = True
+        while low < high:
+            # steps increase almost evenly, so a guess comes near; halving each second time makes sure
+            near = low + (high - low) * (step - first) // max(1, end - first) if guess else (low + high + 1) // 2
+            middle = min(max(near, low + 1), high)
+            guess = not guess
+            begin = self.first_step(middle)
+            if begin > step:
+                high, end = middle - 1, begin
+            elif middle < high and self.first_step(middle + 1) <= step:
+                low, first = middle + 1, self.first_step(middle + 1)
+            else:
+                return middle
+        return low
+
+    # --- decoding --------------------------------------------------------------------------------------------------
+
+    def _load(self, number: int) -> _Entries:
+        if number in self._cache:
+            self._cache.move_to_end(number)
+            return self._cache[number]
+        entries = _Entries()
+        try:
+            self._divide(self._index.contents(number), entries)
+        except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+            self.hurt.setdefault(number, str(error) or type(error).__name__)
+        self._cache[number] = entries
+        if len(self._cache) > _CACHED:
+            self._cache.popitem(last=False)
+        return entries
+
+    def _divide(self, contents: bytes, entries: _Entries) -> None:
+        at = 0
+        while at < len(contents):
+            opcode, length, channel = _MESSAGE.unpack_from(contents, at)
+            if opcode == Opcode.MESSAGE and channel in self._kinds:
+                entries.channels.append(channel)
+                entries.payloads.append(contents[at + _PAYLOAD : at + HEADER + length])
+            at += HEADER + length
+
+    def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
+        if at not in entries.decoded:
+            try:
+                entries.decoded[at] = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
+            except DecodeError as error:
+                self.hurt.setdefault(number, str(error))
+                entries.decoded[at] = None
+        return entries.decoded[at]
+
+
+def kinds_of(index: Index) -> dict[int, type[Record]]:
+    """The types of record by the channels of a file that are ours.
+
+    Args:
+        index: of the file.
+    """
+    found = {}
+    for number, channel in index.channels.items():
+        kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
+        if kind is not None and index.schemas.get(channel.schema_id) == kind.DESCRIPTOR.full_name:
+            found[number] = kind
+    return found
+
+
+def worlds_of(chunks: Chunks) -> dict[str, tuple[Sequence[int], Sequence[int]]]:
+    """The numbers of the chunks that have something of each world.
+
+    Where the channels don't say which world they are for, the chunks are read.
+
+    Args:
+        chunks: of the file.
+
+    Returns:
+        By world, in the order of their appearance: chunks with its mutations or keyframes, and those with keyframes.
+    """
+    found: dict[str, tuple[list[int], list[int]]] = {}
+    for number in range(len(chunks)):
+        marks = [mark for mark in chunks.channels(number) if mark[0] in (Mutation, Keyframe)]
+        if any(world is None for _, world in marks):
+            records = chunks.records(number, (Mutation, Keyframe))
+            marks = [(type(record), record.world) for record in records]
+        for kind, world in marks:
+            changes, keyframes = found.setdefault(world or "", ([], []))
+            if not changes or changes[-1] != number:
+                changes.append(number)
+            if kind is Keyframe and (not keyframes or keyframes[-1] != number):
+                keyframes.append(number)
+    return dict(found)

@@ -1,0 +1,352 @@
+"""Where everything lies in a recording's file: its chunks, channels, attached files and metadata.
+
+A finished file says so at its end. Any other file is walked through once, header by header, and whatever is whole is
+taken: nothing here needs the file to have been closed, or to be undamaged. No record is decoded.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections import defaultdict
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, Chunk, Footer, Message, Metadata, MetadataIndex, Schema, Statistics
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+HEADER: Final = 9  # bytes of opcode and length before each MCAP record
+_FOOTER: Final = HEADER + 20
+_LIMIT: Final = 1 << 32  # no honest record is longer
+_LENGTH: Final = struct.Struct("<BQ")
+_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+_CHANNEL_OFFSET: Final = struct.Struct("<HQ")
+_CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
+_BLOCK: Final = 1 << 20
+#: Stands in the head of each compressed chunk: by this the next one is found behind a damaged part.
+_MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
+
+#: What a damaged file can raise in the libraries that decode it.
+DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
+
+
+class Place(NamedTuple):
+    """Where an MCAP record's content lies: the file's offset, behind opcode and length, and its own length."""
+
+    offset: int
+    length: int
+
+
+class ChunkPlace(NamedTuple):
+    """A chunk: where its content lies, and which channels have messages in it.
+
+    ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where nothing says it.
+    """
+
+    offset: int
+    length: int
+    channels: bytes | None
+
+    def ids(self) -> Iterator[int]:
+        """Ids of the channels that have messages in this chunk."""
+        return (channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(self.channels or b""))
+
+
+class Index:
+    """What lies where in a file.
+
+    Attributes:
+        closed: whether the file was closed by its recorder.
+        whole: whether its end is there and sound, so that nothing had to be searched for.
+        damage: in words, the parts that had to be left out.
+        chunks: in the file's order.
+        channels: by their id.
+        schemas: names of message types by their id.
+        attachments: by name.
+        metadata: what the recorder said, by name of the metadata.
+        counts: messages of each channel; of a file that was cut, in all whole chunks.
+        torn: bytes at the end that are no whole record, or not yet.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Reads the end of the file, or walks through it.
+
+        Args:
+            file: opened for reading; must start with MCAP's magic.
+        """
+        self._file = file
+        self._next = len(MAGIC)
+        self.closed = False
+        self.whole = False
+        self.damage: list[str] = []
+        self.chunks: list[ChunkPlace] = []
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, str] = {}
+        self.attachments: dict[str, Place] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.counts: defaultdict[int, int] = defaultdict(int)
+        self.torn = 0
+        self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
+        self._decoded = -1  # the chunk whose messages were counted by decoding it
+        try:
+            self._read_summary()
+        except DAMAGE:
+            self._forget()
+            self.refresh()
+
+    def _forget(self) -> None:
+        for found in (self.chunks, self.channels, self.schemas, self.attachments, self.metadata, self.counts):
+            found.clear()
+
+    def read(self, place: Place | ChunkPlace) -> bytes:
+        """The content of a record, less if the file ends in it."""
+        self._file.seek(place.offset)
+        return self._file.read(place.length)
+
+    def contents(self, number: int) -> bytes:
+        """A chunk's messages, decompressed and checked against their sum.
+
+        Args:
+            number: of the chunk.
+
+        Raises:
+            Exception: it is damaged; what the decompressors raise has no common base.
+        """
+        chunk = Chunk.read(ReadDataStream(io.BytesIO(self.read(self.chunks[number]))))
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(length)
+
+    # --- a finished file -------------------------------------------------------------------------------------------
+
+    def _read_summary(self) -> None:
+        size = self._file.seek(0, io.SEEK_END)
+        self._file.seek(max(size - len(MAGIC) - _FOOTER, 0))
+        end = self._file.read()
+        if len(end) != _FOOTER + len(MAGIC) or not end.endswith(MAGIC) or end[0] != Opcode.FOOTER:
+            raise EOFError
+        footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:_FOOTER])))
+        if not 0 < footer.summary_start < size:
+            raise EOFError  # closed, but without index
+        self._file.seek(footer.summary_start)
+        summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
+        if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
+            raise EOFError
+        self._take_summary(summary[: len(summary) - _FOOTER + 4])
+        if (not self.chunks and self.counts) or not self.channels:
+            raise EOFError  # written without an index of chunks
+        self.closed = self.whole = True
+
+    def _take_summary(self, summary: bytes) -> None:
+        at = 0
+        while at < len(summary):
+            opcode, length = _LENGTH.unpack_from(summary, at)
+            at += HEADER
+            if opcode == Opcode.CHUNK_INDEX:  # by far the most: 20,000 in a recording of a million records
+                _, _, offset, size, bytes_of_map = _CHUNK_INDEX.unpack_from(summary, at)
+                first = at + _CHUNK_INDEX.size
+                channels = summary[first : first + bytes_of_map] or None
+                self.chunks.append(ChunkPlace(offset + HEADER, size - HEADER, channels))
+            else:
+                self._take_summary_record(opcode, ReadDataStream(io.BytesIO(summary[at : at + length])))
+            at += length
+
+    def _take_summary_record(self, opcode: int, stream: ReadDataStream) -> None:
+        if opcode == Opcode.SCHEMA:
+            self._learn(Schema.read(stream))
+        elif opcode == Opcode.CHANNEL:
+            self._learn(Channel.read(stream))
+        elif opcode == Opcode.STATISTICS:
+            self.counts.update(Statistics.read(stream).channel_message_counts)
+        elif opcode == Opcode.ATTACHMENT_INDEX:
+            attachment = AttachmentIndex.read(stream)
+            self.attachments[attachment.name] = Place(attachment.offset + HEADER, attachment.length - HEADER)
+        elif opcode == Opcode.METADATA_INDEX:
+            metadata = MetadataIndex.read(stream)
+            self._take_metadata(Place(metadata.offset + HEADER, metadata.length - HEADER))
+
+    def _take_metadata(self, place: Place) -> None:
+        told = Metadata.read(ReadDataStream(io.BytesIO(self.read(place))))
+        self.metadata[told.name] = told.metadata
+
+    def _learn(self, record: object) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            self.channels[record.id] = record
+
+    # --- any other file --------------------------------------------------------------------------------------------
+
+    def refresh(self) -> bool:
+        """Walks on from where the last walk ended.
+
+        Returns:
+            Whether there is anything new; never of a file that was closed.
+        """
+        if self.closed:
+            return False
+        before = self._next
+        size = self._file.seek(0, io.SEEK_END)
+        at = self._next
+        while at + HEADER <= size:
+            self._file.seek(at)
+            opcode, length = _LENGTH.unpack(self._file.read(HEADER))
+            place = Place(at + HEADER, length)
+            if opcode == Opcode.DATA_END and length == 4:
+                self.closed = True
+                self.whole = self._ends_well(place, size)
+                at = size
+                break
+            beyond = place.offset + length > size
+            if beyond and not self._is_damaged(opcode, place, size):
+                break  # torn, or being written
+            if not beyond and self._take(opcode, place):
+                at = place.offset + length
+                continue
+            found = self._next_chunk(at + 1, size)
+            if found is None:
+                break
+            self.damage.append(f"{found - at} bytes at byte {at} are damaged")
+            at = found
+        if self.chunks:
+            self._count_last()  # its index may be torn off, or not be written yet
+        self._next = at
+        self.torn = size - at
+        return at > before
+
+    def _ends_well(self, data_end: Place, size: int) -> bool:
+        """Whether only an index is missing because its writer wrote none."""
+        self._file.seek(data_end.offset + data_end.length)
+        end = self._file.read(_FOOTER + len(MAGIC))
+        whole = end.endswith(MAGIC) and len(end) == _FOOTER + len(MAGIC) and end[HEADER : HEADER + 8] == b"\0" * 8
+        return whole and self._file.tell() == size
+
+    def _is_damaged(self, opcode: int, place: Place, size: int) -> bool:
+        """Whether a record that reaches beyond the end has a wrong head, rather than being cut."""
+        if not Opcode.HEADER <= opcode <= Opcode.DATA_END or place.length > _LIMIT:
+            return True
+        if opcode == Opcode.CHUNK and place.offset + _CHUNK_HEAD.size + 32 <= size:
+            return not self._is_chunk(place)
+        # with whole chunks behind it, it isn't the end that is torn
+        return self._next_chunk(place.offset, size) is not None
+
+    def _is_chunk(self, place: Place) -> bool:
+        self._file.seek(place.offset)
+        head = self._file.read(_CHUNK_HEAD.size + 32)
+        if len(head) < _CHUNK_HEAD.size + 8:
+            return False
+        name = _CHUNK_HEAD.unpack_from(head)[4]
+        at = _CHUNK_HEAD.size + name
+        return bool(name <= 16 and place.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
+
+    def _take(self, opcode: int, place: Place) -> bool:
+        """Takes a whole record; False if it can't be what it says."""
+        try:
+            if opcode == Opcode.CHUNK:
+                if place.length < _CHUNK_HEAD.size + 8 or not self._is_chunk(place):
+                    return False
+                if self.chunks and self.chunks[-1].channels is None:
+                    self._count_last()
+                self._counted = defaultdict(int)
+                self.chunks.append(ChunkPlace(*place, None))
+            elif opcode == Opcode.MESSAGE_INDEX:
+                return self._take_message_index(place)
+            elif opcode == Opcode.ATTACHMENT:
+                return self._take_attachment(place)
+            elif opcode == Opcode.METADATA:
+                self._take_metadata(place)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                kind = Schema if opcode == Opcode.SCHEMA else Channel
+                self._learn(kind.read(ReadDataStream(io.BytesIO(self.read(place)))))
+        except DAMAGE:
+            return False
+        return Opcode.HEADER <= opcode <= Opcode.DATA_END
+
+    def _take_message_index(self, place: Place) -> bool:
+        self._file.seek(place.offset)
+        head = self._file.read(6)
+        channel, length = int.from_bytes(head[:2], "little"), int.from_bytes(head[2:], "little")
+        if place.length != 6 + length or length % 16:
+            return False
+        if not self.chunks or not length or self._decoded == len(self.chunks) - 1:
+            return True
+        last = self.chunks[-1]
+        entry = _CHANNEL_OFFSET.pack(channel, place.offset)
+        self.chunks[-1] = last._replace(channels=(last.channels or b"") + entry)
+        self._counted[channel] += length // 16
+        self.counts[channel] += length // 16
+        if channel not in self.channels:
+            self._learn_from(len(self.chunks) - 1)
+        return True
+
+    def _take_attachment(self, place: Place) -> bool:
+        self._file.seek(place.offset + 16)
+        stream = ReadDataStream(self._file)
+        name = stream.read_prefixed_string()
+        stream.read_prefixed_string()
+        size = stream.read8()
+        if place.length != 16 + stream.count + size + 4:
+            return False
+        self.attachments[name] = place
+        return True
+
+    def _learn_from(self, number: int) -> dict[int, int] | None:
+        """Learns the channels that a chunk defines, and counts its messages; None if it is damaged."""
+        counted: defaultdict[int, int] = defaultdict(int)
+        try:
+            chunk = Chunk.read(ReadDataStream(io.BytesIO(self.read(self.chunks[number]))))
+            records = breakup_chunk(chunk, validate_crc=True)
+        except Exception:  # noqa: BLE001  decompressors' errors have no common base; told when the chunk is read
+            return None
+        for record in records:
+            self._learn(record)
+            if isinstance(record, Message):
+                counted[record.channel_id] += 1
+        return counted
+
+    def _count_last(self) -> None:
+        """Counts the last chunk's messages from itself."""
+        number = len(self.chunks) - 1
+        if number == self._decoded:
+            return
+        counted = self._learn_from(number)
+        if counted is None:
+            return
+        for channel in counted.keys() | self._counted.keys():
+            self.counts[channel] += counted.get(channel, 0) - self._counted[channel]
+        channels = b"".join(_CHANNEL_OFFSET.pack(channel, 0) for channel in counted)
+        self.chunks[number] = self.chunks[number]._replace(channels=channels)
+        self._decoded = number
+
+    def _next_chunk(self, start: int, size: int) -> int | None:
+        """Offset of the first chunk at or behind a byte that is whole; None if there is none."""
+        at = start
+        while at < size:
+            self._file.seek(at)
+            block = self._file.read(_BLOCK + 64)
+            found = sorted(i for mark in _MARKS for i in _all(block, mark))
+            for i in found:
+                offset = at + i - _CHUNK_HEAD.size + 4 - HEADER
+                if offset >= start and self._chunk_at(offset, size):
+                    return offset
+            at += _BLOCK
+        return None
+
+    def _chunk_at(self, offset: int, size: int) -> bool:
+        self._file.seek(offset)
+        opcode, length = _LENGTH.unpack(self._file.read(HEADER))
+        place = Place(offset + HEADER, length)
+        return opcode == Opcode.CHUNK and place.offset + length <= size and self._is_chunk(place)
+
+
+def _all(block: bytes, mark: bytes) -> Iterator[int]:
+    at = block.find(mark)
+    while at >= 0:
+        yield at
+        at = block.find(mark, at + 1)

@@ -1,0 +1,83 @@
+"""What ran, when, for how long, and how it ended: read from both ends of a recording, whatever its length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Run
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from replay.log import Log
+
+#: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
+CHECKED: Final = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A recording in short.
+
+    Attributes:
+        plan: name of the plan.
+        started: wall-clock time of the first record.
+        seconds: wall-clock time from the first to the last record.
+        simulated: simulated time of each world at its last change, s.
+        outcome: "succeeded", "failed", "running" or "cut off".
+        failure: what the plan failed with, as "Type: message"; or "".
+        records: number of steps.
+        counts: number of records of each kind.
+        attachments: number of attached files.
+        size: of the file, bytes.
+        missing: in words, what of the recording is missing; or "".
+        checked: whether every part was read to tell so.
+        metadata: all that the recorder said of the run.
+    """
+
+    plan: str
+    started: datetime
+    seconds: float
+    simulated: Mapping[str, float]
+    outcome: str
+    failure: str
+    records: int
+    counts: Mapping[str, int]
+    attachments: int
+    size: int
+    missing: str
+    checked: bool
+    metadata: Mapping[str, str]
+
+
+def summary(log: Log) -> Summary:
+    """Sums up a recording.
+
+    Args:
+        log: the recording.
+    """
+    size = log.path.stat().st_size
+    checked = size <= CHECKED
+    missing = log.check() if checked else log.missing
+    first, last = next(log.records()), next(log.backwards())
+    end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
+    outcome = "running" if log.live else "cut off"
+    if end is not None:
+        outcome = "succeeded" if end.succeeded else "failed"
+    return Summary(
+        plan=log.metadata.get("plan", ""),
+        started=datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc),
+        seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
+        simulated={world: log.clock(world) for world in log.worlds},
+        outcome=outcome,
+        failure=f"{end.failure.type}: {end.failure.message}" if end is not None and end.HasField("failure") else "",
+        records=len(log),
+        counts=log.counts(),
+        attachments=len(log.assets),
+        size=size,
+        missing=missing,
+        checked=checked,
+        metadata=log.metadata,
+    )
