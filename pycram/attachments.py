@@ -3,6 +3,8 @@
 The carrier is the object whose ``attach`` was called. What it carries keeps its full pose relative to the carrier's
 link whenever the carrier, its joints or the carrier's own carrier move; no simulation is needed. In simulation a fixed
 constraint of the engine keeps it there.
+
+``attach`` and ``detach`` are changes; ``renew`` and ``end`` are the parts that other changes are made of.
 """
 
 from __future__ import annotations
@@ -11,10 +13,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pycram.failures import AttachmentError
-from recorder import records
+from recorder import geometry, records
 
 if TYPE_CHECKING:
     from pycram.engine import Pose
+    from pycram.funnel import Change
     from pycram.objects import Object
 
 
@@ -54,7 +57,97 @@ class Attachment:
         )
 
 
-def check(carrier: Object, body: Object) -> None:
+def attach(carrier: Object, body: Object, link: str | None, body_link: str | None) -> None:
+    """Makes an object carry another; an attachment that exists already is left as it is.
+
+    Args:
+        carrier: the object that carries.
+        body: the object to carry; it keeps its full relative pose.
+        link: the carrier's link; its base link for None.
+        body_link: the link by which the body is held; its base link for None.
+
+    Raises:
+        UnknownName: there is no such link.
+        AttachmentError: it makes no sense, see :func:`_check`.
+    """
+    if not hasattr(body, "attachments"):
+        raise AttachmentError(carrier.name, repr(body), "it is not an Object")
+    if body in carrier.attachments:
+        return
+    world, carrying, held = carrier.world, carrier.check_link(link), body.check_link(body_link)
+    command = records.AttachBody(carrier=carrier.name, carrier_link=carrying, body=body.name, body_link=held)
+    with world.funnel.change(records.Mutation(attach_body=command)) as change:
+        _check(carrier, body)
+        _hold(carrier, carrying, body, held, change)
+        change.events.append(lambda: world.get_attachment_event().prepare(carrier, body))
+
+
+def detach(side: Object, other: Object) -> None:
+    """Ends an attachment, from either side; both stay where they are.
+
+    Args:
+        side: one of the two.
+        other: the other one.
+
+    Raises:
+        AttachmentError: there is none between the two.
+    """
+    command = records.Mutation(detach_body=records.DetachBody())
+    with side.world.funnel.change(command) as change:
+        attachment = next((held for held in side.attachments.values() if held.other(side) is other), None)
+        if attachment is None:
+            told = getattr(other, "name", repr(other))
+            raise AttachmentError(side.name, told, "they are not attached to each other")
+        command.detach_body.carrier, command.detach_body.body = attachment.carrier.name, attachment.body.name
+        end(attachment, change)
+
+
+def renew(body: Object, change: Change) -> None:
+    """The part of a change that moved a carried object by hand: its carrier goes on with the pose that it has now.
+
+    Args:
+        body: the object that was moved; nothing happens if nothing carries it.
+        change: notes it.
+    """
+    carrier = body.carrier
+    if carrier is not None:
+        old = carrier.attachments[body]
+        carrier.world.engine.unfix(old.constraint)
+        _hold(carrier, old.carrier_link, body, old.body_link, change)
+
+
+def end(attachment: Attachment, change: Change) -> None:
+    """The part of a change that ends an attachment.
+
+    Args:
+        attachment: what ends.
+        change: notes it.
+    """
+    carrier, body = attachment.carrier, attachment.body
+    del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides alike
+    world = carrier.world
+    world.engine.unfix(attachment.constraint)
+    world.engine.pass_through(
+        carrier.handle, attachment.carrier_link, body.handle, robot=carrier.is_robot, enable=False
+    )
+    change.detached.append(attachment)
+    change.events.append(lambda: world.get_detachment_event().prepare(carrier, body))
+
+
+def _hold(carrier: Object, link: str, body: Object, body_link: str, change: Change) -> None:
+    engine = carrier.world.engine
+    base = engine.pose(body.handle)
+    pose = geometry.multiply(geometry.invert(engine.link_pose(carrier.handle, link)), base)
+    held = engine.link_pose(body.handle, body_link)
+    held_pose = geometry.multiply(pose, geometry.multiply(geometry.invert(base), held))
+    constraint = engine.fix(carrier.handle, link, body.handle, body_link, held_pose)
+    engine.pass_through(carrier.handle, link, body.handle, robot=carrier.is_robot, enable=True)
+    attachment = Attachment(carrier, link, body, body_link, pose, constraint)
+    carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  see end
+    change.attach(attachment)
+
+
+def _check(carrier: Object, body: Object) -> None:
     """Refuses attachments that make no sense.
 
     Args:

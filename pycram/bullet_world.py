@@ -11,7 +11,7 @@ import math
 import threading
 from typing import TYPE_CHECKING, Final
 
-from pycram import checks
+from pycram import attachments, checks
 from pycram.engine import STEPS_PER_SECOND, Engine
 from pycram.event import Event
 from pycram.failures import BadArgument, NoWorld, UnknownName, WorldClosed
@@ -219,8 +219,8 @@ class BulletWorld(metaclass=_Worlds):
         command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
         with self.funnel.change(command) as change:
             handle = body.handle
-            for other in list(body.attachments):
-                body.let_go(other, change)
+            for attachment in list(body.attachments.values()):
+                attachments.end(attachment, change)
             self.engine.remove(handle)
             body.handle = None
             del self._objects[body.name]
@@ -326,8 +326,8 @@ class BulletWorld(metaclass=_Worlds):
         """Puts every object back to where and how it was loaded; attachments end, simulated time goes on."""
         with self.funnel.change(records.Mutation(reset=records.Reset())) as change:
             for body in self.objects:
-                for other in list(body.attachments):
-                    body.let_go(other, change)
+                for attachment in list(body.attachments.values()):
+                    attachments.end(attachment, change)
             for body in self.objects:
                 self.engine.set_joints(body.handle, body.original_joints)
                 self.engine.set_pose(body.handle, body.original_pose)

@@ -6,18 +6,19 @@ link is named. Setting a pose is exact and runs no physics. Joints are named and
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pycram import assets, attachments, cargo, checks
-from pycram.attachments import Attachment
-from pycram.failures import AttachmentError, JointLimitError, NoWorld, UnknownName, WorldClosed
+from pycram.failures import JointLimitError, NoWorld, UnknownName, WorldClosed
 from pycram.robots.description import find_description
-from recorder import geometry, records
+from recorder import records
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from pycram.attachments import Attachment
     from pycram.bullet_world import BulletWorld
     from pycram.engine import Body, Pose
     from pycram.funnel import Change
@@ -309,7 +310,7 @@ class Object:
             self.world.engine.set_pose(self.handle, pose)
             change.touch(self)
             cargo.follow(self, change)
-            self._take_new_pose(change)
+            attachments.renew(self, change)
             self._announce_manipulation(change)
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
@@ -392,7 +393,7 @@ class Object:
     @property
     def attachments(self) -> Mapping[Object, Attachment]:
         """All attachments that it is part of, by the other object; both sides list them."""
-        return dict(self._attachments)
+        return MappingProxyType(self._attachments)
 
     @property
     def carried(self) -> list[Attachment]:
@@ -418,43 +419,7 @@ class Object:
             UnknownName: there is no such link.
             AttachmentError: it makes no sense (cycle, fixed base, carried by another, another world).
         """
-        if not isinstance(other, Object):
-            raise AttachmentError(self.name, repr(other), "it is not an Object")
-        if other in self._attachments:
-            return
-        carrying, held = self.check_link(link), other.check_link(other_link)
-        command = records.AttachBody(carrier=self.name, carrier_link=carrying, body=other.name, body_link=held)
-        with self.world.funnel.change(records.Mutation(attach_body=command)) as change:
-            attachments.check(self, other)
-            engine = self.world.engine
-            pose = geometry.multiply(
-                geometry.invert(engine.link_pose(self.handle, carrying)), engine.pose(other.handle)
-            )
-            self._hold(other, carrying, held, pose, change)
-            change.events.append(lambda: self.world.get_attachment_event().prepare(self, other))
-
-    def _hold(self, other: Object, carrying: str, held: str, pose: Pose, change: Change) -> None:
-        engine = self.world.engine
-        held_pose = geometry.multiply(
-            pose, geometry.multiply(geometry.invert(engine.pose(other.handle)), engine.link_pose(other.handle, held))
-        )
-        constraint = engine.fix(self.handle, carrying, other.handle, held, held_pose)
-        engine.pass_through(self.handle, carrying, other.handle, robot=self.is_robot, enable=True)
-        attachment = Attachment(self, carrying, other, held, pose, constraint)
-        self._attachments[other] = other._attachments[self] = attachment
-        change.attach(attachment)
-
-    def _take_new_pose(self, change: Change) -> None:
-        """Moved by hand while carried: the carrier goes on with the pose that it has now."""
-        carrier = self.carrier
-        if carrier is None:
-            return
-        old = carrier._attachments[self]  # noqa: SLF001  same class
-        engine = self.world.engine
-        engine.unfix(old.constraint)
-        link = engine.link_pose(carrier.handle, old.carrier_link)
-        pose = geometry.multiply(geometry.invert(link), engine.pose(self.handle))
-        carrier._hold(self, old.carrier_link, old.body_link, pose, change)  # noqa: SLF001  same class
+        attachments.attach(self, other, link, other_link)
 
     def detach(self, other: Object) -> None:
         """Ends an attachment, from either side (thesis 4.3.2); both stay where they are.
@@ -462,28 +427,7 @@ class Object:
         Raises:
             AttachmentError: there is none between the two.
         """
-        if other not in self._attachments:
-            raise AttachmentError(self.name, getattr(other, "name", repr(other)), "they are not attached to each other")
-        attachment = self._attachments[other]
-        command = records.DetachBody(carrier=attachment.carrier.name, body=attachment.body.name)
-        with self.world.funnel.change(records.Mutation(detach_body=command)) as change:
-            self.let_go(other, change)
-
-    def let_go(self, other: Object, change: Change) -> None:
-        """The part of a change that ends an attachment.
-
-        Args:
-            other: the other object.
-            change: notes it.
-        """
-        attachment = self._attachments.pop(other)
-        del other._attachments[self]
-        carrier, body = attachment.carrier, attachment.body
-        engine = self.world.engine
-        engine.unfix(attachment.constraint)
-        engine.pass_through(carrier.handle, attachment.carrier_link, body.handle, robot=carrier.is_robot, enable=False)
-        change.detached.append(attachment)
-        change.events.append(lambda: self.world.get_detachment_event().prepare(carrier, body))
+        attachments.detach(self, other)
 
     def detach_all(self) -> None:
         """Ends all attachments that it is part of."""

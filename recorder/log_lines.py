@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import Event, Keyframe, Mutation, Query, Run, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
-    from recorder.records import Argument, Record
+    from recorder.records import Argument, MoveJoints, Record
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
@@ -81,23 +81,40 @@ def mutation_text(record: Mutation) -> str:
     Args:
         record: the mutation.
     """
-    which = record.WhichOneof("command") or "change"
-    command = getattr(record, which)
-    words = which.replace("_", " ")
-    told = []
-    for name in ("carrier", "body", "joints", "position", "positions", "steps", "gravity", "enabled", "mode"):
-        value = getattr(command, name, None)
-        if value is None or value == "" or (which == "load_body" and name == "joints"):
-            continue
-        if name in ("joints", "positions") and len(value) > 1:
-            told.append(f"{len(value)} {name}")
-        elif isinstance(value, str | int | bool):
-            told.append(str(value))
-        elif len(value):
-            told.append("[" + ", ".join(item if isinstance(item, str) else f"{item:.3f}" for item in value) + "]")
-    moved = [state.body for state in record.effect.bodies]
-    along = [name for name in moved if name != getattr(command, "body", "")]
-    return f"{words} {' '.join(told)}" + (f", along with {', '.join(along)}" if along and which != "simulate" else "")
+    which = str(record.WhichOneof("command") or "change")
+    command = getattr(record, which, None)
+    tell = _DETAILS.get(which)
+    text = which.replace("_", " ") + (f" {tell(command)}" if tell else "")
+    if which == "simulate":
+        return text
+    along = [state.body for state in record.effect.bodies if state.body != getattr(command, "body", "")]
+    return f"{text}, along with {', '.join(along)}" if along else text
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return "[" + ", ".join([f"{value:.3f}" for value in values]) + "]"
+
+
+def _joints(command: MoveJoints) -> str:
+    one = len(command.joints) == 1
+    told = f"{command.joints[0]} {command.positions[0]:.3f}" if one else f"{len(command.joints)} joints"
+    return f"{command.body} {told}"
+
+
+_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn't here has none
+    "open_world": lambda command: str(command.mode),
+    "load_body": lambda command: f"{command.body} {_numbers(command.position)}",
+    "remove_body": lambda command: command.body,
+    "move_body": lambda command: f"{command.body} {_numbers(command.position)}",
+    "move_joints": _joints,
+    "attach_body": lambda command: f"{command.body} to {command.carrier} {command.carrier_link}",
+    "detach_body": lambda command: f"{command.body} from {command.carrier}",
+    "set_gravity": lambda command: _numbers(command.gravity),
+    "set_realtime": lambda command: "on" if command.enabled else "off",
+    "set_color": lambda command: command.body,
+    "set_robot": lambda command: command.body,
+    "simulate": lambda command: f"{command.steps} steps",
+}
 
 
 def _values(arguments: Iterable[Argument]) -> str:

@@ -20,11 +20,11 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from mcap.writer import CompressionType, Writer
 
 from recorder.errors import RecordingError
 from recorder.frames import FrameTree
 from recorder.log_lines import line_of
+from recorder.mcap_writer import MAGIC, McapWriter
 from recorder.records import TOPICS, Run, Task
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 _HINT: Final = "free space or choose another path, and run again"
-MAGIC: Final = b"\x89MCAP0\r\n"
 _MOST_RECORDS: Final = 50
 _LONGEST: Final = 0.05  # s
 _CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
@@ -75,7 +74,6 @@ class McapSink:
         self.path = path
         raw = _open(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
-        self._writer = Writer(self._file, chunk_size=_CHUNK, compression=CompressionType.ZSTD)
         self._lock = threading.Lock()
         self._pending = 0
         self._count = 0
@@ -97,7 +95,7 @@ class McapSink:
 
     def _begin(self, metadata: Mapping[str, str]) -> None:
         with self._guarded():
-            self._writer.start(profile="", library=f"pycram {versions()['pycram']}")
+            self._writer = McapWriter(self._file, f"pycram {versions()['pycram']}")
             for kind, topic in TOPICS.items():
                 self._register(topic, kind)
             for topic, message in self._frames.channels():
@@ -106,20 +104,22 @@ class McapSink:
             self._writer.flush()
 
     def _register(self, topic: str, message: type[Message]) -> None:
-        schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
-        self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+        schema = self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
+        self._channels[topic] = self._writer.add_channel(topic, "protobuf", schema)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.journal.Sink`."""
-        with self._lock, self._guarded():
+        with self._lock:
+            self._check()
             self._now = record.wall_time_ns
             self._add(topic, payload, record.seq)
             for other, message in self._companions(record):
                 self._add(other, message.SerializeToString(), record.seq)
             self._count += 1
             self._pending += 1
-            if self._pending >= _MOST_RECORDS or _is_end(record):
-                self._flush()
+            if self._pending >= _MOST_RECORDS or self._writer.pending > _CHUNK or _is_end(record):
+                with self._guarded():
+                    self._flush()
             elif self._pending == 1:
                 self._wake.set()
 
@@ -130,13 +130,13 @@ class McapSink:
             yield "/log", line
 
     def _add(self, topic: str, payload: bytes, seq: int) -> None:
-        self._writer.add_message(self._channels[topic], self._now, payload, self._now, seq & 0xFFFFFFFF)
+        self._writer.add_message(self._channels[topic], self._now, seq, payload)
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.journal.Sink`."""
         with self._lock, self._guarded():
             self._flush()
-            self._writer.add_attachment(self._now, self._now, asset.key, asset.media_type, asset.content)
+            self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
             self._flush()
             if asset.name.endswith(".urdf"):
                 self._frames.learn(asset.sha256, asset.content)
@@ -156,7 +156,6 @@ class McapSink:
                     self._flush()
                     self._writer.add_metadata("pycram.end", {"records": str(self._count)})
                     self._writer.finish()
-                    self._file.flush()
             finally:
                 self._let_go()
 
@@ -188,11 +187,15 @@ class McapSink:
                     with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() say so
                         self._flush()
 
+    def _check(self) -> None:
+        """Refuses to go on where something was lost."""
+        if self._failed is not None:
+            raise RecordingError(self.path, str(self._failed), _HINT)
+
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
         """Tells what went wrong with the file, now and ever after."""
-        if self._failed is not None:
-            raise RecordingError(self.path, str(self._failed), _HINT)
+        self._check()
         try:
             yield
         except (OSError, ValueError) as error:
