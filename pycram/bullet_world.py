@@ -306,21 +306,20 @@ class BulletWorld(metaclass=_Worlds):
                     change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
 
     def _step(self, steps: int, change: Change) -> None:
-        if not journal.recording():
-            self.engine.step(steps)
-            self.sim_step += steps
-            return
-        last: dict[str, Reading] = {body.name: read(body) for body in self.objects}
+        """Steps in stretches; an interrupt ends it after one, and what was done until then is the change."""
+        recording = journal.recording()
+        last: dict[str, Reading] = {body.name: read(body) for body in self.objects} if recording else {}
         done = 0
-        while done < steps:
+        while done < steps and not change.hold.noted:
             stretch = min(_SAMPLE_STEPS - self.sim_step % _SAMPLE_STEPS, steps - done)
             self.engine.step(stretch)
             self.sim_step += stretch
             done += stretch
-            if done < steps:  # the end itself is the effect
+            if recording and done < steps:  # the end itself is the effect
                 sample = self.funnel.sample(self.sim_step, last)
                 if sample is not None:
                     change.samples.append(sample)
+        change.command.simulate.steps = done
 
     def reset(self) -> None:
         """Puts every object back to where and how it was loaded; attachments end, simulated time goes on."""

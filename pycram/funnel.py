@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.failures import ChangeRefused, WorldClosed
 from recorder import journal, records
+from recorder.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -102,11 +103,13 @@ class Change:
         removed: names of bodies that are gone.
         attached: attachments made or with a new relative pose.
         detached: attachments ended.
+        hold: what holds Ctrl-C back until the change is on record.
         samples: states on the way, of a simulated stretch.
         events: what to announce: prepares a firing under the lock, gives the calls to make after it.
     """
 
     command: records.Mutation
+    hold: Uninterrupted
     touched: dict[str, Object] = field(default_factory=dict)
     removed: list[str] = field(default_factory=list)
     attached: dict[tuple[str, str], Attachment] = field(default_factory=dict)
@@ -154,9 +157,9 @@ class Funnel:
             RecordingError: the record can't be kept.
         """
         calls: list[Callable[[], None]] = []
-        with self.lock:
+        with self.lock, Uninterrupted() as hold:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
-            change = Change(command)
+            change = Change(command, hold)
             self._depth += 1
             try:
                 yield change

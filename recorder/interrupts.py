@@ -1,7 +1,8 @@
-"""Holds Ctrl-C back while a record is being kept.
+"""Holds Ctrl-C back while a world is changed and a record is being kept.
 
-It raises in the main thread between any two instructions: in the middle of a record it would leave a number without a
-record, or drop a chunk of them. Inside the block the interrupt is only noted; it is raised when the block has ended.
+It raises in the main thread between any two instructions: in the middle of a change it would leave a world that differs
+from its log, in the middle of a record a number without a record. Inside the block the interrupt is only noted; it is
+raised when the block has ended. What takes long in there asks now and then whether there is one, and ends early.
 """
 
 from __future__ import annotations
@@ -15,31 +16,37 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
 
+    from typing_extensions import Self
+
 _SIGINT: Final = int(signal.SIGINT)
 
 
 class Uninterrupted:
     """A block that SIGINT doesn't break off, where Python handles it.
 
-    For the main thread: signals raise in no other, where it does nothing.
+    For the main thread: signals raise in no other, where it does nothing. Blocks may nest.
+
+    Attributes:
+        noted: whether an interrupt is being held back.
     """
 
-    __slots__ = ("_handler", "_noted")
+    __slots__ = ("_handler", "noted")
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> Self:
         self._handler: Callable[[int, FrameType | None], Any] | None = None
-        self._noted = False
+        self.noted = False
         if threading.get_ident() == threading.main_thread().ident:
             handler = _signal.getsignal(_SIGINT)
             if callable(handler):
                 self._handler = handler  # first: an interrupt may raise up to the moment when it is only noted
                 _signal.signal(_SIGINT, self._note)
+        return self
 
     def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self._noted = True
+        self.noted = True
 
     def __exit__(self, *_: object) -> None:
         if self._handler is not None:
             _signal.signal(_SIGINT, self._handler)
-            if self._noted:
+            if self.noted:
                 signal.raise_signal(signal.SIGINT)

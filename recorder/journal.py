@@ -7,6 +7,7 @@ in the world.
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 import weakref
@@ -15,7 +16,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
 from recorder.interrupts import Uninterrupted
-from recorder.records import TOPICS, Record
+from recorder.records import TOPICS, Keyframe, Mutation, Record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -43,6 +44,8 @@ class Sink(Protocol):
 class Source(Protocol):
     """A world as the journal sees it: something that can tell its whole state."""
 
+    name: str
+
     def record_keyframe(self, journal: Journal) -> None:
         """Appends the whole state to the given journal, assets included."""
 
@@ -63,6 +66,7 @@ class Journal:
         self._next = 0
         self._latest_ns = 0
         self._attached: set[str] = set()
+        self._expected: set[str] = set()
 
     @property
     def length(self) -> int:
@@ -78,28 +82,37 @@ class Journal:
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
-    def append(self, record: Record) -> int:
+    def expect(self, worlds: Iterable[str]) -> None:
+        """Says which worlds are going to tell their state: what changes them before is part of that, no record.
+
+        Args:
+            worlds: their names.
+        """
+        with self._lock:
+            self._expected.update(worlds)
+
+    def append(self, record: Record) -> None:
         """Numbers and keeps a record.
 
         Args:
             record: without seq and wall time.
-
-        Returns:
-            Its seq.
 
         Raises:
             RecordingError: a sink can't keep it.
         """
         topic = TOPICS[type(record)]
         with Uninterrupted(), self._lock:
+            if record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
+                if isinstance(record, Mutation) and not record.HasField("open_world"):
+                    return
+                self._expected.remove(record.world)
             self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
-            record.seq = seq = self._next
+            record.seq = self._next
             record.wall_time_ns = self._latest_ns
             self._next += 1
             payload = record.SerializeToString()
             for sink in self._sinks:
                 sink.write(topic, record, payload)
-        return seq
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
         """Keeps files, each content once.
@@ -129,7 +142,8 @@ task_id: ContextVar[int] = ContextVar("pycram_task", default=0)
 
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
-_sources: weakref.WeakSet[Source] = weakref.WeakSet()
+_sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
+_openings = itertools.count()
 
 
 def recording() -> bool:
@@ -175,7 +189,7 @@ def register(source: Source) -> None:
         source: the world; held weakly.
     """
     with _registry:
-        _sources.add(source)
+        _sources[next(_openings)] = source
 
 
 def unregister(source: Source) -> None:
@@ -185,7 +199,8 @@ def unregister(source: Source) -> None:
         source: the world.
     """
     with _registry:
-        _sources.discard(source)
+        for number in [number for number, other in _sources.items() if other is source]:
+            del _sources[number]
 
 
 def open_journal(journal: Journal) -> None:
@@ -196,7 +211,8 @@ def open_journal(journal: Journal) -> None:
     """
     global _open  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
-        sources = list(_sources)
+        sources = list(_sources.values())
+        journal.expect(source.name for source in sources)
         _open = (*_open, journal)
     for source in sources:
         source.record_keyframe(journal)
