@@ -1,8 +1,8 @@
 """Sets the table: the thesis' pick-and-place plan (5.1), on a PR2 in a kitchen.
 
 Milk, bowl and cereal stand on the counter, the spoon lies in a drawer. The robot carries each to the kitchen island;
-whatever blocks its way to an object is carried over first. Run it with ``pycram demo``, or record any variation of it
-with ``pycram run my_plan.py``.
+whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Run it with
+``pycram demo``, or record any variation of it with ``pycram run my_plan.py``.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ def build_scene() -> Object:
     Object("floor", "environment", "plane.urdf")
     robot = Object("pr2", "robot", "pr2.urdf")
     kitchen = Object("kitchen", "environment", "kitchen.urdf")
-    Object("milk", "milk", "milk.stl", [1.3, 1, 1])
+    Object("milk", "milk", "milk.stl", [1.45, 1, 1])
     Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])
     Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
-    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1])
+    Object("bowl", "bowl", "bowl.stl", [1.31, 1.03, 1])  # before the milk
     BulletWorld.robot = robot
     world.simulate(0.5)  # everything comes to rest where it was put
     return kitchen

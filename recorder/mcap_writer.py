@@ -103,8 +103,15 @@ class McapWriter:
         Returns:
             Its id.
         """
-        told = dict(metadata or {})
-        self._channels.append(Channel(len(self._channels) + 1, topic, encoding, told, schema))
+        self._channels.append(
+            Channel(
+                id=len(self._channels) + 1,
+                topic=topic,
+                message_encoding=encoding,
+                metadata=dict(metadata or {}),
+                schema_id=schema,
+            )
+        )
         self._append(_packed(self._channels[-1]))
         return len(self._channels)
 
@@ -135,9 +142,20 @@ class McapWriter:
             data: its content.
         """
         self.flush()
-        at, packed = self._at, _packed(Attachment(time_ns, time_ns, name, media_type, data))
+        file = Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
+        at, packed = self._at, _packed(file)
         self._write(packed)
-        self._attachments.append(AttachmentIndex(at, len(packed), time_ns, time_ns, len(data), name, media_type))
+        self._attachments.append(
+            AttachmentIndex(
+                offset=at,
+                length=len(packed),
+                create_time=time_ns,
+                log_time=time_ns,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Adds words about the file; they are written at once, behind the chunk.
@@ -147,9 +165,9 @@ class McapWriter:
             data: the words by key.
         """
         self.flush()
-        at, packed = self._at, _packed(Metadata(name, dict(data)))
+        at, packed = self._at, _packed(Metadata(name=name, metadata=dict(data)))
         self._write(packed)
-        self._metadata.append(MetadataIndex(at, len(packed), name))
+        self._metadata.append(MetadataIndex(offset=at, length=len(packed), name=name))
 
     def flush(self) -> None:
         """Ends the chunk, and hands all to the operating system."""
@@ -214,12 +232,14 @@ class McapWriter:
         for opcode, records in groups:
             if records:
                 group = b"".join(map(_packed, records))
-                offsets += _packed(SummaryOffset(opcode, len(group), summary_start + len(summary)))
+                at = summary_start + len(summary)
+                offsets += _packed(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
                 summary += group
         offsets_start = summary_start + len(summary)
         start = _FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, offsets_start)
         crc = zlib.crc32(summary + offsets + start)
-        self._write(summary + offsets + _packed(Footer(summary_start, offsets_start, crc)) + MAGIC)
+        footer = _packed(Footer(summary_start=summary_start, summary_offset_start=offsets_start, summary_crc=crc))
+        self._write(summary + offsets + footer + MAGIC)
         self._file.flush()
 
     def _statistics(self) -> Statistics:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import pytest
 
 import replay
 from recorder import geometry
-from recorder.records import Mutation, Run, Task
+from recorder.records import Mutation, Query, Run, Task
 
 REPO = Path(__file__).parent.parent
 GOALS = {"milk": [-0.8, 1, 0.93], "bowl": [-0.8, 1.2, 0.9], "cereal": [-1, 1, 0.94], "spoon": [-0.8, 1.2, 0.94]}
@@ -51,6 +52,10 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
         last = log[-1]
         assert isinstance(last, Run)
         assert last.succeeded
+        asked = next(record for record in log.records(Query) if record.name == "blocking")
+        assert [found["object"] for found in json.loads(asked.answer_json)] == ["bowl"]
+        attached = [r.attach_body.body for r in log.records(Mutation) if r.WhichOneof("command") == "attach_body"]
+        assert attached == ["bowl", "milk", "cereal", "spoon"], "what blocks goes first"
 
 
 def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Path) -> None:
