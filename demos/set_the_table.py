@@ -98,16 +98,19 @@ def move_object(object_type: str, kitchen: Object) -> None:
     print(f"{object_type}: placed at", [round(x, 3) for x in found.get_position()])
 
 
-def main() -> None:
-    kitchen = build_scene()
-    world = BulletWorld.current_bullet_world
+def set_table(kitchen: Object) -> None:
+    """Carries everything to its place."""
     for object_type, (target, _) in TARGETS.items():
-        body = world.get_objects_by_type(object_type)[0]
+        body = BulletWorld.current_bullet_world.get_objects_by_type(object_type)[0]
         away = max(abs(a - b) for a, b in zip(body.get_position(), target, strict=True))
         if away > 0.1:  # the way of another one may have led over it
             move_object(object_type, kitchen)
+
+
+def main() -> None:
+    set_table(build_scene())
     print("the table is set")
-    world.exit()
+    BulletWorld.current_bullet_world.exit()
 
 
 if __name__ == "__main__":

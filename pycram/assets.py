@@ -4,7 +4,8 @@ PyBullet refuses broken files without saying why, or loads them without a shape.
 What it gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
 under these names. The same store can be laid out again from a recording's attachments on another machine.
 
-Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning.
+Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning. Axes get unit length:
+PyBullet takes a longer one for a longer way.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from typing import TYPE_CHECKING
 from pycram import mesh
 from pycram.failures import AssetError
 from recorder.asset import AssetFile
-from recorder.urdf import Urdf, UrdfError
+from recorder.urdf import Urdf
+from recorder.urdf_joint import UrdfError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -187,8 +189,9 @@ def _canonical(source: Path, text: str, stem: str) -> Model:
             material.remove(texture)  # the software renderer shows plain colours
     for link in root.iter("link"):
         _give_inertia(link)
-    content = ET.tostring(root, encoding="unicode")
     try:
+        _normalize_axes(root, Urdf.parse(ET.tostring(root, encoding="unicode")))
+        content = ET.tostring(root, encoding="unicode")
         tree = Urdf.parse(content)
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
@@ -229,6 +232,15 @@ def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     asset = AssetFile(*mesh.checked(file), "model/mesh")
     _keep(asset.key, asset.content)
     return asset
+
+
+def _normalize_axes(root: ET.Element, tree: Urdf) -> None:
+    """Axes get unit length, in which the engine would otherwise measure: a drawer would open too far or not enough."""
+    for joint in root.iter("joint"):
+        axis = joint.find("axis")
+        name = joint.get("name", "")
+        if axis is not None and tree.joints[name].movable:
+            axis.set("xyz", " ".join(map(repr, tree.joints[name].axis)))
 
 
 def _give_inertia(link: ET.Element) -> None:

@@ -4,8 +4,7 @@ A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in th
 frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
 arithmetic is several times faster than arrays of 3; whoever has thousands works on arrays of matrices instead.
 
-Quaternions are taken to be of unit length; :func:`normalize` makes them so. A quaternion and its negative are the same
-rotation.
+Quaternions are taken to be of unit length. A quaternion and its negative are the same rotation.
 """
 
 from __future__ import annotations
@@ -71,22 +70,6 @@ def conjugate(rotation: Numbers) -> Quaternion:
     return -x, -y, -z, w
 
 
-def normalize(rotation: Numbers) -> Quaternion:
-    """The unit quaternion of the same rotation.
-
-    Args:
-        rotation: quaternion xyzw of any length but zero.
-
-    Raises:
-        ValueError: its length is zero or not a number.
-    """
-    x, y, z, w = rotation
-    length = math.hypot(x, y, z, w)
-    if not length > _TINY or not math.isfinite(length):
-        raise ValueError(f"quaternion [{x}, {y}, {z}, {w}] has no direction")
-    return x / length, y / length, z / length, w / length
-
-
 def rotate(rotation: Numbers, vector: Numbers) -> Vector:
     """A vector after a rotation.
 
@@ -143,16 +126,6 @@ def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
     return x + dx, y + dy, z + dz
 
 
-def distance(a: Numbers, b: Numbers) -> float:
-    """How far two points are from each other, in m.
-
-    Args:
-        a: xyz in m.
-        b: xyz in m.
-    """
-    return math.dist(tuple(a), tuple(b))
-
-
 def angle(a: Numbers, b: Numbers) -> float:
     """By how much two rotations differ.
 
@@ -165,24 +138,6 @@ def angle(a: Numbers, b: Numbers) -> float:
     """
     x, y, z, w = product(conjugate(a), b)
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
-
-
-def from_axis_angle(axis: Numbers, turn: float) -> Quaternion:
-    """The rotation about an axis.
-
-    Args:
-        axis: xyz of any length but zero.
-        turn: angle in rad, counter-clockwise when the axis points to the viewer.
-
-    Raises:
-        ValueError: the axis has no direction.
-    """
-    x, y, z = axis
-    length = math.hypot(x, y, z)
-    if not length > _TINY:
-        raise ValueError(f"axis [{x}, {y}, {z}] has no direction")
-    scale = math.sin(turn / 2.0) / length
-    return x * scale, y * scale, z * scale, math.cos(turn / 2.0)
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
@@ -241,35 +196,6 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
     return matrix
 
 
-def from_matrices(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Many rotation matrices as quaternions.
-
-    Args:
-        matrices: (..., 3, 3) rotation matrices.
-
-    Returns:
-        (..., 4) unit quaternions xyzw with w >= 0.
-    """
-    m = np.asarray(matrices, dtype=np.float64)
-    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
-    # factor, and dividing by it is stable for every rotation.
-    outer = np.empty((*m.shape[:-2], 4, 4))
-    outer[..., 0, 0] = 1.0 + d0 - d1 - d2
-    outer[..., 1, 1] = 1.0 - d0 + d1 - d2
-    outer[..., 2, 2] = 1.0 - d0 - d1 + d2
-    outer[..., 3, 3] = 1.0 + d0 + d1 + d2
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        outer[..., i, j] = outer[..., j, i] = m[..., i, j] + m[..., j, i]
-    for i, (row, column) in enumerate(((2, 1), (0, 2), (1, 0))):
-        outer[..., i, 3] = outer[..., 3, i] = m[..., row, column] - m[..., column, row]
-    largest = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
-    rows = np.take_along_axis(outer, largest[..., None, None], axis=-2)[..., 0, :]
-    rows /= np.sqrt(np.einsum("...i,...i->...", rows, rows))[..., None]
-    result: NDArray[np.float64] = np.where(rows[..., 3:] < 0.0, -rows, rows)
-    return result
-
-
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     """A rotation matrix as a quaternion.
 
@@ -279,7 +205,18 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     Returns:
         Unit quaternion xyzw with w >= 0.
     """
-    x, y, z, w = from_matrices(matrix).tolist()
+    (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
+    # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
+    # factor, and dividing by it is stable for every rotation.
+    outer = (
+        (1.0 + a - b - c, d + f, e + h, k - g),
+        (d + f, 1.0 - a + b - c, g + k, e - h),
+        (e + h, g + k, 1.0 - a - b + c, f - d),
+        (k - g, e - h, f - d, 1.0 + a + b + c),
+    )
+    row = max(range(4), key=lambda i: outer[i][i])
+    length = math.copysign(math.hypot(*outer[row]), outer[row][3])
+    x, y, z, w = (value / length for value in outer[row])
     return x, y, z, w
 
 

@@ -207,7 +207,7 @@ class State:
         if not link:
             return body.pose
         from recorder import geometry  # noqa: PLC0415  these need numpy, which most questions don't
-        from recorder.urdf import UrdfError  # noqa: PLC0415
+        from recorder.urdf_joint import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)
         try:

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from recorder.urdf import Joint, Urdf
+    from recorder.urdf import Urdf
+    from recorder.urdf_joint import Joint
 
     Array = NDArray[np.float64]
 

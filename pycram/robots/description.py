@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram import checks, toml
 from pycram.failures import AssetError, BadArgument, UnknownName
-from recorder.urdf import UrdfError
+from recorder.urdf_joint import UrdfError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

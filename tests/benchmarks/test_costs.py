@@ -43,7 +43,7 @@ def demo_seconds(file: Path | None) -> tuple[float, float]:
     with recorder.record(file) if file else nullcontext(), redirect_stdout(StringIO()):
         kitchen = set_the_table.build_scene()
         world = BulletWorld.current_bullet_world
-        plan = seconds(lambda: [set_the_table.move_object(kind, kitchen) for kind in set_the_table.TARGETS])
+        plan = seconds(lambda: set_the_table.set_table(kitchen))
         step = seconds(lambda: world.engine.step(100)) / 100
         world.exit()
     return plan, step
