@@ -4,8 +4,8 @@ PyBullet refuses broken files without saying why, or loads them without a shape.
 What it gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
 under these names. The same store can be laid out again from a recording's attachments on another machine.
 
-Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning. Axes get unit length:
-PyBullet takes a longer one for a longer way.
+Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning. Axes get unit
+length: PyBullet takes a longer one for a longer way.
 """
 
 from __future__ import annotations

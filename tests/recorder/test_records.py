@@ -59,8 +59,7 @@ def test_objects_functions_and_the_unknown() -> None:
 
 def test_failures_carry_their_data() -> None:
     with pytest.raises(JointLimitError) as caught:
-        limits = (0.0, 0.33)
-        raise JointLimitError("pr2", "torso_lift_joint", 2.0, *limits)
+        raise JointLimitError("pr2", "torso_lift_joint", 2.0, 0.0, 0.33)
     told = failure(caught.value)
     assert told.type == "JointLimitError"
     assert "test_failures_carry_their_data" in told.traceback
