@@ -21,9 +21,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 import numpy as np
 
 from pycram.branch import Handle, branch_of, unwrap
+from pycram.equated import Equated
 from pycram.error_chain import chained
 from pycram.failures import UsageError
 from pycram.resolvers import Resolvers
+from pycram.solutions import Solution, Solutions
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
 #: What a slot holds, or what a designator stands for: whatever the plan gave.
 Value: TypeAlias = Any
-#: What a reference is: all parameters by name.
-Solution: TypeAlias = Mapping[str, Any]
 
 
 class DesignatorError(UsageError):
@@ -56,33 +56,7 @@ class DesignatorError(UsageError):
         self.takes = takes
 
 
-class _Solutions:
-    """Solutions of one description, found as they are asked for and kept; shared by a designator and its next ones."""
-
-    def __init__(self, find: Callable[[], Iterator[Solution]]) -> None:
-        self._lock = threading.RLock()
-        self._find = find
-        self._found: Iterator[Solution] | None = None
-        self._kept: list[Solution] = []
-
-    def at(self, index: int) -> Solution | None:
-        """The solution with this index, None if there are fewer."""
-        with self._lock:
-            while len(self._kept) <= index:
-                if self._found is None:  # at first, and after an error: then what was found already is skipped
-                    self._found = itertools.islice(self._find(), len(self._kept), None)
-                try:
-                    solution = next(self._found, None)
-                except BaseException:
-                    self._found = None
-                    raise
-                if solution is None:
-                    return None
-                self._kept.append(solution)
-            return self._kept[index]
-
-
-class Designator(ABC):
+class Designator(Equated, ABC):
     """A description of something, as a list of slots.
 
     Attributes:
@@ -100,10 +74,9 @@ class Designator(ABC):
         Raises:
             DesignatorError: the description isn't that.
         """
+        super().__init__()
         self._slots = _pairs(description)
         self._lock = threading.RLock()
-        self._parent: Designator | None = None
-        self._successor: Designator | None = None
         self._effective = False
         self._data: Value = None
         self.timestamp: float | None = None
@@ -158,51 +131,9 @@ class Designator(ABC):
         pairs = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
         return {key: unwrap(value) for key, value in pairs}
 
-    # --- the chain of equated designators ----------------------------------------------------------------------------
-
-    def equate(self, other: Designator) -> None:
-        """Says that this describes the same as another designator, and is newer than all that are equated with that.
-
-        Args:
-            other: any designator; nothing happens if they are equated already.
-        """
-        with _chain_lock:
-            if self.equal(other):
-                return
-            newest, oldest = other.current(), other.first()
-            if self._parent is not None:  # what this was equated with comes before all of the other's
-                oldest._parent = self._parent  # noqa: SLF001  same class
-                self._parent._successor = oldest  # noqa: SLF001  same class
-            self._parent = newest
-            newest._successor = self  # noqa: SLF001  same class
-
-    def equal(self, other: Designator) -> bool:
-        """Whether another designator is equated with this one."""
-        return self.first() is other.first()
-
-    def first(self) -> Designator:
-        """The oldest of the designators that are equated with this one."""
-        with _chain_lock:
-            one = self
-            while one._parent is not None:
-                one = one._parent
-            return one
-
-    def current(self) -> Designator:
-        """The newest of the designators that are equated with this one."""
-        with _chain_lock:
-            one = self
-            while one._successor is not None:
-                one = one._successor
-            return one
-
     def newest_effective(self) -> Designator | None:
         """The newest effective designator among those equated with this one; None if there is none."""
-        with _chain_lock:
-            one: Designator | None = self.current()
-            while one is not None and not one._effective:  # noqa: SLF001  same class
-                one = one._parent  # noqa: SLF001  same class
-            return one
+        return next((one for one in reversed(self.chain()) if one.effective), None)
 
     @property
     def effective(self) -> bool:
@@ -342,7 +273,7 @@ class MotionDesignator(Designator):
     def __init__(self, description: Description, parent: Designator | None = None) -> None:
         """Makes a designator; see :class:`Designator`."""
         super().__init__(description, parent)
-        self._solutions = _Solutions(self._resolve)
+        self._solutions = Solutions(self._resolve)
         self._index = 0
 
     @classmethod
@@ -420,10 +351,6 @@ class MotionDesignator(Designator):
                 errors.append(error)
         if errors and not found:
             raise chained(errors[-1], errors[:-1])
-
-
-#: Chains of different designators get joined, so one lock guards them all; it is held for a few steps at most.
-_chain_lock = threading.RLock()
 
 
 def _pairs(description: Description) -> tuple[tuple[str, object], ...]:

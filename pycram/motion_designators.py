@@ -19,9 +19,10 @@ from pycram.failures import BadArgument, NoWorld
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.designator import MotionDesignator, Solution
+    from pycram.designator import MotionDesignator
     from pycram.objects import Object
     from pycram.slots import Check
+    from pycram.solutions import Solution
 
 Value: TypeAlias = Any
 
