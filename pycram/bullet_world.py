@@ -140,6 +140,20 @@ class BulletWorld(metaclass=_Worlds):
         """All objects, in the order in which they were loaded."""
         return list(self._objects.values())
 
+    @staticmethod
+    def current_robot() -> Object:
+        """The robot of the current world, for what can't go on without one.
+
+        Raises:
+            NoWorld: there is no world, or no robot in it.
+        """
+        world = BulletWorld.current_bullet_world
+        if world is None:
+            raise NoWorld
+        if world.robot is None:
+            raise NoWorld("robot")
+        return world.robot
+
     @property
     def robot(self) -> Object | None:
         """The robot that plans control in this world."""

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram import slots
 from pycram.branch import branch_of, unwrap
+from pycram.bullet_world import BulletWorld
 from pycram.claims import Claims
 from pycram.designator import DesignatorError
-from pycram.failures import BadArgument, NoWorld
+from pycram.failures import BadArgument
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.designator import MotionDesignator
-    from pycram.objects import Object
     from pycram.slots import Check
     from pycram.solutions import Solution
 
@@ -84,19 +84,8 @@ class MotionType:
         return "\n".join(lines)
 
 
-def _robot() -> Object:
-    from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of designators
-
-    world = BulletWorld.current_bullet_world
-    if world is None:
-        raise NoWorld
-    if world.robot is None:
-        raise NoWorld("robot")
-    return world.robot
-
-
 def _heading(_: dict[str, Value]) -> Value:
-    return _robot().get_orientation()
+    return BulletWorld.current_robot().get_orientation()
 
 
 def _left(_: dict[str, Value]) -> Value:
@@ -107,7 +96,7 @@ def _holding_arm(given: dict[str, Value]) -> Value:
     """The arm that holds the object; the left one if none does."""
     body = given.get("object")
     attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
-    description = _robot().description
+    description = BulletWorld.current_robot().description
     if attachment is None or description is None:
         return "left"
     arm = description.arm_of(attachment.carrier_link)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pycram.failures import NoWorld, UsageError
+from pycram.bullet_world import BulletWorld
+from pycram.failures import UsageError
 from pycram.process_module import ProcessModule
 
 if TYPE_CHECKING:
@@ -34,14 +35,7 @@ class SimulatedModule(ProcessModule):
         Raises:
             NoWorld: there is none.
         """
-        from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of process modules
-
-        world = BulletWorld.current_bullet_world
-        if world is None:
-            raise NoWorld
-        if world.robot is None:
-            raise NoWorld("robot")
-        return world.robot
+        return BulletWorld.current_robot()
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:
