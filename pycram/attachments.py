@@ -16,9 +16,9 @@ from pycram.failures import AttachmentError
 from recorder import geometry, records
 
 if TYPE_CHECKING:
-    from pycram.engine import Pose
     from pycram.funnel import Change
     from pycram.objects import Object
+    from recorder.geometry import Pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from pycram.engine import Pose
     from pycram.funnel import Change
     from pycram.objects import Object
+    from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
 _GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on

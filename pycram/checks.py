@@ -14,7 +14,7 @@ import numpy as np
 from pycram.failures import BadArgument
 
 if TYPE_CHECKING:
-    from pycram.engine import Quaternion, Vector
+    from recorder.geometry import Quaternion, Vector
 
 _FARTHEST = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
 

@@ -9,54 +9,28 @@ The settings of a client decide what repeats bit for bit: overlapping pairs are 
 
 from __future__ import annotations
 
-import ctypes
-import os
-import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.body import Body, Joint
+from pycram.quiet import quiet
 from recorder import geometry
+from recorder.geometry import IDENTITY, Pose, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
 
-@contextmanager
-def _quiet(*descriptors: int) -> Iterator[None]:
-    """Drops what native code prints (greetings, progress): stdout belongs to results, stderr to people."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = [(number, os.dup(number)) for number in descriptors]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number in descriptors:
-            os.dup2(nowhere, number)
-        yield
-    finally:
-        ctypes.CDLL(None).fflush(None)  # C buffers what goes to a pipe or a file
-        for number, copy in kept:
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
-
-
-with _quiet(1, 2):  # it announces its build time
+with quiet(1, 2):  # it announces its build time
     import pybullet as bullet
 
 STEPS_PER_SECOND: Final = 240
-
-Vector: TypeAlias = tuple[float, float, float]
-Quaternion: TypeAlias = tuple[float, float, float, float]
-Pose: TypeAlias = tuple[Vector, Quaternion]
-"""Position in m and orientation xyzw."""
-
-IDENTITY: Final[Pose] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 # Groups of the collision filter. PyBullet lets a pair collide if either side wants to, so both have to refuse.
 _ROBOT_GROUP: Final = 64
@@ -69,50 +43,6 @@ _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "pri
 
 #: Forces (N, Nm) with which joints keep their place. The PR2's torso sinks below 1e4.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
-
-
-@dataclass(frozen=True, slots=True)
-class Joint:
-    """A movable joint.
-
-    Attributes:
-        name: its name.
-        index: PyBullet's.
-        kind: "revolute" (also continuous) or "prismatic".
-        lower: lower limit in rad or m, -inf if continuous.
-        upper: upper limit in rad or m, inf if continuous.
-        link: the link that it moves.
-    """
-
-    name: str
-    index: int
-    kind: str
-    lower: float
-    upper: float
-    link: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """A loaded body.
-
-    Attributes:
-        id: PyBullet's; reused after removal.
-        links: link index by name, the base is -1.
-        joints: movable joints by name.
-        offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
-        indices: indices of the movable joints, in order.
-    """
-
-    id: int
-    links: Mapping[str, int]
-    joints: Mapping[str, Joint]
-    offset: Pose | None
-    indices: tuple[int, ...]
-
-    def link_name(self, index: int) -> str:
-        """The name of a link index."""
-        return next(name for name, i in self.links.items() if i == index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +92,7 @@ def decompose(source: Path, target: Path) -> None:
         source: the mesh.
         target: gets one group per piece.
     """
-    with _quiet(1):
+    with quiet(1):
         bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
 
 
@@ -176,7 +106,7 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         if window:
-            with _quiet(1):
+            with quiet(1):
                 self._client: int = bullet.connect(bullet.GUI)
         else:
             self._client = bullet.connect(bullet.DIRECT)
@@ -449,7 +379,7 @@ class Engine:
         if self._client >= 0:
             client, self._client = self._client, -1
             if bullet.isConnected(client):
-                with _quiet(1) if self._window else nullcontext():
+                with quiet(1) if self._window else nullcontext():
                     bullet.disconnect(client)
 
     @property

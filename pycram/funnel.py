@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
     from pycram.attachments import Attachment
     from pycram.bullet_world import BulletWorld
-    from pycram.engine import Pose
     from pycram.objects import Object
+    from recorder.geometry import Pose
 
 #: A keyframe costs 0.3 ms and 3 kB; with one each 100 changes any step is folded from at most 100 records.
 CHANGES_PER_KEYFRAME: Final = 100

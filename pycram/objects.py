@@ -19,10 +19,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.attachments import Attachment
+    from pycram.body import Body
     from pycram.bullet_world import BulletWorld
-    from pycram.engine import Body, Pose
     from pycram.funnel import Change
     from pycram.robots.description import RobotDescription
+    from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
 ENVIRONMENT = "environment"

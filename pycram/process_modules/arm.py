@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pycram.designator import Designator
-    from pycram.engine import Pose, Quaternion
     from pycram.objects import Object
     from pycram.robots.description import Arm
+    from recorder.geometry import Pose, Quaternion
 
 _SETTLING: Final = 0.05  # s of simulated time between looks whether an object that was put down has come to rest
 _LONGEST_SETTLING: Final = 10  # looks

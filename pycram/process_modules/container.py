@@ -13,9 +13,9 @@ from recorder import geometry
 
 if TYPE_CHECKING:
     from pycram.designator import Designator
-    from pycram.engine import Pose
     from pycram.objects import Object
     from pycram.robots.description import Arm
+    from recorder.geometry import Pose
 
 _STRIDE: Final = 0.1  # m or rad between the postures on the way
 

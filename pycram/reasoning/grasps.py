@@ -17,10 +17,10 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from pycram.engine import Quaternion, Vector
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
     from pycram.robots.description import Arm
+    from recorder.geometry import Quaternion, Vector
 
 _PALM: Final = 0.018  # m from the tool frame back to the palm, less a little
 _TIPS: Final = 0.045  # m from the tool frame to the finger tips, and a little more

@@ -10,8 +10,8 @@ from pycram.reasoning.twin import twin
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pycram.engine import Quaternion, Vector
     from pycram.objects import Object
+    from recorder.geometry import Quaternion, Vector
 
 _ABOVE: Final = 0.05  # m by which the support may be higher than the target says
 _BELOW: Final = 0.10  # m by which it may be lower

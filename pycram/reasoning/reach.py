@@ -22,8 +22,10 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from pycram.engine import Body, Engine, Pose, Quaternion, Touch
+    from pycram.body import Body
+    from pycram.engine import Engine, Touch
     from pycram.objects import Object
+    from recorder.geometry import Pose, Quaternion
 
 THRESHOLD: Final = 0.01  # m between tool and target that count as reached
 DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as in the way

@@ -23,8 +23,10 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pycram.engine import Body, Engine, Pose
+    from pycram.body import Body
+    from pycram.engine import Engine
     from pycram.objects import Object
+    from recorder.geometry import Pose
 
 HORIZON: Final = 2 * STEPS_PER_SECOND  # steps
 MOVED: Final = 0.01  # m

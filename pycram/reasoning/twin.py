@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from pycram.attachments import Attachment
+    from pycram.body import Body
     from pycram.bullet_world import BulletWorld
-    from pycram.engine import Body
     from pycram.objects import Object
 
 _AWAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))

@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.engine import Engine, Picture, Pose
+    from pycram.engine import Engine, Picture
     from pycram.objects import Object
+    from recorder.geometry import Pose
 
 _PIXELS: Final = 64  # of the longer side of the part that is looked at
 _WIDE: Final = math.radians(60)  # field of view where only a position is given

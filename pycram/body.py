@@ -1,0 +1,55 @@
+"""Bodies as the engine knows them: ids and indices of PyBullet under the names of their URDF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from recorder.geometry import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """A movable joint.
+
+    Attributes:
+        name: its name.
+        index: PyBullet's.
+        kind: "revolute" (also continuous) or "prismatic".
+        lower: lower limit in rad or m, -inf if continuous.
+        upper: upper limit in rad or m, inf if continuous.
+        link: the link that it moves.
+    """
+
+    name: str
+    index: int
+    kind: str
+    lower: float
+    upper: float
+    link: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A loaded body.
+
+    Attributes:
+        id: PyBullet's; reused after removal.
+        links: link index by name, the base is -1.
+        joints: movable joints by name.
+        offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
+        indices: indices of the movable joints, in order.
+    """
+
+    id: int
+    links: Mapping[str, int]
+    joints: Mapping[str, Joint]
+    offset: Pose | None
+    indices: tuple[int, ...]
+
+    def link_name(self, index: int) -> str:
+        """The name of a link index."""
+        return next(name for name, i in self.links.items() if i == index)
