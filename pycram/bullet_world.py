@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from pycram.funnel import Change
+    from pycram.world_lock import WorldLock
     from recorder.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
@@ -131,8 +132,8 @@ class BulletWorld(metaclass=_Worlds):
     # --- what is in it ---------------------------------------------------------------------------------------------
 
     @property
-    def lock(self) -> threading.RLock:
-        """Held while something reads or changes this world consistently; re-entrant."""
+    def lock(self) -> WorldLock:
+        """Held while something reads or changes this world consistently; handlers of events run when it is free."""
         return self.funnel.lock
 
     @property

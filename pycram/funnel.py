@@ -1,18 +1,18 @@
 """The funnel: the one way in which a world changes.
 
 Validate, act in the engine, read back, emit one record, fire events. The world's lock is held from validating to
-emitting, so the order of records is the order of changes. Handlers of events are user code: they are called after the
-lock is released, because a handler that waits for another thread that wants this world would never end.
+emitting, so the order of records is the order of changes. Handlers of events are user code: they are called when the
+lock is free again (:mod:`pycram.world_lock`).
 """
 
 from __future__ import annotations
 
-import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.failures import ChangeRefused, WorldClosed
+from pycram.world_lock import WorldLock
 from recorder import journal, records
 from recorder.interrupts import Uninterrupted
 
@@ -132,12 +132,10 @@ class Funnel:
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.lock = threading.RLock()
+        self.lock = WorldLock()
         self.query = ""
         self._seen: dict[str, Reading] = {}
         self._since_keyframe = 0
-        self._depth = 0
-        self._calls: list[Callable[[], None]] = []
 
     @contextmanager
     def change(self, command: records.Mutation) -> Iterator[Change]:
@@ -156,21 +154,13 @@ class Funnel:
             ChangeRefused: a reasoning query runs in this world.
             RecordingError: the record can't be kept.
         """
-        calls: list[Callable[[], None]] = []
         with self.lock, Uninterrupted() as hold:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
             change = Change(command, hold)
-            self._depth += 1
-            try:
-                yield change
-                if journal.recording():
-                    self._emit(change)
-                self._calls.extend(prepare() for prepare in change.events)
-            finally:
-                self._depth -= 1
-                if not self._depth:
-                    calls, self._calls = self._calls, []
-        call_all(calls)
+            yield change
+            if journal.recording():
+                self._emit(change)
+            self.lock.owe(prepare() for prepare in change.events)
 
     def check(self, action: str) -> None:
         """Refuses what can't be now.
@@ -242,22 +232,3 @@ class Funnel:
             frame.attachments.extend(held.record() for held in body.attachments.values() if held.carrier is body)
         self._since_keyframe = 0
         return frame
-
-
-def call_all(calls: Iterable[Callable[[], None]]) -> None:
-    """Makes every call; the first error is raised when all are made, with the others as its notes.
-
-    Args:
-        calls: what to call.
-    """
-    first: BaseException | None = None
-    for call in calls:
-        try:
-            call()
-        except Exception as error:  # noqa: BLE001  the other handlers have a right to be called
-            if first is None:
-                first = error
-            else:
-                error.__context__, first.__context__ = first.__context__, error
-    if first is not None:
-        raise first

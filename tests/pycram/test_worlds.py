@@ -11,7 +11,9 @@ import psutil
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
+from pycram.process_module import ProcessModule
 from pycram.reasoning.query import asking
 
 
@@ -138,6 +140,53 @@ def test_events_fire_and_their_handlers_may_do_anything(scene: BulletWorld) -> N
     attached -= in_another_thread
     assert [kind for kind, _ in told] == ["attached", "position", "detached", "manipulated"]
     assert told[-1] == ("manipulated", "kitchen")
+
+
+def test_handlers_never_run_with_the_world_locked_however_it_was_changed(scene: BulletWorld) -> None:
+    robot, kitchen = scene.robot, scene.get_object("kitchen")
+    assert robot is not None
+    seen: list[tuple[str, bool]] = []
+
+    def read_in_another_thread(name: str) -> None:
+        thread = threading.Thread(target=robot.get_position)
+        thread.start()
+        thread.join(10)
+        seen.append((name, thread.is_alive()))
+
+    manipulated = scene.get_manipulation_event()
+    manipulated += lambda _: read_in_another_thread("manipulation")
+    attached = scene.get_attachment_event()
+    attached += lambda *_: read_in_another_thread("attachment")
+    kitchen.set_position([0.01, 0, 0])
+    kitchen.set_orientation([0, 0, 0, 1])
+    kitchen.set_position([0, 0, 0])
+    with scene.lock:
+        kitchen.set_joint_position("iai_fridge_door_joint", 0.5)
+        assert len(seen) == 3, "whoever holds the lock isn't disturbed"
+    assert len(seen) == 4
+
+    def fail_after_a_change() -> None:
+        with scene.lock:
+            kitchen.set_joint_position("iai_fridge_door_joint", 0.0)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail_after_a_change()
+    assert len(seen) == 5, "what has happened is announced"
+    slots = {
+        "type": "accessing",
+        "drawer-joint": "sink_area_left_upper_drawer_main_joint",
+        "drawer-handle": "sink_area_left_upper_drawer_handle",
+        "part-of": kitchen,
+        "arm": "left",
+        "distance": 0.3,
+    }
+    ProcessModule.perform(MotionDesignator(slots))
+    assert len(seen) > 5
+    robot.attach(scene.get_object("milk"), "r_gripper_tool_frame")
+    assert seen[-1][0] == "attachment"
+    scene.reset_bullet_world()
+    assert not any(stuck for _, stuck in seen)
 
 
 def test_reset_puts_everything_back(scene: BulletWorld) -> None:
