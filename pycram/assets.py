@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram import mesh
-from pycram.failures import AssetError
+from pycram.failures import AssetError, BadArgument
 from recorder.asset import AssetFile
 from recorder.urdf import Urdf
 from recorder.urdf_joint import UrdfError
@@ -75,8 +75,11 @@ def find(path: str | Path) -> Path:
         The file's absolute path.
 
     Raises:
+        BadArgument: no path.
         AssetError: there is no such file.
     """
+    if not isinstance(path, str | Path) or not str(path):
+        raise BadArgument("path", path, "a file's path")
     given = Path(path).expanduser()
     if given.is_file():
         return given.resolve()

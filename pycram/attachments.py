@@ -70,8 +70,6 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
         UnknownName: there is no such link.
         AttachmentError: it makes no sense, see :func:`_check`.
     """
-    if not hasattr(body, "attachments"):
-        raise AttachmentError(carrier.name, repr(body), "it is not an Object")
     if body in carrier.attachments:
         return
     world, carrying, held = carrier.world, carrier.check_link(link), body.check_link(body_link)

@@ -6,19 +6,20 @@ again. Physics runs in :meth:`BulletWorld.simulate` and in real time only, 240 s
 
 from __future__ import annotations
 
-import itertools
 import math
 import threading
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
-from pycram import attachments, checks
+from pycram import attachments, checks, worlds
 from pycram.engine import STEPS_PER_SECOND, Engine
 from pycram.event import Event
-from pycram.failures import BadArgument, NoWorld, UnknownName, WorldClosed
+from pycram.failures import BadArgument, NoWorld, UnknownName
 from pycram.funnel import Funnel, Reading, read
 from pycram.gui import check_display
 from pycram.objects import Object
 from pycram.realtime import RealtimeClock
+from pycram.worlds import CurrentWorld
 from recorder import journal, records
 
 if TYPE_CHECKING:
@@ -34,43 +35,11 @@ if TYPE_CHECKING:
 __all__ = ["BulletWorld", "Object"]
 
 _SAMPLE_STEPS: Final = STEPS_PER_SECOND // 30
+_LONGEST: Final = 366 * 86400.0  # s; what is longer is a mistake
 _MOVED: Final = 1e-4  # rad or m by which a joint of the environment has to move in a simulated stretch to be news
 
 
-class _Worlds(type):
-    """Makes the current world and its robot readable and settable on the class, as in the thesis' listings."""
-
-    open_worlds: tuple[BulletWorld, ...] = ()
-    registry = threading.Lock()
-    numbers = itertools.count(1)
-
-    @property
-    def current_bullet_world(cls) -> BulletWorld | None:
-        """The default world of all that needs one: the one opened last that is still open."""
-        return _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
-
-    @current_bullet_world.setter
-    def current_bullet_world(cls, world: BulletWorld) -> None:
-        with _Worlds.registry:
-            if world.closed:
-                raise WorldClosed(world.name, "become current")
-            _Worlds.open_worlds = (*(other for other in _Worlds.open_worlds if other is not world), world)
-
-    @property
-    def robot(cls) -> Object | None:
-        """The robot of the current world."""
-        world = _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
-        return world.robot if world else None
-
-    @robot.setter
-    def robot(cls, robot: Object | None) -> None:
-        world = robot.world if robot is not None else _Worlds.open_worlds[-1] if _Worlds.open_worlds else None
-        if world is None:
-            raise NoWorld
-        world.set_robot(robot)
-
-
-class BulletWorld(metaclass=_Worlds):
+class BulletWorld(metaclass=CurrentWorld):
     """A world.
 
     Args:
@@ -89,12 +58,9 @@ class BulletWorld(metaclass=_Worlds):
         if type not in ("DIRECT", "GUI"):
             raise BadArgument("type", type, '"DIRECT" or "GUI"')
         if type == "GUI":
-            check_display(open_windows=[world.name for world in _Worlds.open_worlds if world.mode == "GUI"])
+            check_display(open_windows=[world.name for world in worlds.opened() if world.mode == "GUI"])
         self.mode = type
-        self.name = f"world_{next(_Worlds.numbers)}" if name is None else checks.text("name", name)
-        if any(world.name == self.name for world in _Worlds.open_worlds):
-            raise BadArgument("name", self.name, "a name that no open world has")
-        self.engine = Engine(window=type == "GUI")
+        self.name = worlds.take_name(name)
         self.sim_step = 0
         self.gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.closed = False
@@ -106,10 +72,15 @@ class BulletWorld(metaclass=_Worlds):
         self._attachment = Event("attachment", self.name, self._envelope)
         self._detachment = Event("detachment", self.name, self._envelope)
         self._manipulation = Event("manipulation", self.name, self._envelope)
-        with self.funnel.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
-            journal.register(self)
-        with _Worlds.registry:
-            _Worlds.open_worlds = (*_Worlds.open_worlds, self)
+        with ExitStack() as undoing:
+            undoing.callback(worlds.leave, self.name)
+            self.engine = Engine(window=type == "GUI")
+            undoing.callback(self.engine.close)
+            undoing.callback(journal.unregister, self)
+            with self.funnel.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
+                journal.register(self)
+            undoing.pop_all()
+        worlds.enter(self)
 
     def __repr__(self) -> str:
         return f"BulletWorld({self.mode!r}, name={self.name!r})"
@@ -199,9 +170,10 @@ class BulletWorld(metaclass=_Worlds):
         """The object of that name.
 
         Raises:
+            BadArgument: not a name.
             UnknownName: there is none.
         """
-        if name not in self._objects:
+        if checks.text("name", name) not in self._objects:
             raise UnknownName("object", name, self.name, self._objects)
         return self._objects[name]
 
@@ -283,8 +255,11 @@ class BulletWorld(metaclass=_Worlds):
 
         Args:
             real_time: on or off.
+
+        Raises:
+            BadArgument: neither.
         """
-        enabled = bool(real_time)
+        enabled = checks.switch("real_time", real_time)
         stopped = None
         with self.funnel.change(records.Mutation(set_realtime=records.SetRealtime(enabled=enabled))):
             if enabled and self._clock is None:
@@ -302,15 +277,23 @@ class BulletWorld(metaclass=_Worlds):
             seconds: simulated time; ``round(seconds * 240)`` steps.
 
         Raises:
-            BadArgument: not a number from 0 up.
+            BadArgument: not a number from 0 to a year's seconds.
         """
         duration = checks.number("seconds", seconds)
-        if duration < 0:
-            raise BadArgument("seconds", seconds, "a number from 0 up")
+        if not 0 <= duration <= _LONGEST:
+            raise BadArgument("seconds", seconds, f"a number from 0 to {_LONGEST:g}")
         self.simulate_steps(round(duration * STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
-        """Lets time run for so many steps of 1/240 s."""
+        """Lets time run.
+
+        Args:
+            steps: how many, of 1/240 s each.
+
+        Raises:
+            BadArgument: not a whole number from 0 up.
+        """
+        steps = checks.count("steps", steps)
         with self.funnel.change(records.Mutation(simulate=records.Simulate(steps=steps))) as change:
             environment = {body: self.engine.joints(body.handle)[0] for body in self.objects if body.is_environment}
             self._step(steps, change)
@@ -368,25 +351,42 @@ class BulletWorld(metaclass=_Worlds):
 
         Args:
             close: called once, with the world's lock held.
+
+        Raises:
+            BadArgument: it can't be called.
         """
+        if not callable(close):
+            raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)
 
     def exit(self) -> None:
-        """Ends the world at once, its window and its threads; a second call does nothing."""
+        """Ends the world at once, its window and its threads; a second call does nothing.
+
+        Raises:
+            Exception: the first error of what :meth:`at_exit` was given, when all has ended.
+        """
         with self.lock:
             if self.closed:
                 return
             self.funnel.query = ""  # a query that dies in an exception can't keep its world from ending
         if self._clock is not None:
             self.set_realtime(False)
-        with self.funnel.change(records.Mutation(close_world=records.CloseWorld())):
-            journal.unregister(self)
-            self.closed = True
-            for body in self.objects:
-                body.handle = None
-            self._robot = None
-            self.engine.close()
-            for close in self._closers:
-                close()
-        with _Worlds.registry:
-            _Worlds.open_worlds = tuple(world for world in _Worlds.open_worlds if world is not self)
+        with self.lock, ExitStack() as ending:
+            if self.closed:
+                return
+            for end in (self._end, *self._closers):
+                ending.callback(end)
+            with self.funnel.change(records.Mutation(close_world=records.CloseWorld())):
+                self._end()
+
+    def _end(self) -> None:
+        """Ends all but the record of it, once."""
+        if self.closed:
+            return
+        self.closed = True
+        journal.unregister(self)
+        for body in self.objects:
+            body.handle = None
+        self._robot = None
+        self.engine.close()
+        worlds.leave(self.name)

@@ -5,8 +5,10 @@ Each returns plain floats, so that nothing of the caller's arrays is kept or ali
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +18,7 @@ from pycram.failures import BadArgument
 if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
 
+_MOST = 2**53
 _FARTHEST = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
 
 
@@ -40,10 +43,41 @@ def number(argument: str, value: object) -> float:
     return result
 
 
+def count(argument: str, value: object) -> int:
+    """A whole number from 0 up.
+
+    Args:
+        argument: what it is, for the error.
+        value: what was given.
+
+    Raises:
+        BadArgument: it isn't one, or more than records can hold.
+    """
+    result = number(argument, value)
+    if result != int(result) or not 0 <= result < _MOST:
+        raise BadArgument(argument, value, "a whole number from 0 up")
+    return int(result)
+
+
+def switch(argument: str, value: object) -> bool:
+    """On or off.
+
+    Args:
+        argument: what it is, for the error.
+        value: True or False, also as 1 or 0.
+
+    Raises:
+        BadArgument: it is neither.
+    """
+    if isinstance(value, bool | int | np.bool_ | np.integer) and value in (0, 1):
+        return bool(value)
+    raise BadArgument(argument, value, "True or False")
+
+
 def _numbers(argument: str, value: object, length: int, expected: str) -> tuple[float, ...]:
-    if isinstance(value, str | bytes) or not isinstance(value, Iterable | np.ndarray):
+    if isinstance(value, str | bytes | AbstractSet | Mapping) or not isinstance(value, Iterable | np.ndarray):
         raise BadArgument(argument, value, expected)
-    items = list(value)
+    items = list(itertools.islice(value, length + 1))
     if len(items) != length:
         raise BadArgument(argument, value, expected)
     try:
@@ -116,8 +150,8 @@ def text(argument: str, value: object) -> str:
         value: a string that isn't empty.
 
     Raises:
-        BadArgument: it isn't that.
+        BadArgument: it isn't that, or has characters that no file can hold (lone surrogates).
     """
-    if not isinstance(value, str) or not value.strip():
+    if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise BadArgument(argument, value, "a string that isn't empty")
     return value

@@ -158,6 +158,8 @@ class Funnel:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
             change = Change(command, hold)
             yield change
+            for name in change.removed:
+                self._seen.pop(name, None)
             if journal.recording():
                 self._emit(change)
             self.lock.owe(prepare() for prepare in change.events)
@@ -186,8 +188,6 @@ class Funnel:
             self._seen[name] = now
             if state is not None:
                 effect.bodies.append(state)
-        for name in change.removed:
-            self._seen.pop(name, None)
         effect.removed.extend(change.removed)
         effect.attached.extend(attachment.record() for attachment in change.attached.values())
         effect.detached.extend(attachment.record() for attachment in change.detached)

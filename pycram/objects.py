@@ -6,23 +6,24 @@ link is named. Setting a pose is exact and runs no physics. Joints are named and
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pycram import assets, attachments, cargo, checks
-from pycram.failures import JointLimitError, NoWorld, UnknownName, WorldClosed
-from pycram.robots.description import find_description
+from pycram.branch import unwrap
+from pycram.failures import BadArgument, JointLimitError, NoWorld, UnknownName, WorldClosed
+from pycram.robots.description import RobotDescription, find_description
 from recorder import records
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from pathlib import Path
 
     from pycram.attachments import Attachment
     from pycram.body import Body
     from pycram.bullet_world import BulletWorld
     from pycram.funnel import Change
-    from pycram.robots.description import RobotDescription
     from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
@@ -69,6 +70,10 @@ class Object:
         place = world if world is not None else BulletWorld.current_bullet_world
         if place is None:
             raise NoWorld
+        if not isinstance(place, BulletWorld):
+            raise BadArgument("world", world, "a BulletWorld")
+        if description is not None and not isinstance(description, RobotDescription):
+            raise BadArgument("description", description, "a RobotDescription")
         self.world: BulletWorld = place
         self.name = checks.text("name", name)
         self.type = checks.text("type", type)
@@ -196,7 +201,7 @@ class Object:
         links = self.handle.links
         if name is None:
             return next(iter(links))
-        if name not in links:
+        if checks.text("link", name) not in links:
             raise UnknownName("link", name, self.name, links)
         return name
 
@@ -206,7 +211,7 @@ class Object:
         Raises:
             UnknownName: there is no such movable joint.
         """
-        if name not in self.handle.joints:
+        if checks.text("joint", name) not in self.handle.joints:
             raise UnknownName("movable joint", name, self.name, self.joints)
         return name
 
@@ -348,6 +353,8 @@ class Object:
             BadArgument: not a number.
             JointLimitError: outside the joint's limits.
         """
+        if not isinstance(positions, Mapping):
+            raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
         checked = {name: self._check_value(name, value) for name, value in positions.items()}
         command = records.MoveJoints(body=self.name, joints=list(checked), positions=list(checked.values()))
         with self.world.funnel.change(records.Mutation(move_joints=command)) as change:
@@ -418,17 +425,19 @@ class Object:
 
         Raises:
             UnknownName: there is no such link.
+            BadArgument: the other isn't an object.
             AttachmentError: it makes no sense (cycle, fixed base, carried by another, another world).
         """
-        attachments.attach(self, other, link, other_link)
+        attachments.attach(self, _object("other", other), link, other_link)
 
     def detach(self, other: Object) -> None:
         """Ends an attachment, from either side (thesis 4.3.2); both stay where they are.
 
         Raises:
+            BadArgument: the other isn't an object.
             AttachmentError: there is none between the two.
         """
-        attachments.detach(self, other)
+        attachments.detach(self, _object("other", other))
 
     def detach_all(self) -> None:
         """Ends all attachments that it is part of."""
@@ -449,3 +458,11 @@ class Object:
         with self.world.funnel.change(records.Mutation(set_color=command)):
             self.world.engine.set_color(self.handle, rgba)
             self.color = rgba
+
+
+def _object(argument: str, value: object) -> Object:
+    """An object, the result where it is a branch's handle."""
+    result = unwrap(value)
+    if not isinstance(result, Object):
+        raise BadArgument(argument, result, "an Object")
+    return result

@@ -208,14 +208,21 @@ def open_journal(journal: Journal) -> None:
 
     Args:
         journal: the journal.
+
+    Raises:
+        RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
     """
     global _open  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
         sources = list(_sources.values())
         journal.expect(source.name for source in sources)
         _open = (*_open, journal)
-    for source in sources:
-        source.record_keyframe(journal)
+    try:
+        for source in sources:
+            source.record_keyframe(journal)
+    except BaseException:
+        forget_journal(journal)
+        raise
 
 
 def close_journal(journal: Journal) -> None:
@@ -234,7 +241,7 @@ def close_journal(journal: Journal) -> None:
 
 
 def forget_journal(journal: Journal) -> None:
-    """Ends recording to a journal without touching its sinks: in a forked child they are the parent's.
+    """Ends recording to a journal without touching its sinks.
 
     Args:
         journal: the journal.

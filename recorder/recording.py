@@ -6,7 +6,7 @@ import os
 import sys
 import time
 import weakref
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -69,26 +69,9 @@ def record(
     file = Path(path)
     program = _program() if source is None else Path(source)
     title = name or (program.stem if program else "plan")
-    viewers: list[journal.Sink] = []
-    if live is not None:
-        from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
-
-        viewers.append(RerunSink(live, title))
-    try:
-        sink = McapSink(file, {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())})
-    except BaseException:
-        for viewer in viewers:
-            viewer.close()
-        raise
-    sinks: list[journal.Sink] = [sink, *viewers]
-    log = Journal(sinks)
-    _leave_to_parent(sink, log)
-    owner = os.getpid()
     start = time.perf_counter_ns()
-    log.append(Run(phase=Run.STARTED, name=title))
-    if program is not None and program.is_file():
-        log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
-    journal.open_journal(log)
+    log = _begin(file, live, title, arguments, program)
+    owner = os.getpid()
     try:
         yield Recording(file, log)
     except BaseException as error:
@@ -101,6 +84,28 @@ def record(
     else:
         if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
             _finish(log, title, start, None)
+
+
+def _begin(file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None) -> Journal:
+    """Opens the file and tells it what is there already; leaves nothing open if that fails."""
+    with ExitStack() as undoing:
+        viewers: list[journal.Sink] = []
+        if live is not None:
+            from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
+
+            viewers.append(RerunSink(live, title))
+            undoing.callback(viewers[0].close)
+        metadata = {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())}
+        sink = McapSink(file, metadata)
+        undoing.callback(sink.close)
+        log = Journal([sink, *viewers])
+        _leave_to_parent(sink, log)
+        log.append(Run(phase=Run.STARTED, name=title))
+        if program is not None and program.is_file():
+            log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
+        journal.open_journal(log)
+        undoing.pop_all()
+    return log
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:

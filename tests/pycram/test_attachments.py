@@ -8,6 +8,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AttachmentError
+from pycram.language import par
 from recorder import geometry
 
 DRAWER = "sink_area_left_upper_drawer_main_joint"
@@ -104,3 +105,13 @@ def test_a_drawer_takes_along_what_lies_in_it_and_on_that(scene: BulletWorld) ->
         assert body.get_position()[0] == pytest.approx(rests[body][0] + 0.25, abs=1e-6), body
         assert body.get_position()[1:] == pytest.approx(rests[body][1:], abs=1e-6)
     assert milk.get_position() == rests[milk]
+
+
+def test_a_branch_s_handle_stands_for_its_object(scene: BulletWorld) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    with par as s:
+        found = s(scene.get_object, "milk")
+    robot.attach(found, "l_gripper_tool_frame")
+    assert milk.carrier is robot
+    robot.detach(milk)
+    assert milk.carrier is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from itertools import count
 from typing import TYPE_CHECKING
 
 import pytest
@@ -30,6 +31,12 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
     "position text": (lambda w: w.get_object("milk").set_position("abc"), BadArgument, "3 finite numbers"),
     "position None": (lambda w: w.get_object("milk").set_position(None), BadArgument, "3 finite numbers"),
     "position inf": (lambda w: w.get_object("milk").set_position([float("inf"), 0, 0]), BadArgument, "finite"),
+    "position as a set": (
+        lambda w: w.get_object("milk").set_position({1.0, 2.0, 3.0}),
+        BadArgument,
+        "3 finite numbers",
+    ),
+    "position without end": (lambda w: w.get_object("milk").set_position(count()), BadArgument, "3 finite numbers"),
     "orientation 0": (lambda w: w.get_object("milk").set_orientation([0, 0, 0, 0]), BadArgument, "zero"),
     "orientation of 3": (lambda w: w.get_object("milk").set_orientation([0, 0, 1]), BadArgument, "x, y, z, w"),
     "unknown joint": (lambda w: w.robot.set_joint_position("r_elbow_flexjoint", 0), UnknownName, "r_elbow_flex_joint"),
@@ -41,15 +48,35 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
         JointLimitError,
         "head_tilt_joint",
     ),
+    "joints as a list": (lambda w: w.robot.set_joint_positions([0.1]), BadArgument, "by joint name"),
+    "joint of no name": (lambda w: w.robot.get_joint_position(["x"]), BadArgument, "joint"),
+    "link of no name": (lambda w: w.robot.get_link_position(["x"]), BadArgument, "link"),
+    "attach to a list": (lambda w: w.robot.attach(w.get_object("milk"), ["x"]), BadArgument, "link"),
+    "attach no object": (lambda w: w.robot.attach("milk"), BadArgument, "an Object"),
+    "detach no object": (lambda w: w.robot.detach(None), BadArgument, "an Object"),
     "unknown link": (lambda w: w.robot.attach(w.get_object("milk"), "nolink"), UnknownName, "nolink"),
     "gravity": (lambda w: w.set_gravity([0, 0]), BadArgument, "gravity"),
     "negative time": (lambda w: w.simulate(-1), BadArgument, "seconds"),
     "time NaN": (lambda w: w.simulate(NAN), BadArgument, "seconds"),
+    "endless time": (lambda w: w.simulate(1e300), BadArgument, "seconds"),
+    "negative steps": (lambda w: w.simulate_steps(-5), BadArgument, "steps"),
+    "half a step": (lambda w: w.simulate_steps(2.5), BadArgument, "whole number"),
+    "real time maybe": (lambda w: w.set_realtime("no"), BadArgument, "True or False"),
+    "end that can't be called": (lambda w: w.at_exit(None), BadArgument, "called"),
+    "current world is none": (lambda w: setattr(BulletWorld, "current_bullet_world", None), BadArgument, "a world"),
+    "robot is a name": (lambda w: setattr(BulletWorld, "robot", "pr2"), BadArgument, "robot"),
+    "object of no name": (lambda w: w.get_object([]), BadArgument, "name"),
     "robot is no robot": (lambda w: setattr(w, "robot", w.get_object("milk")), BadArgument, "robot"),
     "colour": (lambda w: w.get_object("milk").set_color([2, 0, 0, 1]), BadArgument, "0 to 1"),
     "unknown id": (lambda w: w.get_object_by_id(4711), UnknownName, "4711"),
     "name taken": (lambda w: Object("milk", "milk", "milk.stl"), BadArgument, "name"),
     "no name": (lambda w: Object("", "milk", "milk.stl"), BadArgument, "name"),
+    "name that no file can hold": (lambda w: Object("a\ud800", "x", "milk.stl"), BadArgument, "name"),
+    "world's name": (lambda w: BulletWorld(name="\ud800"), BadArgument, "name"),
+    "name of an open world": (lambda w: BulletWorld(name=w.name), BadArgument, "no open world"),
+    "no path": (lambda w: Object("x", "x", None), BadArgument, "path"),
+    "no world": (lambda w: Object("x", "x", "milk.stl", world="world_1"), BadArgument, "BulletWorld"),
+    "no description": (lambda w: Object("x", "robot", "pr2.urdf", description="pr2"), BadArgument, "RobotDescription"),
     "missing file": (lambda w: Object("x", "x", "nowhere.stl"), AssetError, "no such file"),
     "a folder": (lambda w: Object("x", "x", "/"), AssetError, "not a file"),
     "spawn NaN": (lambda w: Object("x", "x", "milk.stl", [NAN, 0, 0]), BadArgument, "position"),

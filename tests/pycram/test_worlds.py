@@ -73,6 +73,51 @@ def test_the_current_world_is_always_an_open_one() -> None:
         first.simulate(1)
 
 
+def test_default_names_keep_clear_of_given_ones_and_eight_threads_get_a_name_once() -> None:
+    with BulletWorld() as first:
+        number = int(first.name.removeprefix("world_"))
+    with BulletWorld(name=f"world_{number + 1}"), BulletWorld() as second:
+        assert second.name == f"world_{number + 2}"
+    start = threading.Barrier(8)
+    opened: list[BulletWorld] = []
+    refused: list[BadArgument] = []
+
+    def open_one() -> None:
+        start.wait()
+        try:
+            opened.append(BulletWorld(name="the only one"))
+        except BadArgument as error:
+            refused.append(error)
+
+    threads = [threading.Thread(target=open_one) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(opened) == 1
+    assert len(refused) == 7
+    opened[0].exit()
+    BulletWorld(name="the only one").exit()
+
+
+def test_a_world_ends_even_if_what_ends_with_it_fails() -> None:
+    ended: list[str] = []
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    world = BulletWorld()
+    world.at_exit(lambda: ended.append("first"))
+    world.at_exit(fail)
+    world.at_exit(lambda: ended.append("last"))
+    with pytest.raises(ZeroDivisionError):
+        world.exit()
+    assert sorted(ended) == ["first", "last"]
+    assert world.closed
+    assert BulletWorld.current_bullet_world is not world
+    world.exit()
+
+
 def test_tables_of_methods(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     assert scene.get_objects_by_name("milk") == [milk]
@@ -185,7 +230,7 @@ def test_handlers_never_run_with_the_world_locked_however_it_was_changed(scene: 
     assert len(seen) > 5
     robot.attach(scene.get_object("milk"), "r_gripper_tool_frame")
     assert seen[-1][0] == "attachment"
-    scene.reset_bullet_world()
+    scene.reset()
     assert not any(stuck for _, stuck in seen)
 
 

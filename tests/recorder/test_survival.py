@@ -111,3 +111,36 @@ except recorder.RecordingError as error:
     assert "File too large" in message
     with replay.open(tmp_path / "x.mcap") as log:
         assert len(log) > int(number) - 60
+
+
+def test_a_recording_that_can_t_begin_leaves_nothing_open(tmp_path: Path) -> None:
+    program = """
+import resource, signal, sys, threading
+import recorder
+from pycram.bullet_world import BulletWorld, Object
+world = BulletWorld()
+Object("pr2", "robot", "pr2.urdf")
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, resource.RLIM_INFINITY))
+try:
+    with recorder.record(sys.argv[1]):
+        print("began")
+except recorder.RecordingError as error:
+    print("refused")
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+print([thread.name for thread in threading.enumerate()])
+world.set_gravity([0, 0, -9.8])  # unrecorded, and nobody minds
+with recorder.record(sys.argv[1]) as recording:
+    Object("milk", "milk", "milk.stl")
+print(recording.length)
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "x.mcap")],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert ended.stdout.splitlines() == ["refused", "['MainThread']", "4"]
+    with replay.open(tmp_path / "x.mcap") as log:
+        assert len(log) == 4

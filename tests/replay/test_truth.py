@@ -200,3 +200,17 @@ def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.Mon
         assert sum(1 for _ in log.records(Query)) == counted["query"] == 5
         commands = [record.WhichOneof("command") for record in log.records(Mutation)]
     assert commands == ["open_world", "set_gravity", "load_body", "load_body", "simulate", "move_body", "close_world"]
+
+
+def test_what_changed_between_two_recordings_is_in_the_second(tmp_path: Path) -> None:
+    with BulletWorld() as world:
+        with recorder.record(tmp_path / "first.mcap"):
+            robot = Object("pr2", "robot", "pr2.urdf")
+        robot.remove()
+        with recorder.record(tmp_path / "second.mcap"):
+            robot = Object("pr2", "robot", "pr2.urdf")
+            live = snapshot(world)["pr2"]
+    with replay.open(tmp_path / "second.mcap") as log:
+        body = replay.state_at(log, 2).world().body("pr2")
+        assert list(body.position) == live["position"]
+        assert dict(body.joints) == live["joints"]
