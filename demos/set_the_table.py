@@ -35,7 +35,7 @@ def build_scene() -> Object:
     Object("milk", "milk", "milk.stl", [1.45, 1, 1])
     Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])
     Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
-    Object("bowl", "bowl", "bowl.stl", [1.31, 1.03, 1])  # before the milk
+    Object("bowl", "bowl", "bowl.stl", [1.3, 0.98, 1])  # before the milk
     BulletWorld.robot = robot
     world.simulate(0.5)  # everything comes to rest where it was put
     return kitchen

@@ -330,6 +330,20 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=self._client)
         return self._told(a, b, points)
 
+    def rays(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What rays hit first.
+
+        Args:
+            starts: (n, 3), m, world frame.
+            ends: (n, 3).
+
+        Returns:
+            (n,) how far along each ray its first hit is, 0..1; nan if there is none. A ray that begins inside of a
+            convex shape doesn't see that shape.
+        """
+        hits = bullet.rayTestBatch(starts.tolist(), ends.tolist(), physicsClientId=self._client)
+        return np.array([hit[2] if hit[0] >= 0 else np.nan for hit in hits])
+
     @staticmethod
     def _told(a: Body, b: Body, points: Sequence[Sequence[object]] | None) -> list[Touch]:
         if not points:

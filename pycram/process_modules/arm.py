@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.failures import BadArgument, GraspFailed, PlaceFailed, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
-from pycram.reasoning import grasps, placing, reach
+from pycram.reasoning import grasps, grip, placing, reach
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -81,9 +81,12 @@ class PickUp(SimulatedModule):
             if plan.obstacles:
                 blockers = ", ".join(other.name for other in plan.obstacles)
                 raise Unreachable(arm.name, grasps.middle(body), None, f"{blockers} would be in the way")
+            closed = grip.closed_around(robot, arm.gripper, plan.reach.posture.positions, body)
+            if closed is None:
+                raise GraspFailed(arm.name, body.name, "its fingers would close on nothing")
             robot.set_joint_positions(arm.gripper.positions("open"))
             robot.set_joint_positions(plan.reach.posture.positions)
-            robot.set_joint_positions(arm.gripper.around(plan.grasp.width))
+            robot.set_joint_positions(closed)
             robot.attach(body, arm.tool_frame)
         return body
 

@@ -1,8 +1,8 @@
 """How a parallel gripper can take an object: from which side, where, and with which posture of the arm.
 
-Candidates come from the object's bounds: from the front, the top, the left and the right where it fits between the
-fingers, else over its rim from the top. The tool frame stands between the finger tips; its distance to palm and tips
-says how deep it can go in. Of the candidates that the arm reaches, the one that touches least is taken.
+Candidates come from the object's outline: from the front, the top, the left and the right where it fits between the
+fingers, else over its rim from the top. The gripper is turned with an object that lies across, and takes it in the
+middle between its fingers. Of the candidates that the arm reaches, the one that touches least is taken.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from pycram.reasoning import reach
+from pycram.reasoning.outline import Outline
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -22,11 +25,13 @@ if TYPE_CHECKING:
     from pycram.robots.description import Arm
     from recorder.geometry import Quaternion, Vector
 
-_PALM: Final = 0.018  # m from the tool frame back to the palm, less a little
-_TIPS: Final = 0.045  # m from the tool frame to the finger tips, and a little more
-_FLAT: Final = 0.042  # m from the tool frame to the gripper's underside when it lies level
-_RIM: Final = 0.004  # m from the outside of a rim to the middle of its wall
 _SPARE: Final = 0.004  # m of the aperture that has to stay free
+_CLEAR: Final = 0.002  # m that the finger tips keep from what the object stands on
+_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's surface is looked for
+_STEP: Final = 0.004  # m between such places along the fingers
+_EDGE: Final = 0.004  # m below a rim where its wall begins
+_UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
+_SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,50 +90,87 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
     """
-    low, high = body.get_AABB()
-    center = middle(body)
-    bottom = low[2]
+    outline = Outline(body)
+    fits_from_top = False
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is not None and name not in names:
             continue
         turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
-        width = _extent(turn, (0.0, 1.0, 0.0), low, high)
-        if width > arm.gripper.aperture - _SPARE:
+        options = [_between_fingers(outline, name, other, arm) for other in (turn, *_along(turn, body))]
+        fitting = [grasp for grasp in options if grasp is not None]
+        if fitting:  # as the robot stands, unless the object lies across
+            fits_from_top |= name == "top"
+            yield min(fitting, key=lambda grasp: grasp.width + (grasp.orientation != turn) * _SPARE)
+    if not fits_from_top and (names is None or "top" in names):
+        yield from _rims(outline, robot, arm)
+
+
+def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
+    """The same orientation turned about the vertical so that the fingers close along one of the object's axes."""
+    x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
+    heading = body.get_orientation()
+    for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
+        along = geometry.rotate(heading, axis)
+        if abs(along[2]) > _UPRIGHT:
             continue
-        back = _extent(turn, (1.0, 0.0, 0.0), low, high) / 2 - _PALM
-        if name == "top":
-            back = max(back, _TIPS - (center[2] - bottom))
-            at = (center[0], center[1], center[2] + back)
-        else:
-            forward = geometry.rotate(turn, (1.0, 0.0, 0.0))
-            x, y, z = (c - max(back, 0.0) * f for c, f in zip(center, forward, strict=True))
-            at = (x, y, max(z, bottom + _FLAT))
-        yield Grasp(name, at, turn, width)
-    if names is None or "top" in names:
-        yield from _rims(robot, arm, low, high)
-
-
-def _rims(robot: Object, arm: Arm, low: Sequence[float], high: Sequence[float]) -> Iterator[Grasp]:
-    """Over the wall of something hollow that is too wide: beside the middle on the arm's side, or in front of it."""
-    sideways = _extent(reach.approach("front", robot), (0.0, 1.0, 0.0), low, high)
-    if sideways <= arm.gripper.aperture - _SPARE:
+        skew = math.atan2(along[1], along[0]) - math.atan2(y, x)
+        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # the object's faces look alike to fingers
+        if abs(skew) > _SKEW:
+            yield geometry.product(geometry.from_rpy(0.0, 0.0, skew), turn)
         return
-    top = max(high[2] - _PALM, low[2] + _TIPS)
-    middle_xy = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    straight = reach.approach("front", robot)
+
+
+def _between_fingers(outline: Outline, name: str, turn: Quaternion, arm: Arm) -> Grasp | None:
+    """The grasp from one side, with the object in the middle between the fingers; None if it doesn't fit."""
+    gripper = arm.gripper
+    x, y, z = outline.middle
+    if name != "top":
+        z = max(z, outline.low[2] + gripper.underside)
+    half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
+    count = max(4, math.ceil((half + gripper.tips) / _STEP))
+    places = np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2]
+    surface = outline.across(((x, y, z), turn), places.tolist(), _PADS)
+    solid = ~np.isnan(surface[:, 0])
+    if not solid.any():
+        return None
+    deep = min(float(places[solid][0]) + gripper.depth, 0.0)
+    if name == "top":
+        deep = min(deep, z - outline.low[2] - gripper.tips - _CLEAR)
+    held = surface[solid & (places <= deep + gripper.tips)]
+    if not len(held):
+        return None
+    low, high = float(held[:, 0].min()), float(held[:, 1].max())
+    if high - low > gripper.aperture - _SPARE:
+        return None
+    return Grasp(name, geometry.transform(((x, y, z), turn), (deep, (low + high) / 2, 0.0)), turn, high - low)
+
+
+def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
+    """Over the wall of something hollow that is too wide: beside the middle on the arm's side, or in front of it."""
+    gripper = arm.gripper
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0
+    x, y, _ = outline.middle
+    top, bottom = outline.high[2], outline.low[2]
     for direction, roll in (((0.0, side, 0.0), 0.0), ((-1.0, 0.0, 0.0), math.pi / 2), ((0.0, -side, 0.0), 0.0)):
-        dx, dy, _ = geometry.rotate(straight, direction)
-        half = _extent(straight, direction, low, high) / 2 - _RIM
+        away = geometry.rotate(reach.approach("front", robot), direction)
+        frame = ((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0])))
+        height = max(top - gripper.depth, bottom + gripper.tips + _CLEAR)
+        levels = np.linspace(top - _EDGE, max(height - gripper.tips, bottom + _CLEAR), 6)
+        wall = outline.wall(frame, _PADS, levels.tolist())
+        solid = [bool(np.isnan(level).any()) for level in wall]
+        if solid[0]:
+            continue
+        if any(solid):  # the floor of the hollow: tips stay above it
+            floor = solid.index(True)
+            height = max(height, float(levels[floor]) + gripper.tips + _CLEAR)
+            wall = wall[:floor]
+        inside, outside = float(wall[:, 0].min()), float(wall[:, 1].max())
+        if outside - inside > gripper.aperture - _SPARE:
+            continue
         turn = geometry.product(reach.approach("top", robot), geometry.from_rpy(roll, 0.0, 0.0))
-        yield Grasp("top", (middle_xy[0] + dx * half, middle_xy[1] + dy * half, top), turn, 2 * _RIM)
-
-
-def _extent(turn: Sequence[float], axis: Vector, low: Sequence[float], high: Sequence[float]) -> float:
-    """Size of a box along an axis of a turned frame."""
-    direction = geometry.rotate(turn, axis)
-    return sum(abs(part) * (b - a) for part, a, b in zip(direction, low, high, strict=True))
+        middle_x, middle_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
+        yield Grasp("top", (middle_x, middle_y, height), turn, outside - inside)
 
 
 def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = None) -> GraspPlan:
@@ -146,7 +188,7 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
     else:
         options = list(candidates(body, robot, arm, names))
     nearest: Reach | None = None
-    found: list[GraspPlan] = []
+    found: list[tuple[bool, int, GraspPlan]] = []
     for grasp in options:
         place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
         opened = arm.gripper.positions("open") if arm else {}
@@ -157,11 +199,12 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
                     nearest = option
                 continue
             positions = {**option.posture.positions, **opened}
-            hits = reach.in_the_way(robot, positions, ignored=[body])
+            hits = reach.in_the_way(robot, positions, ignored=() if arm else [body])
+            pushes = hits.pop(body, None) is not None  # the open hand would be in the object itself
             plan = GraspPlan(place, option, dict(sorted(hits.items(), key=lambda item: -float(str(item[1]["depth"])))))
-            if not hits:
+            if not hits and not pushes:
                 return plan
-            found.append(plan)
+            found.append((pushes, len(hits), plan))
     if found:
-        return min(found, key=lambda plan: len(plan.obstacles))
+        return min(found, key=lambda option: option[:2])[2]
     return GraspPlan(None, nearest)

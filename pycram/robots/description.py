@@ -33,6 +33,9 @@ class Gripper:
         palm: link of the palm.
         fingers: links of the fingers.
         aperture: m between the finger tips when open.
+        depth: m that it may take in of an object, from the tool frame back towards the palm.
+        tips: m from the tool frame on to the finger tips when closed; open ones reach less far.
+        underside: m from the tool frame down to the gripper's lowest point when it lies level.
     """
 
     joints: tuple[str, ...]
@@ -41,15 +44,16 @@ class Gripper:
     palm: str
     fingers: tuple[str, ...]
     aperture: float
+    depth: float
+    tips: float
+    underside: float
 
     def positions(self, motion: str) -> dict[str, float]:
         """Joint values for "open" or "close"."""
-        value = self.open if motion == "open" else self.closed
-        return dict.fromkeys(self.joints, value)
+        return self.at(1.0 if motion == "open" else 0.0)
 
-    def around(self, width: float) -> dict[str, float]:
-        """Joint values at which the finger tips are so many metres apart."""
-        share = min(max(width / self.aperture, 0.0), 1.0)
+    def at(self, share: float) -> dict[str, float]:
+        """Joint values between closed (0) and open (1)."""
         return dict.fromkeys(self.joints, self.closed + share * (self.open - self.closed))
 
 
@@ -318,6 +322,9 @@ def _arm(name: str, table: dict[str, object]) -> Arm:
             palm=_text(gripper, "palm"),
             fingers=_texts(gripper, "fingers"),
             aperture=_number(gripper, "aperture"),
+            depth=_number(gripper, "depth"),
+            tips=_number(gripper, "tips"),
+            underside=_number(gripper, "underside"),
         ),
         poses=poses,
     )
