@@ -69,9 +69,9 @@ class BulletWorld(metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        self._attachment = Event("attachment", self.name, self._envelope)
-        self._detachment = Event("detachment", self.name, self._envelope)
-        self._manipulation = Event("manipulation", self.name, self._envelope)
+        self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
+        self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
+        self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
         with ExitStack() as undoing:
             undoing.callback(worlds.leave, self.name)
             self.engine = Engine(window=type == "GUI")

@@ -17,7 +17,7 @@ from pycram.reasoning import grasps as _grasps
 from pycram.reasoning import reach as _reach
 from pycram.reasoning import stability as _stability
 from pycram.reasoning import visibility as _visibility
-from pycram.reasoning.query import Asking, Found, Verdict, asking, world_of
+from pycram.reasoning.query import Asking, Found, Verdict, asking, robot_of, world_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -76,7 +76,7 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
     """
     one, other = unwrap(object1), unwrap(object2)
     place = world_of(one, other, world=world)
-    gap = checks.number("margin", margin)
+    gap = checks.at_least("margin", margin, 0.0)
     with asking("contact", place, {"object1": one, "object2": other, "margin": gap}) as asked:
         touches = _contact.touches(one, other, _contact.MARGIN + gap)
         asked.evidence = _contact.evidence(touches)
@@ -107,11 +107,12 @@ def visible(
     """
     body: Object = unwrap(object)
     place = world_of(body, world=world)
-    told = {"object": body, "camera": camera, "threshold": checks.number("threshold", threshold)}
+    share = checks.at_least("threshold", threshold, 0.0)
+    told = {"object": body, "camera": camera, "threshold": share}
     with asking("visible", place, told) as asked:
         view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
         asked.evidence = view.evidence()
-        asked.answer = verdict = Verdict(view.share > threshold, asked.evidence)
+        asked.answer = verdict = Verdict(view.share > share, asked.evidence)
     return verdict
 
 
@@ -167,8 +168,9 @@ def reachable_object(
     Returns:
         The answer; the evidence has the joints of the posture.
     """
-    body, machine = unwrap(object), unwrap(robot)
+    body, machine = unwrap(object), robot_of(robot)
     place = world_of(body, machine, world=world)
+    machine.check_link(checks.text("gripper link", gripper_name))
     orientation = None if grasp is None else _reach.approach(grasp, machine)
     told = {"object": body, "robot": machine, "gripper": gripper_name, "threshold": threshold, "grasp": grasp}
     told["collision_free"] = collision_free
@@ -204,8 +206,9 @@ def reachable_pose(
     Returns:
         The answer; the evidence has the joints of the posture.
     """
-    machine = unwrap(robot)
+    machine = robot_of(robot)
     place = world_of(machine, world=world)
+    machine.check_link(checks.text("gripper link", gripper_name))
     target = checks.vector("pose", pose)
     turn = None if orientation is None else checks.quaternion("orientation", orientation)
     told = {"pose": target, "robot": machine, "gripper": gripper_name, "threshold": threshold, "orientation": turn}
@@ -261,8 +264,9 @@ def blocking(
         stands on; the environment has the type "environment". Empty if it can't be reached at all, which the
         evidence says.
     """
-    body, machine = unwrap(object), unwrap(robot)
+    body, machine = unwrap(object), robot_of(robot)
     place = world_of(body, machine, world=world)
+    machine.check_link(checks.text("gripper link", gripper_name))
     if grasp is not None:
         _reach.approach(grasp, machine)
     told = {"object": body, "robot": machine, "gripper": gripper_name, "grasp": grasp}
@@ -305,7 +309,7 @@ def _reaches(
     collision_free: bool,
 ) -> Verdict:
     """The common part of the reachable queries."""
-    near = checks.number("threshold", threshold)
+    near = checks.at_least("threshold", threshold, 0.0)
     options = _reach.postures(robot, link, target, orientation, thorough=collision_free)
     ways = [option for option in options if option.reached(near)]
     asked.evidence = (ways or options)[0].evidence()

@@ -43,6 +43,23 @@ def number(argument: str, value: object) -> float:
     return result
 
 
+def at_least(argument: str, value: object, least: float) -> float:
+    """A finite number that isn't too small.
+
+    Args:
+        argument: what it is, for the error.
+        value: what was given.
+        least: the smallest that will do.
+
+    Raises:
+        BadArgument: it isn't one.
+    """
+    result = number(argument, value)
+    if result < least:
+        raise BadArgument(argument, value, f"a number from {least:g} up")
+    return result
+
+
 def count(argument: str, value: object) -> int:
     """A whole number from 0 up.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import runpy
 import sys
+import threading
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -80,18 +81,22 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     before = sys.argv, list(sys.path)
     sys.argv = [str(plan), *arguments]
     sys.path.insert(0, str(plan.parent.resolve()))
+    file = log.absolute()  # a plan may change its folder
     recorded = False
     code = _DONE
     try:
-        with record(log, live, name=plan.stem, arguments=arguments, source=plan):
+        with record(file, live, name=plan.stem, arguments=arguments, source=plan):
             recorded = True
-            runpy.run_path(str(plan), run_name="__main__")
+            try:
+                runpy.run_path(str(plan), run_name="__main__")
+            finally:
+                _wait_for_threads()
     except RecordingError as error:
         print(f"pycram: {error}", file=sys.stderr)
         code = _USAGE
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else _DONE if end.code is None else _FAILED
-        if isinstance(end.code, str):
+        if not isinstance(end.code, int | None):
             print(end.code, file=sys.stderr)
     except PlanFailure as failure:
         traceback.print_exc()
@@ -100,20 +105,26 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     except KeyboardInterrupt:
         print("\npycram: interrupted", file=sys.stderr)
         code = 130
-    except Exception as error:  # noqa: BLE001  whatever the plan's own code raises
+    except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
         kind = "is used wrongly" if isinstance(error, PycramError) else "has an error"
         print(f"\npycram: the plan {kind}: {type(error).__name__}: {error}", file=sys.stderr)
         code = _FAILED
     finally:
         sys.argv, sys.path[:] = before
-    if recorded and log.is_file():
-        _say_where(log, code)
+    if recorded and file.is_file():
+        _say_where(log, file.stat().st_size / 1e6, code)
     return code
 
 
-def _say_where(log: Path, code: int) -> None:
-    size = log.stat().st_size / 1e6
+def _wait_for_threads() -> None:
+    """Waits for what the plan has left running, as Python does at its end: that is part of the plan."""
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join()
+
+
+def _say_where(log: Path, size: float, code: int) -> None:
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
     verbs = ("info", "tree") if code == _DONE else ("tree", "state")
     for verb in verbs:

@@ -88,7 +88,9 @@ class UnknownName(UsageError, LookupError):
         hint = (
             f"did you mean {', '.join(nearest)}?"
             if nearest
-            else f"it has {', '.join(names) if len(names) <= _FEW else f'{len(names)} of them'}"
+            else f"it has {', '.join(names) or 'none'}"
+            if len(names) <= _FEW
+            else f"it has {len(names)} of them"
         )
         super().__init__(f"{owner} has no {kind} {name!r}; {hint}")
         self.kind = kind

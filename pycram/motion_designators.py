@@ -233,9 +233,14 @@ def resolve(designator: MotionDesignator) -> Iterator[Solution]:
     Raises:
         DesignatorError: its type is unknown, or a slot is missing, unknown or wrong.
     """
-    given = {key: unwrap(value) for key, value in designator.description if value is not None}
+    given: dict[str, Value] = {}
+    for key, value in designator.description:
+        if key in given:
+            raise DesignatorError(f"slot {key} is given twice", type=designator.type, slot=key, value=unwrap(value))
+        if value is not None:
+            given[key] = unwrap(value)
     kind = given.pop("type", None)
-    if kind not in TYPES:
+    if not isinstance(kind, str) or kind not in TYPES:
         known = ", ".join(TYPES)
         near = difflib.get_close_matches(str(kind), TYPES, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""

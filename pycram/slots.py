@@ -6,13 +6,17 @@ what is expected.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pycram import checks
+from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
+
+if TYPE_CHECKING:
+    from pycram.robots.description import Arm
 
 Value: TypeAlias = Any
 Check: TypeAlias = Callable[[str, Value], Value]
@@ -38,10 +42,11 @@ def name(name: str, value: Value) -> Value:
 
 def body(name: str, value: Value) -> Value:
     """An Object of a world."""
-    from pycram.objects import Object  # noqa: PLC0415  objects know nothing of designators
-
+    world = BulletWorld.current_bullet_world
     if not isinstance(value, Object):
         raise BadArgument(name, value, "an Object of a world")
+    if world is not None and value.world is not world:
+        raise BadArgument(name, value, f"an Object of the current world {world.name}, not of {value.world.name}")
     return value
 
 
@@ -52,7 +57,10 @@ def kind(name: str, value: Value) -> Value:
 
 def side(name: str, value: Value) -> Value:
     """An arm's name: "left" or "right" on the PR2."""
-    return checks.text(name, value)
+    arms = _arms()
+    if checks.text(name, value) not in (arms or SIDES):
+        raise BadArgument(name, value, f"one of {', '.join(arms or SIDES)}")
+    return value
 
 
 def grasp(name: str, value: Value) -> Value:
@@ -64,16 +72,26 @@ def grasp(name: str, value: Value) -> Value:
 
 def distance(name: str, value: Value) -> Value:
     """A distance in m, or an angle in rad for what turns, from 0 up."""
-    number = checks.number(name, value)
-    if number < 0:
-        raise BadArgument(name, value, "a number from 0 up")
-    return number
+    return checks.at_least(name, value, 0.0)
 
 
 def posture(name: str, value: Value) -> Value:
     """A named posture such as "park", or a list of joint values in rad."""
+    arm = _arms().get(name.removesuffix("-arm"))
     if isinstance(value, str):
-        return checks.text(name, value)
+        if arm is not None and checks.text(name, value) not in arm.poses:
+            raise BadArgument(name, value, f"one of {', '.join(arm.poses)}, or a list of joint values")
+        return value
     if not isinstance(value, Iterable | np.ndarray):
         raise BadArgument(name, value, '"park" or a list of joint values')
-    return [checks.number(name, item) for item in value]
+    values = [checks.number(name, item) for item in value]
+    if arm is not None and len(values) != len(arm.joints):
+        raise BadArgument(name, value, f"{len(arm.joints)} joint values, for {', '.join(arm.joints)}")
+    return values
+
+
+def _arms() -> Mapping[str, Arm]:
+    """The arms of the current robot; none where nothing is known of it."""
+    world = BulletWorld.current_bullet_world
+    robot = world.robot if world is not None else None
+    return robot.description.arms if robot is not None and robot.description is not None else {}

@@ -1,7 +1,7 @@
 """What every reasoning query has in common: it leaves no trace, and its answer goes on record.
 
 While a query runs, the world's lock is held and the world refuses changes, so that a query that tries one by mistake is
-told. Queries may ask each other; each public call is one record.
+told. Queries may ask each other; each public call is one record, unless it was asked wrongly.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from pycram.failures import BadArgument, NoWorld
+from pycram.branch import unwrap
+from pycram.failures import BadArgument, NoWorld, UsageError
 from recorder import journal, records
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
             raise
         finally:
             funnel.query = outer
-            if journal.recording():
+            if journal.recording() and not isinstance(error, UsageError):  # what can't be asked has not been asked
                 record = records.Query(
                     name=name,
                     arguments=records.arguments(arguments),
@@ -109,6 +110,21 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
                     failure=records.failure(error) if error is not None else None,
                 )
                 journal.emit(record, world=world.name, sim_step=world.sim_step)
+
+
+def robot_of(robot: object) -> Object:
+    """A robot that a query is about.
+
+    Args:
+        robot: the robot, or a branch's handle for it.
+
+    Raises:
+        BadArgument: it isn't one.
+    """
+    machine = unwrap(robot)
+    if not getattr(machine, "is_robot", False):
+        raise BadArgument("robot", machine, 'an object of type "robot"')
+    return machine  # type: ignore[no-any-return]
 
 
 def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
@@ -125,6 +141,8 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
     from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of queries
     from pycram.objects import Object  # noqa: PLC0415
 
+    if world is not None and not isinstance(world, BulletWorld):
+        raise BadArgument("world", world, "a BulletWorld")
     place = world
     for body in bodies:
         if not isinstance(body, Object):

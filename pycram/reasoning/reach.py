@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from pycram import cargo
+from pycram import cargo, checks
 from pycram.failures import UnknownName
 from pycram.reasoning.kinematics import ArmKinematics, Posture
 from pycram.reasoning.twin import twin
@@ -43,7 +43,7 @@ def approach(grasp: str, robot: Object) -> Quaternion:
     Raises:
         UnknownName: another grasp.
     """
-    if grasp not in GRASPS:
+    if checks.text("grasp", grasp) not in GRASPS:
         raise UnknownName("grasp", grasp, "a gripper", GRASPS)
     x, y, _ = geometry.rotate(robot.get_orientation(), (1.0, 0.0, 0.0))
     heading = geometry.from_rpy(0.0, 0.0, math.atan2(y, x))

@@ -84,6 +84,19 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
     "query unknown link": (lambda w: btr.reachable(w.get_object("milk"), w.robot, "nolink"), UnknownName, "nolink"),
     "query NaN": (lambda w: btr.reachable_pose([NAN, 0, 0], w.robot, "l_gripper_tool_frame"), BadArgument, "pose"),
     "query camera": (lambda w: btr.visible(w.get_object("milk"), [1, 2, 3, 4, 5]), BadArgument, "camera"),
+    "query of no world": (lambda w: btr.stable(w.get_object("milk"), world="x"), BadArgument, "BulletWorld"),
+    "query of no robot": (
+        lambda w: btr.reachable(w.get_object("milk"), w.get_object("bowl"), "bowl"),
+        BadArgument,
+        'type "robot"',
+    ),
+    "query no link": (lambda w: btr.blocking(w.get_object("milk"), w.robot, None), BadArgument, "link"),
+    "query threshold": (
+        lambda w: btr.reachable(w.get_object("milk"), w.robot, "l_gripper_tool_frame", threshold=-1),
+        BadArgument,
+        "threshold",
+    ),
+    "query camera's name": (lambda w: btr.visible(w.get_object("milk"), "no_frame"), UnknownName, "no_frame"),
     "query grasp": (lambda w: btr.blocking(w.get_object("milk"), w.robot, "x", grasp="below"), UnknownName, "top"),
     "world type": (lambda w: BulletWorld("WINDOW"), BadArgument, "DIRECT"),
     "no designator": (lambda w: ProcessModule.perform("moving"), DesignatorError, "designator"),
@@ -100,10 +113,25 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
         DesignatorError,
         "one of",
     ),
-    "no such arm": (lambda w: perform(type="pick-up", object=w.get_object("milk"), arm="middle"), UnknownName, "left"),
+    "no such arm": (
+        lambda w: perform(type="pick-up", object=w.get_object("milk"), arm="middle"),
+        DesignatorError,
+        "one of left, right",
+    ),
+    "no such posture": (
+        lambda w: perform(**{"type": "move-arm-joints", "left-arm": "parc"}),
+        DesignatorError,
+        "one of park",
+    ),
+    "type twice": (
+        lambda w: ProcessModule.perform(MotionDesignator([("type", "looking"), ("type", "moving")])),
+        DesignatorError,
+        "given twice",
+    ),
+    "type of no name": (lambda w: perform(type=["moving"]), DesignatorError, "unknown type"),
     "six joints": (
         lambda w: perform(**{"type": "move-arm-joints", "left-arm": [0] * 6}),
-        BadArgument,
+        DesignatorError,
         "7 joint values",
     ),
 }
@@ -123,7 +151,7 @@ def test_bad_input_changes_nothing(scene: BulletWorld, sink: MemorySink, name: s
     assert raised.value.data
     after = [(b.get_position_and_orientation(), b.get_joint_positions(), b.get_AABB()) for b in scene.objects]
     assert after == before
-    assert not [record for record in sink.records if type(record).__name__ == "Mutation"]
+    assert not [record for record in sink.records if type(record).__name__ in ("Mutation", "Query")]
 
 
 def broken(folder: Path, name: str, content: bytes) -> Path:
@@ -154,7 +182,7 @@ def test_broken_files_are_named_with_their_cause(tmp_path: Path, world: BulletWo
             Object(name, "thing", file)
         assert file.name in str(raised.value)
     assert not world.objects
-    assert not [record for record in sink.records if type(record).__name__ == "Mutation"]
+    assert not [record for record in sink.records if type(record).__name__ in ("Mutation", "Query")]
 
 
 @pytest.mark.parametrize("kind", ["stl_ascii", "obj", "dae", "stl"])

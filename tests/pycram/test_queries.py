@@ -109,9 +109,19 @@ def test_reachable(scene: BulletWorld) -> None:
 
 
 def test_blocking_marks_what_is_environment(scene: BulletWorld) -> None:
-    robot, spoon = scene.robot, scene.get_object("spoon")
-    found = btr.blocking(spoon, robot, "r_gripper_tool_frame")
-    assert [body.type for body in found] == ["environment"]  # the drawer is closed
+    robot, spoon, kitchen = scene.robot, scene.get_object("spoon"), scene.get_object("kitchen")
+    drawer, gripper = "sink_area_left_upper_drawer_main_joint", "r_gripper_tool_frame"
+    deep_inside = btr.blocking(spoon, robot, gripper)
+    assert deep_inside == []
+    assert deep_inside.evidence["reached"] is False, "too far for the arm, whatever is in between"
+    kitchen.set_joint_position(drawer, 0.1)
+    below_the_counter = btr.blocking(spoon, robot, gripper)
+    assert kitchen in below_the_counter
+    assert below_the_counter.evidence["obstacles"]["kitchen"]["by"] == ["sink_area_surface"]
+    kitchen.set_joint_position(drawer, 0.3)
+    in_the_open = btr.blocking(spoon, robot, gripper)
+    assert in_the_open == []
+    assert in_the_open.evidence["reached"] is True
 
 
 def asked(world: BulletWorld) -> None:
