@@ -97,7 +97,11 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
         "threshold",
     ),
     "query camera's name": (lambda w: btr.visible(w.get_object("milk"), "no_frame"), UnknownName, "no_frame"),
-    "query grasp": (lambda w: btr.blocking(w.get_object("milk"), w.robot, "x", grasp="below"), UnknownName, "top"),
+    "query grasp": (
+        lambda w: btr.blocking(w.get_object("milk"), w.robot, "l_gripper_tool_frame", grasp="below"),
+        UnknownName,
+        "top",
+    ),
     "world type": (lambda w: BulletWorld("WINDOW"), BadArgument, "DIRECT"),
     "no designator": (lambda w: ProcessModule.perform("moving"), DesignatorError, "designator"),
     "unknown type": (lambda w: perform(type="mooving", target=[0, 0, 0]), DesignatorError, "moving"),
