@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from pycram.reasoning import reach
+from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -146,22 +147,30 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
     else:
         options = list(candidates(body, robot, arm, names))
     nearest: Reach | None = None
-    found: list[GraspPlan] = []
-    for grasp in options:
-        place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
-        opened = arm.gripper.positions("open") if arm else {}
-        orientation = grasp.orientation if grasp else None
-        for option in reach.postures(robot, link, place.position, orientation):
-            if not option.reached(reach.THRESHOLD):
-                if nearest is None or option.posture.position_error < nearest.posture.position_error:
-                    nearest = option
-                continue
-            positions = {**option.posture.positions, **opened}
-            hits = reach.in_the_way(robot, positions, ignored=[body])
-            plan = GraspPlan(place, option, dict(sorted(hits.items(), key=lambda item: -float(str(item[1]["depth"])))))
-            if not hits:
-                return plan
-            found.append(plan)
-    if found:
-        return min(found, key=lambda plan: len(plan.obstacles))
-    return GraspPlan(None, nearest)
+    least: GraspPlan | None = None
+    opened = arm.gripper.positions("open") if arm else {}
+    _, joints = reach.moving_joints(robot, link)
+    with Rehearsal(robot, [*joints, *opened], [body]) as rehearsal:
+        for grasp in options:
+            place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
+            for option in reach.postures(robot, link, place.position, grasp.orientation if grasp else None):
+                if not option.reached(reach.THRESHOLD):
+                    if nearest is None or option.posture.position_error < nearest.posture.position_error:
+                        nearest = option
+                    continue
+                rehearsal.take({**option.posture.positions, **opened})
+                if rehearsal.touches_itself():
+                    continue
+                plan = GraspPlan(place, option, rehearsal.touched())
+                if not plan.obstacles:
+                    return plan
+                if least is None or _cost(plan) < _cost(least):
+                    least = plan
+    return least or GraspPlan(None, nearest)
+
+
+def _cost(plan: GraspPlan) -> tuple[int, int, float]:
+    """Furniture stays in the way, other things can be moved first; of the same, little overlap is better."""
+    furniture = sum(other.fixed for other in plan.obstacles)
+    depth = sum(float(str(info["depth"])) for info in plan.obstacles.values())
+    return furniture, len(plan.obstacles) - furniture, depth
