@@ -15,6 +15,7 @@ from pycram.failures import ReasoningError
 from pycram.reasoning import contact as _contact
 from pycram.reasoning import grasps as _grasps
 from pycram.reasoning import reach as _reach
+from pycram.reasoning import rehearsal as _rehearsal
 from pycram.reasoning import stability as _stability
 from pycram.reasoning import visibility as _visibility
 from pycram.reasoning.query import Asking, Found, Verdict, asking, robot_of, world_of
@@ -317,7 +318,7 @@ def _reaches(
         return Verdict(ways, asked.evidence)
     ignored = [] if body is None else [body]
     for way in ways:
-        hits = _reach.in_the_way(robot, way.posture.positions, ignored)
+        hits = _rehearsal.in_the_way(robot, way.posture.positions, ignored)
         asked.evidence = way.evidence() | {"obstacles": {other.name: info for other, info in hits.items()}}
         if not hits:
             return Verdict(True, asked.evidence)

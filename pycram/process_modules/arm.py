@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.failures import BadArgument, GraspFailed, PlaceFailed, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
-from pycram.reasoning import grasps, grip, placing, reach
+from pycram.reasoning import grasps, grip, placing, reach, rehearsal
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class Place(SimulatedModule):
                     near = way.posture.position_error
                     nearest = near if nearest is None else min(near, nearest)
                     continue
-                hits = reach.in_the_way(robot, way.posture.positions)
+                hits = rehearsal.in_the_way(robot, way.posture.positions)
                 if not hits:
                     return dict(way.posture.positions)
                 blockers |= {other.name for other in hits}

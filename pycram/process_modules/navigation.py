@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from pycram.failures import InCollision
 from pycram.process_modules.simulated import SimulatedModule
-from pycram.reasoning import reach
+from pycram.reasoning import rehearsal
 
 if TYPE_CHECKING:
     from pycram.designator import Designator
@@ -20,7 +20,7 @@ class Navigation(SimulatedModule):
         robot = self.robot()
         target, orientation = solution["target"], solution["orientation"]
         with robot.world.lock:
-            touched = reach.in_the_way(robot, {}, base=(tuple(target), tuple(orientation)), everything=True)
+            touched = rehearsal.in_the_way(robot, {}, base=(tuple(target), tuple(orientation)), everything=True)
             if touched:
                 raise InCollision(target, orientation, [body.name for body in touched])
             robot.set_position_and_orientation(target, orientation)

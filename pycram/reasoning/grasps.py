@@ -15,6 +15,7 @@ import numpy as np
 
 from pycram.reasoning import reach
 from pycram.reasoning.outline import Outline
+from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -188,23 +189,31 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
     else:
         options = list(candidates(body, robot, arm, names))
     nearest: Reach | None = None
-    found: list[tuple[bool, int, GraspPlan]] = []
-    for grasp in options:
-        place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
-        opened = arm.gripper.positions("open") if arm else {}
-        orientation = grasp.orientation if grasp else None
-        for option in reach.postures(robot, link, place.position, orientation):
-            if not option.reached(reach.THRESHOLD):
-                if nearest is None or option.posture.position_error < nearest.posture.position_error:
-                    nearest = option
-                continue
-            positions = {**option.posture.positions, **opened}
-            hits = reach.in_the_way(robot, positions, ignored=() if arm else [body])
-            pushes = hits.pop(body, None) is not None  # the open hand would be in the object itself
-            plan = GraspPlan(place, option, dict(sorted(hits.items(), key=lambda item: -float(str(item[1]["depth"])))))
-            if not hits and not pushes:
-                return plan
-            found.append((pushes, len(hits), plan))
-    if found:
-        return min(found, key=lambda option: option[:2])[2]
-    return GraspPlan(None, nearest)
+    found: list[tuple[tuple[float, ...], GraspPlan]] = []
+    opened = arm.gripper.positions("open") if arm else {}
+    _, joints = reach.moving_joints(robot, link)
+    with Rehearsal(robot, [*joints, *opened], [] if arm else [body]) as rehearsal:
+        for grasp in options:
+            place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
+            for option in reach.postures(robot, link, place.position, grasp.orientation if grasp else None):
+                if not option.reached(reach.THRESHOLD):
+                    if nearest is None or option.posture.position_error < nearest.posture.position_error:
+                        nearest = option
+                    continue
+                rehearsal.take({**option.posture.positions, **opened})
+                if rehearsal.touches_itself():
+                    continue
+                touched = rehearsal.touched()
+                pushes = touched.pop(body, None) is not None  # the open hand would be in the object itself
+                plan = GraspPlan(place, option, touched)
+                if not touched and not pushes:
+                    return plan
+                found.append(((pushes, *_cost(plan)), plan))
+    return min(found, key=lambda option: option[0])[1] if found else GraspPlan(None, nearest)
+
+
+def _cost(plan: GraspPlan) -> tuple[int, int, float]:
+    """Furniture stays in the way, other things can be moved first; of the same, little overlap is better."""
+    furniture = sum(other.fixed for other in plan.obstacles)
+    depth = sum(float(str(info["depth"])) for info in plan.obstacles.values())
+    return furniture, len(plan.obstacles) - furniture, depth

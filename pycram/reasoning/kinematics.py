@@ -1,7 +1,9 @@
 """Inverse kinematics that keeps to joint limits and leaves no trace: arithmetic on the URDF, no engine.
 
-Damped least squares from many starting postures at once (the present one, the named ones, then a fixed low-discrepancy
-sequence), each projected onto the joint limits at every step. Everything is deterministic.
+Arms that can be solved in closed form are (:mod:`pycram.reasoning.closed_form`). What that misses, and every other arm,
+is searched by damped least squares from many starting postures at once, each projected onto the joint limits at every
+step: the nearest misses, or else the present posture, the named ones and a fixed low-discrepancy sequence. Everything
+is deterministic.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.reasoning.closed_form import ClosedForm
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -30,6 +33,13 @@ _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
 _LONGEST_STEP: Final = 0.5  # rad or m a joint moves in one iteration
 _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
+_STALE: Final = (8, 0.9)  # iterations in which the nearest start's error has to fall by so much, or the search ends
+_CLOSE: Final = 0.05  # m or rad of error below which a search is never given up
+_NEAREST: Final = 6  # misses of the closed form that are searched from
+_DIFFERENT: Final = 0.25  # rad or m in some joint between postures that count as two
+_MOST: Final = 16  # postures that are told of
+_LEVER: Final = 0.3  # m that a rad counts for where misses are compared
+_HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
 _PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 
 
@@ -126,6 +136,16 @@ class ArmKinematics:
         self._bounded = np.isfinite(np.array(lower))
         self._lower = np.where(self._bounded, lower, -np.pi)
         self._upper = np.where(self._bounded, upper, np.pi)
+        pose, origins, axes = np.eye(4), [], []
+        for link in self._links:
+            pose = pose @ link.before
+            origins.append(pose[:3, 3])
+            axes.append(pose[:3, :3] @ link.axis)
+        self._closed: ClosedForm | None = None
+        if not self._sliding:
+            self._closed = ClosedForm.of(
+                np.array(origins), np.array(axes), pose @ before, self._lower, self._upper, self._bounded
+            )
         self.length = float(
             sum(np.linalg.norm(link.before[:3, 3]) for link in self._links[1:]) + np.linalg.norm(before[:3, 3])
         )
@@ -165,6 +185,13 @@ class ArmKinematics:
             linear[:, :, index] = turning[:, :, index]
             turning[:, :, index] = 0.0
         return pose, np.concatenate([linear, turning], axis=1)
+
+    def poses(self, postures: Array) -> Array:
+        """Poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
+        pose = np.broadcast_to(np.eye(4), (len(postures), 4, 4))
+        for index, link in enumerate(self._links):
+            pose = pose @ link.before @ link.motion(postures[:, index])
+        return pose @ self._tool
 
     def solve(
         self,
@@ -206,33 +233,57 @@ class ArmKinematics:
             At least one; if the first doesn't reach, none does.
         """
         goal = np.asarray(position, dtype=np.float64)
-        first = [np.array([seed.get(name, 0.0) for name in self.joints]) for seed in seeds]
-        home = first[0] if first else np.clip(np.zeros(len(self.joints)), self._lower, self._upper)
-        miss = float(np.linalg.norm(goal - self.shoulder)) - self.length
-        if miss > POSITION_TOLERANCE:  # farther than the stretched arm
-            stretched, _ = self._descend(home[None], goal, None, stop_early=True)
-            return [self._told(stretched[0], goal, orientation)]
         turn = None if orientation is None else geometry.to_matrix(orientation)
-        found: list[Array] = []
+        first = [np.array([seed.get(name, 0.0) for name in self.joints]) for seed in seeds]
+        home = self._limited(first[0] if first else np.zeros(len(self.joints)))
+        if self._closed is not None:
+            found, exact = self._closed.postures(goal, turn, home)
+            if exact.any():
+                return self._told(self._distinct(found[exact], home), goal, turn)
+            found = self._nearest(found, goal, turn)
+            if quick or self._closed.miss(goal, turn) > _HOPELESS:
+                return self._told(found[:1], goal, turn)
+            batches = [found]
+        else:
+            if float(np.linalg.norm(goal - self.shoulder)) - self.length > POSITION_TOLERANCE:
+                stretched, _ = self._descend(home[None], goal, None, stop_early=True)
+                return self._told(stretched, goal, turn)
+            few, many = _BATCHES
+            batches = [np.vstack([home, *first, *self._samples(0, few)])]
+            if not quick:
+                batches.append(self._samples(few, many))
         tried: list[Array] = []
-        start = 0
-        for size in _BATCHES[:1] if quick else _BATCHES:
-            batch = np.vstack([*first, *self._samples(start, size)]) if start == 0 else self._samples(start, size)
-            start += size
+        reaching: list[Array] = []
+        for batch in batches:
             postures, reached = self._descend(batch, goal, turn, stop_early=not thorough)
-            tried.extend(postures)
-            found.extend(postures[reached])
-            if found and not thorough:
+            tried.append(postures)
+            reaching.append(postures[reached])
+            if reached.any() and not thorough:
                 break
-        if not found:
-            misses = np.linalg.norm(self.forward(np.array(tried))[0][:, :3, 3] - goal, axis=1)
-            return [self._told(tried[int(np.argmin(misses))], goal, orientation)]
-        found.sort(key=lambda posture: float(np.abs(posture - home).sum()))
-        distinct: list[Array] = []
-        for posture in found:
-            if all(np.abs(posture - other).max() > 0.1 for other in distinct):
-                distinct.append(posture)
-        return [self._told(posture, goal, orientation) for posture in distinct]
+        found = np.vstack(reaching)
+        if not len(found):
+            found = self._nearest(np.vstack(tried), goal, turn)
+            return self._told(found[:1], goal, turn)
+        return self._told(self._distinct(found, home), goal, turn)
+
+    @staticmethod
+    def _distinct(found: Array, home: Array) -> Array:
+        """Postures that differ from each other, nearest to another first."""
+        found = found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")]
+        kept: list[Array] = []
+        while len(found) and len(kept) < _MOST:
+            kept.append(found[0])
+            found = found[np.abs(found - found[0]).max(axis=1) > _DIFFERENT]
+        return np.array(kept)
+
+    def _nearest(self, found: Array, goal: Array, turn: Array | None) -> Array:
+        """The nearest misses within the limits, nearest first."""
+        found = self._limited(found)
+        pose = self.poses(found)
+        misses = np.linalg.norm(pose[:, :3, 3] - goal, axis=1)
+        if turn is not None:
+            misses += _LEVER * np.linalg.norm(_turn_error(pose[:, :3, :3], turn), axis=1)
+        return found[np.argsort(misses, kind="stable")[:_NEAREST]]
 
     def _samples(self, start: int, count: int) -> Array:
         """Postures spread over joint space: a Halton sequence."""
@@ -247,7 +298,8 @@ class ArmKinematics:
         rows = 3 if turn is None else 6
         reached = np.zeros(len(postures), dtype=bool)
         damping = _DAMPING * np.eye(rows)
-        for _ in range(_ITERATIONS):
+        best = np.inf
+        for iteration in range(_ITERATIONS):
             pose, jacobian = self.forward(postures)
             error = np.zeros((len(postures), rows))
             error[:, :3] = goal - pose[:, :3, 3]
@@ -259,6 +311,11 @@ class ArmKinematics:
             if near.all() or (stop_early and near.any()):
                 break
             length = np.linalg.norm(error, axis=1, keepdims=True)
+            if iteration % _STALE[0] == 0:
+                nearest = float(length.min())
+                if nearest > _STALE[1] * best and nearest > _CLOSE:
+                    break
+                best = nearest
             pull = error * np.minimum(1.0, 0.6 / np.maximum(length, 1e-9))
             j = jacobian[:, :rows]
             # a joint at its limit that wants to go beyond takes no part
@@ -280,13 +337,16 @@ class ArmKinematics:
         inside: Array = np.where(self._bounded, np.clip(postures, self._lower, self._upper), wrapped)
         return inside
 
-    def _told(self, posture: Array, goal: Array, orientation: Sequence[float] | None) -> Posture:
-        posture = self._limited(posture[None])[0]
-        pose = self.forward(posture[None])[0][0]
-        away = float(np.linalg.norm(pose[:3, 3] - goal))
-        turned = 0.0 if orientation is None else geometry.angle(geometry.from_matrix(pose[:3, :3]), orientation)
-        positions = dict(zip(self.joints, (float(value) for value in posture), strict=True))
-        return Posture(positions, away, turned, away < POSITION_TOLERANCE and turned < TURN_TOLERANCE)
+    def _told(self, postures: Array, goal: Array, turn: Array | None) -> list[Posture]:
+        postures = self._limited(postures)
+        pose = self.poses(postures)
+        away = np.linalg.norm(pose[:, :3, 3] - goal, axis=1)
+        turned = np.zeros(len(pose)) if turn is None else np.linalg.norm(_turn_error(pose[:, :3, :3], turn), axis=1)
+        reached = (away < POSITION_TOLERANCE) & (turned < TURN_TOLERANCE)
+        return [
+            Posture(dict(zip(self.joints, values.tolist(), strict=True)), float(miss), float(angle), bool(there))
+            for values, miss, angle, there in zip(postures, away, turned, reached, strict=True)
+        ]
 
 
 def _turn_error(now: Array, goal: Array) -> Array:

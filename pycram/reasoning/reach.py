@@ -1,7 +1,7 @@
 """What a robot's arm can reach, and what would be in its way (thesis 4.4.5, 4.4.6).
 
-Postures come from :mod:`pycram.reasoning.kinematics`, which keeps to joint limits; collisions are looked for in a twin
-that is put into the posture. Neither touches the world.
+Postures come from :mod:`pycram.reasoning.kinematics`, which keeps to joint limits; what they would touch is looked for
+by :mod:`pycram.reasoning.rehearsal`. Neither touches the world.
 
 Grasps are named by the side of the object that the gripper comes from, as seen by the robot: "front" is the side that
 faces it.
@@ -13,24 +13,18 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from pycram import cargo, checks
+from pycram import checks
 from pycram.failures import UnknownName
 from pycram.reasoning.kinematics import ArmKinematics, Posture
-from pycram.reasoning.twin import twin
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
-    from pycram.body import Body
-    from pycram.engine import Engine, Touch
     from pycram.objects import Object
-    from recorder.geometry import Pose, Quaternion
+    from recorder.geometry import Quaternion
 
 THRESHOLD: Final = 0.01  # m between tool and target that count as reached
-DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as in the way
-_STANDING: Final = 0.9  # of a normal's length pointing up
-_FEET: Final = 0.02  # m above the ground
 
 
 def approach(grasp: str, robot: Object) -> Quaternion:
@@ -139,86 +133,3 @@ def postures(
     start = now if seed is None else seed
     seeds = [start, *(arm.posture(name) for name in arm.poses)] if arm else [start]
     return [Reach(posture, link) for posture in solver.solve_all(target, turn, seeds, thorough=thorough, quick=quick)]
-
-
-def in_the_way(
-    robot: Object,
-    positions: Mapping[str, float],
-    ignored: Iterable[Object] = (),
-    base: Pose | None = None,
-    *,
-    everything: bool = False,
-) -> dict[Object, dict[str, object]]:
-    """What the robot would touch in another posture or at another place.
-
-    Args:
-        robot: the robot.
-        positions: joint values in rad or m by name that differ from the present ones.
-        ignored: objects that don't count.
-        base: pose of the robot's base; the present one by default.
-        everything: count all links of the robot; else only those that the joints move.
-
-    Returns:
-        For each object, the robot's links that would touch it, its own links, and the depth in m. The floor that a
-        robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others too.
-    """
-    world = robot.world
-    copy = twin(world, "reach")
-    bodies = copy.sync()
-    engine, body = copy.engine, bodies[robot.name]
-    held = _held(robot)
-    skipped = {robot, *(other for other, _, _ in held), *ignored}
-    moving = set(robot.links) if everything else set(cargo.moved_links(robot.urdf, positions))
-    movers = [(robot, body, moving)]
-    movers += [(other, bodies[other.name], set(other.links)) for other, link, _ in held if link in moving or everything]
-    try:
-        if base is not None:
-            engine.set_pose(body, base)
-        engine.set_joints(body, positions)
-        for other, link, pose in held:
-            engine.set_pose(bodies[other.name], geometry.multiply(engine.link_pose(body, link), pose))
-        found: dict[Object, dict[str, object]] = {}
-        for other in world.objects:
-            if other in skipped:
-                continue
-            hits = _hits(engine, movers, other, bodies[other.name])
-            if hits:
-                found[other] = hits
-    finally:
-        copy.disturbed(robot.name, *(other.name for other, _, _ in held))
-    return found
-
-
-def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
-    """What a robot carries, directly and through other things: object, the robot's link, pose in that link."""
-    held: list[tuple[Object, str, Pose]] = []
-    queue = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
-    while queue:
-        body, link = queue.pop()
-        link_T_world = geometry.invert(robot.get_link_position_and_orientation(link))
-        held.append((body, link, geometry.multiply(link_T_world, body.get_position_and_orientation())))
-        queue.extend((attachment.body, link) for attachment in body.carried)
-    return held
-
-
-def _hits(
-    engine: Engine, movers: Iterable[tuple[Object, Body, set[str]]], other: Object, obstacle: Body
-) -> dict[str, object]:
-    links: set[str] = set()
-    own: set[str] = set()
-    deepest = 0.0
-    for mover, body, moving in movers:
-        for touch in engine.touches(body, obstacle):
-            if touch.link_a not in moving or touch.distance > -DEPTH:
-                continue
-            if mover.is_robot and other.is_environment and _carries_wheels(touch):
-                continue
-            links.add(touch.link_a)
-            own.add(touch.link_b)
-            deepest = max(deepest, -touch.distance)
-    return {"links": sorted(links), "by": sorted(own), "depth": deepest} if links else {}
-
-
-def _carries_wheels(touch: Touch) -> bool:
-    """Whether a robot stands there rather than bumps: a contact from below, at the height of its base's feet."""
-    return touch.normal[2] > _STANDING and touch.position_b[2] < _FEET

@@ -40,10 +40,12 @@ class Twin:
 
     Args:
         world: the world.
+        solid: its bodies meet each other and rays; else they pass through each other, which costs less.
     """
 
-    def __init__(self, world: BulletWorld) -> None:
+    def __init__(self, world: BulletWorld, *, solid: bool) -> None:
         self.world = weakref.proxy(world)
+        self._solid = solid
         self.engine = Engine()
         self._copies: dict[str, _Copy] = {}
         self._gravity: tuple[float, float, float] | None = None
@@ -103,6 +105,8 @@ class Twin:
         if copy is None:
             loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot)
             copy = self._copies[body.name] = _Copy(body.handle, loaded, None)
+            if not self._solid:
+                self.engine.ghost(loaded)
         if copy.state != now:
             self.engine.set_pose(copy.body, now.pose)
             if any(now.velocity) and not body.fixed:
@@ -136,11 +140,12 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach" (never stepped), "physics", "physics with robots" (both stepped) or "studio" (pictures).
+        purpose: "reach" and "studio" (pictures), whose bodies aren't solid; "outline" (rays), "physics" and "physics
+            with robots" (both stepped).
     """
     with _registry:
         mine = _twins.setdefault(world, {})
     if purpose not in mine:
-        made = mine[purpose] = Twin(world)
+        made = mine[purpose] = Twin(world, solid=purpose not in ("reach", "studio"))
         world.at_exit(made.close)
     return mine[purpose]

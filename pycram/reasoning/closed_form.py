@@ -1,0 +1,199 @@
+"""All postures of an arm of seven joints, without searching: shoulder and wrist are points with an elbow between them.
+
+Where axes 2 and 3 meet in a shoulder and axes 5, 6 and 7 in a wrist, as in the PR2's arms, one turn of joint 1 leaves
+at most eight postures for a pose of the tool, and each is a chain of :mod:`pycram.reasoning.subproblems`. Joint 1 is
+tried all over its range, in steps of 4 degrees. Where no orientation is asked for, joints 5 and 6 are tried over theirs
+as well, more coarsely. A narrow range of postures can slip through; hence whoever finds none here has the nearest
+misses to search from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.reasoning import subproblems
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+_MEET: Final = 1e-6  # m between axes that meet
+_STEPS: Final = 44  # turns of joint 1 that are tried for a pose
+_COARSE: Final = (8, 6, 4)  # turns of joints 1, 5 and 6 that are tried for a position
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedForm:
+    """An arm whose postures can be written down.
+
+    Attributes:
+        origins: (7, 3) a point of each axis at zero, in the base link, m.
+        axes: (7, 3) unit vectors of the axes at zero.
+        tool: (4, 4) pose of the tool at zero.
+        shoulder: where axes 2 and 3 meet at zero.
+        wrist: where axes 5, 6 and 7 meet at zero.
+        lower: lower limits, rad; -pi where there are none.
+        upper: upper limits, rad; pi where there are none.
+        bounded: which joints have limits.
+    """
+
+    origins: Array
+    axes: Array
+    tool: Array
+    shoulder: Array
+    wrist: Array
+    lower: Array
+    upper: Array
+    bounded: Flags
+
+    @classmethod
+    def of(
+        cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
+    ) -> ClosedForm | None:
+        """Of an arm's geometry at zero; None if its axes don't meet as they have to.
+
+        Args:
+            origins: (n, 3) a point of each axis.
+            axes: (n, 3) unit vectors of the axes.
+            tool: (4, 4) pose of the tool.
+            lower: lower limits, rad.
+            upper: upper limits, rad.
+            bounded: which joints have limits.
+        """
+        if len(axes) != 7:
+            return None
+        shoulder = _meeting(origins[1], axes[1], origins[2], axes[2])
+        wrist = _meeting(origins[4], axes[4], origins[5], axes[5])
+        if shoulder is None or wrist is None:
+            return None
+        if float(np.linalg.norm(np.cross(wrist - origins[6], axes[6]))) > _MEET or _parallel(axes[5], axes[6]):
+            return None
+        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded)
+
+    def postures(self, position: Array, turn: Array | None, home: Array) -> tuple[Array, Flags]:
+        """Postures for a target.
+
+        Args:
+            position: (3,) of the tool in the base link, m.
+            turn: (3, 3) its orientation; None if any will do.
+            home: (7,) a posture whose values are tried too, so that solutions near it are found.
+
+        Returns:
+            Postures (n, 7) and whether each brings the tool there within the limits; the others are near misses, and
+            may be beyond limits.
+        """
+        found, exact = self._at_position(position, home) if turn is None else self._at_pose(position, turn, home)
+        found = self._wrapped(found)
+        inside = ((found >= self.lower - 1e-9) & (found <= self.upper + 1e-9)) | ~self.bounded
+        return found, exact & inside.all(axis=1)
+
+    def miss(self, position: Array, turn: Array | None) -> float:
+        """How far the tool stays away from a target at least, whatever the posture, m; 0 where nothing is known.
+
+        With an orientation it is the wrist that counts, and that the orientation is exact.
+        """
+        rotation = np.eye(3) if turn is None else turn @ self.tool[:3, :3].T
+        hand = self.wrist - self.tool[:3, 3]
+        goal = position if turn is None else position + rotation @ hand
+        q1 = np.linspace(self.lower[0], self.upper[0], _STEPS)
+        centre = self.origins[0][:, None]
+        away = subproblems.turned(self.axes[0], -q1, goal[:, None] - centre) + centre - self.shoulder[:, None]
+        far = np.sqrt((away * away).sum(axis=0))
+        q4 = np.linspace(self.lower[3], self.upper[3], _STEPS)
+        bent = subproblems.turned(self.axes[3], q4, (self.wrist - self.origins[3])[:, None])
+        reach = np.linalg.norm(bent + (self.origins[3] - self.shoulder)[:, None], axis=0)
+        # between the values that are looked at, the shoulder and the wrist move by less than this
+        slack = _radius(self.shoulder, self.origins[0], self.axes[0]) * float(q1[1] - q1[0]) / 2
+        slack += _radius(self.wrist, self.origins[3], self.axes[3]) * float(q4[1] - q4[0]) / 2
+        spare = 0.0 if turn is not None else float(np.linalg.norm(hand))
+        short = float(far.min() - reach.max())
+        long = float(reach.min() - far.max())
+        return max(0.0, max(short, long) - spare - slack)
+
+    def _at_pose(self, position: Array, turn: Array, home: Array) -> tuple[Array, Flags]:
+        w = self.axes
+        rotation = turn @ self.tool[:3, :3].T
+        wrist = position + rotation @ (self.wrist - self.tool[:3, 3])
+        arm, exact = self._to_point(self._tried(0, _STEPS, home), self.wrist[:, None], wrist)
+        count = len(exact)
+        # what the wrist has to turn: two columns of the rotation that is left when joints 1 to 4 are taken back
+        across = _across(w[6])
+        left = np.repeat(rotation @ np.column_stack([w[6], across]), count, axis=1)
+        for joint, angle in enumerate(arm):
+            left = subproblems.turned(w[joint], -np.tile(angle, 2), left)
+        q5, q6, possible = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])
+        q5, q6 = q5.ravel(), q6.ravel()
+        side = subproblems.turned(w[5], -q6, subproblems.turned(w[4], -q5, np.tile(left[:, count:], 2)))
+        q7 = subproblems.angle_between(w[6], across[:, None], side)
+        return np.stack([*(np.tile(angle, 2) for angle in arm), q5, q6, q7], axis=1), np.tile(exact & possible, 2)
+
+    def _at_position(self, position: Array, home: Array) -> tuple[Array, Flags]:
+        w = self.axes
+        spread = [self._tried(joint, steps, home) for joint, steps in zip((0, 4, 5), _COARSE, strict=True)]
+        q1, q5, q6 = (grid.ravel() for grid in np.meshgrid(*spread, indexing="ij"))
+        tool = (self.tool[:3, 3] - self.wrist)[:, None]
+        for joint, angle in ((6, home[6:]), (5, q6), (4, q5)):
+            tool = subproblems.turned(w[joint], angle, tool)
+        arm, exact = self._to_point(q1, self.wrist[:, None] + tool, position)
+        rest = (np.tile(values, len(exact) // len(q1)) for values in (q5, q6, np.full(len(q1), home[6])))
+        return np.stack([*arm, *rest], axis=1), exact
+
+    def _to_point(self, q1: Array, point: Array, goal: Array) -> tuple[tuple[Array, Array, Array, Array], Flags]:
+        """Values of joints 1 to 4 that bring a point of the forearm at zero to a goal: four for each of joint 1."""
+        w = self.axes
+        base = self.origins[0][:, None]
+        away = base + subproblems.turned(w[0], -q1, goal[:, None] - base) - self.shoulder[:, None]
+        elbow_T = self.origins[3][:, None]
+        start = point - elbow_T
+        q4, exact = subproblems.to_distance(
+            w[3], start, self.shoulder[:, None] - elbow_T, np.sqrt((away * away).sum(axis=0))
+        )
+        q4 = q4.ravel()
+        start = start if start.shape[1] == 1 else np.tile(start, 2)
+        bent = subproblems.turned(w[3], q4, start) + elbow_T - self.shoulder[:, None]
+        q2, q3, possible = subproblems.two_turns(w[1], w[2], bent, np.tile(away, 2))
+        return (np.tile(q1, 4), q2.ravel(), q3.ravel(), np.tile(q4, 2)), np.tile(np.tile(exact, 2) & possible, 2)
+
+    def _tried(self, joint: int, steps: int, home: Array) -> Array:
+        """Values of a joint all over its range, and the one that it has."""
+        low, high = float(self.lower[joint]), float(self.upper[joint])
+        spread = np.linspace(low, high, steps, endpoint=bool(self.bounded[joint]))
+        return np.append(spread, np.clip(home[joint], low, high))
+
+    def _wrapped(self, postures: Array) -> Array:
+        """The same angles, by full turns as near the middle of the joints' ranges as they can be."""
+        middle = (self.lower + self.upper) / 2
+        nearest: Array = middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
+        return nearest
+
+
+def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None:
+    """Where two axes meet."""
+    if _parallel(along_a, along_b):
+        return None
+    (s, t), *_ = np.linalg.lstsq(np.column_stack([along_a, -along_b]), b - a, rcond=None)
+    on_a, on_b = a + s * along_a, b + t * along_b
+    return (on_a + on_b) / 2 if float(np.linalg.norm(on_a - on_b)) < _MEET else None
+
+
+def _radius(point: Array, origin: Array, axis: Array) -> float:
+    """Distance of a point from an axis."""
+    return float(np.linalg.norm(np.cross(point - origin, axis)))
+
+
+def _parallel(a: Array, b: Array) -> bool:
+    return float(np.linalg.norm(np.cross(a, b))) < 1e-6
+
+
+def _across(axis: Sequence[float] | Array) -> Array:
+    """A unit vector perpendicular to another."""
+    vector = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit

@@ -1,0 +1,108 @@
+"""Paden and Kahan's subproblems, for many rows at once: by which angles must axes turn to bring a point somewhere?
+
+Arms whose axes meet in shoulder and wrist are solved by a chain of these (Murray, Li, Sastry: A Mathematical
+Introduction to Robotic Manipulation, 1994, section 3.3.2). Points and vectors are the columns of arrays (3, n) or
+(3, 1); axes are unit vectors (3,); angles are (n,) in rad. Where no angle does it, the nearest is given and said to be
+no solution.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Flags = NDArray[np.bool_]
+
+_SLACK: Final = 1e-9  # of a cosine or a squared length: rounding, no miss
+
+
+def turned(axis: Array, angle: Array, vector: Array) -> Array:
+    """Vectors turned about an axis through the origin.
+
+    Args:
+        axis: of the turn.
+        angle: by how much.
+        vector: what is turned.
+    """
+    along, aside, beside = _parts(axis, vector)
+    result: Array = along + np.cos(angle) * aside + np.sin(angle) * beside
+    return result
+
+
+def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
+    """What of vectors lies along an axis, what across it, and the latter turned on by a right angle."""
+    x, y, z = axis
+    along = axis[:, None] * (axis @ vector)
+    return along, vector - along, np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ vector
+
+
+def angle_between(axis: Array, start: Array, end: Array) -> Array:
+    """Subproblem 1: the angle about an axis through the origin that turns a vector's direction into another's.
+
+    Args:
+        axis: of the turn.
+        start: the vector before.
+        end: the vector after; what of both lies along the axis doesn't count.
+    """
+    _, aside, beside = _parts(axis, start)
+    result: Array = np.arctan2((beside * end).sum(axis=0), (aside * end).sum(axis=0))
+    return result
+
+
+def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Flags]:
+    """Subproblem 2: angles about two axes through the origin, which aren't parallel, that bring a vector to another.
+
+    Args:
+        first: the outer axis.
+        second: the inner axis, about which the vector is turned first.
+        start: the vector before.
+        end: the vector after.
+
+    Returns:
+        Angles (2, n) about the outer and about the inner axis, of both solutions; and whether they are solutions (n,).
+    """
+    between = float(first @ second)
+    square = 1.0 - between * between
+    along_first, along_second = first @ end, second @ start
+    a = (along_first - between * along_second) / square
+    b = (along_second - between * along_first) / square
+    rest = ((end * end).sum(axis=0) - a * a - b * b - 2.0 * a * b * between) / square
+    middle = first[:, None] * a + second[:, None] * b
+    aside = np.cross(first, second)[:, None] * np.sqrt(np.maximum(rest, 0.0))
+    way = np.concatenate([middle + aside, middle - aside], axis=1)
+    inner = angle_between(second, _twice(start), way)
+    outer = -angle_between(first, _twice(end), way)
+    return outer.reshape(2, -1), inner.reshape(2, -1), rest >= -_SLACK
+
+
+def _twice(vectors: Array) -> Array:
+    return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
+
+
+def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple[Array, Flags]:
+    """Subproblem 3: the angle about an axis through the origin that brings a point to a distance from another.
+
+    Args:
+        axis: of the turn.
+        start: the point that turns.
+        end: the point that stays.
+        distance: wanted between them, (n,), m.
+
+    Returns:
+        Angles (2, n) of both solutions, and whether they are solutions (n,).
+    """
+    _, a, beside = _parts(axis, start)
+    _, b, _ = _parts(axis, end)
+    apart = axis @ (start - end)
+    straight = np.arctan2((beside * b).sum(axis=0), (a * b).sum(axis=0))
+    lengths = (a * a).sum(axis=0), (b * b).sum(axis=0)
+    cosine = (lengths[0] + lengths[1] - distance * distance + apart * apart) / np.maximum(
+        2.0 * np.sqrt(lengths[0] * lengths[1]), 1e-12
+    )
+    aside = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return np.stack([straight + aside, straight - aside]), np.abs(cosine) <= 1.0 + _SLACK
