@@ -25,6 +25,7 @@ from recorder.proto.log_pb2 import (
     Effect,
     Event,
     Failure,
+    Fluent,
     HandlerCall,
     Keyframe,
     LoadBody,
@@ -60,6 +61,7 @@ __all__ = [
     "Effect",
     "Event",
     "Failure",
+    "Fluent",
     "HandlerCall",
     "Keyframe",
     "LoadBody",
@@ -85,13 +87,14 @@ __all__ = [
     "to_json",
 ]
 
-Record: TypeAlias = Run | Task | Mutation | Event | Query | Keyframe
+Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
 
 TOPICS: Mapping[type[Record], str] = {
     Run: "/run",
     Task: "/task",
     Mutation: "/mutation",
     Event: "/event",
+    Fluent: "/fluent",
     Query: "/query",
     Keyframe: "/keyframe",
 }
