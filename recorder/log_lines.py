@@ -106,7 +106,7 @@ def _joints(command: MoveJoints) -> str:
 def _fluent(record: Fluent) -> str:
     told = f"fluent {record.name}"
     if record.before_json == record.after_json:
-        return f"{told} pulsed at {record.after_json}"
+        return f"{told} pulsed at {record.after_json}" if record.after_json else f"{told} pulsed"
     return f"{told}: {record.before_json} -> {record.after_json}"
 
 
