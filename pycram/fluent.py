@@ -10,8 +10,9 @@ A fluent has a value; any thread may read it, set it, and wait until it is not N
         s(low.wait_for)
 
 Operators make networks, whose value follows from that of their operands at one moment. Comparisons and AND, OR, NOT,
-IS, IS_NOT give True or None, never False: one waits for what is not None. AND and OR look at their second operand only
-if they have to, as in ``battery.IS_NOT(None).AND(battery < 20)``.
+IS, IS_NOT give True or None, never False: one waits for what is not None. None means that there is no value (yet), so
+it is neither less nor more than anything, and no sum has a value if a part has none. AND and OR look at their second
+operand only if they have to, as in ``(speed != 0).AND(way / speed < 10)``.
 
 Setting a fluent pulses it, also with the value that it has. What pulses a fluent pulses the networks made of it.
 :meth:`Fluent.pulsed` counts pulses, and :func:`whenever` handles them.
@@ -226,16 +227,16 @@ class Fluent:
         raise NotTrueOrFalse(self.name)
 
     def __lt__(self, other: object) -> Fluent:
-        return _comparison("<", operator.lt, self, other)
+        return _order("<", operator.lt, self, other)
 
     def __le__(self, other: object) -> Fluent:
-        return _comparison("<=", operator.le, self, other)
+        return _order("<=", operator.le, self, other)
 
     def __gt__(self, other: object) -> Fluent:
-        return _comparison(">", operator.gt, self, other)
+        return _order(">", operator.gt, self, other)
 
     def __ge__(self, other: object) -> Fluent:
-        return _comparison(">=", operator.ge, self, other)
+        return _order(">=", operator.ge, self, other)
 
     def __add__(self, other: object) -> Fluent:
         return _arithmetic("+", operator.add, self, other)
@@ -320,5 +321,13 @@ def _comparison(
     return _network(f"{{}} {sign} {{}}", lambda values: True if test(*values) else None, one, other, same=same)
 
 
+def _order(sign: str, test: Callable[[Value, Value], object], one: object, other: object) -> Fluent:
+    return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), one, other)
+
+
 def _arithmetic(sign: str, function: Callable[[Value, Value], Value], one: object, other: object) -> Fluent:
-    return _network(f"{{}} {sign} {{}}", lambda values: function(*values), one, other)
+    def work_out(values: Iterator[Value]) -> Value:
+        a, b = values
+        return None if a is None or b is None else function(a, b)
+
+    return _network(f"{{}} {sign} {{}}", work_out, one, other)

@@ -61,19 +61,22 @@ class Term(ABC):
 
     Attributes:
         operands: what its value is worked out from.
-        leaves: the leaves below it, each once; a leaf itself.
         accounts: those that count its pulses.
         watchers: those who are told when it changes; only leaves have any.
     """
 
-    __slots__ = ("__weakref__", "accounts", "leaves", "operands")
+    __slots__ = ("__weakref__", "accounts", "operands")
 
     watchers: Iterable[Watcher] = ()
 
-    def __init__(self, operands: tuple[Term, ...], leaves: tuple[Leaf, ...]) -> None:
+    def __init__(self, operands: tuple[Term, ...]) -> None:
         self.operands = operands
-        self.leaves = leaves
         self.accounts: Collection[Account] = ()
+
+    @property
+    @abstractmethod
+    def leaves(self) -> tuple[Leaf, ...]:
+        """The leaves below it, each once; a leaf itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
@@ -109,9 +112,14 @@ class Leaf(Term):
     __slots__ = ("held", "watchers")
 
     def __init__(self, operands: tuple[Term, ...], held: Value) -> None:
-        super().__init__(operands, (self,))
+        super().__init__(operands)
         self.held = held
         self.watchers: list[Watcher] = []
+
+    @property
+    def leaves(self) -> tuple[Leaf, ...]:
+        """Itself; not kept, as what refers to itself is gone only when the garbage collector has found it."""
+        return (self,)
 
     def value(self, state: State) -> Value:
         """Its value in that state."""
@@ -126,8 +134,10 @@ class Constant(Term):
 
     __slots__ = ("_value",)
 
+    leaves = ()
+
     def __init__(self, value: Value) -> None:
-        super().__init__((), ())
+        super().__init__(())
         self._value = value
 
     def value(self, state: State) -> Value:  # noqa: ARG002  it is the same in all
@@ -147,10 +157,13 @@ class Operation(Term):
         form: its text, with ``{}`` for each operand.
     """
 
-    __slots__ = ("form", "function")
+    __slots__ = ("form", "function", "leaves")
+
+    leaves: tuple[Leaf, ...]
 
     def __init__(self, form: str, function: Callable[[Iterator[Value]], Value], operands: tuple[Term, ...]) -> None:
-        super().__init__(operands, tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves)))
+        super().__init__(operands)
+        self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form
         self.function = function
 
