@@ -50,8 +50,9 @@ class Watch:
 
     def see(self) -> None:
         """Notes the state; called with the lock held."""
+        if not self._states:  # otherwise he isn't asleep, or has been woken already
+            self._news.notify_all()
         self._states.append({leaf: leaf.held for leaf in self._term.leaves})
-        self._news.notify_all()
 
     def states(self, timeout: float | None = None) -> Iterator[State]:
         """The states, as they come.
