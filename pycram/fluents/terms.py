@@ -178,7 +178,7 @@ class Operation(Term):
         if depth > _DEEPEST:
             return "..."
         told = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
-        return f"({told})" if depth and " " in self.form else told
+        return f"({told})" if depth and self.form.startswith(("{} ", "NOT ")) else told
 
 
 def wake(changed: Iterable[Term]) -> None:

@@ -277,7 +277,7 @@ def test_only_variables_are_set() -> None:
 def test_names_tell_what_networks_are() -> None:
     a, b = Fluent(1, "a"), Fluent(2, "b")
     assert repr((a + 1 > b).AND(a.NOT())) == "Fluent(((a + 1) > b) AND (NOT a))"
-    assert network(math.hypot, a, b).name == "hypot(a, b)"
+    assert (network(math.hypot, a, b) > 3).name == "hypot(a, b) > 3"
     assert a.pulsed().name == "a.pulsed(ONCE)"
     assert (a == {"{}": 1}).name == "a == {'{}': 1}"
     deep = a
@@ -345,11 +345,12 @@ def test_a_pulse_reaches_what_is_made_of_its_fluent_once_and_nothing_else() -> N
     a, b = Fluent(1), Fluent(2)
     both = (a + b) * a
     of_both, of_a, of_b, of_of = both.pulsed(Behavior.ALWAYS), a.pulsed(), b.pulsed(), both.pulsed().pulsed()
+    of_pulses = of_both.AND(of_a).pulsed(Behavior.ALWAYS)
     a.pulse()
     assert [fluent.get_value() for fluent in (of_both, of_a, of_b, of_of)] == [True, True, None, True]
-    handled = whenever(of_both)
-    next(handled)
-    assert of_both.get_value() is None  # one, though two ways lead from a to it
+    for pulsed in (of_both, of_pulses):
+        next(whenever(pulsed))
+        assert pulsed.get_value() is None  # one, though two ways lead from a to it
     both.pulse()
     assert [fluent.get_value() for fluent in (of_both, of_b)] == [True, None]
 
