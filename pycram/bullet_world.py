@@ -313,7 +313,11 @@ class BulletWorld(metaclass=CurrentWorld):
             self.engine.step(stretch)
             self.sim_step += stretch
             done += stretch
-            if recording and done < steps:  # the end itself is the effect
+            if done == steps:  # the end itself is the effect
+                break
+            if self.funnel.observer is not None:
+                self.funnel.observer.passed()
+            if recording:
                 sample = self.funnel.sample(self.sim_step, last)
                 if sample is not None:
                     change.samples.append(sample)

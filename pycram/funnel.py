@@ -1,15 +1,15 @@
 """The funnel: the one way in which a world changes.
 
-Validate, act in the engine, read back, emit one record, fire events. The world's lock is held from validating to
-emitting, so the order of records is the order of changes. Handlers of events are user code: they are called when the
-lock is free again (:mod:`pycram.world_lock`).
+Validate, act in the engine, read back, emit one record, tell the observer, fire events. The world's lock is held from
+validating to telling the observer, so the order of records is the order of changes. Handlers of events are user code:
+they are called when the lock is free again (:mod:`pycram.world_lock`).
 """
 
 from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from pycram.failures import ChangeRefused, WorldClosed
 from pycram.world_lock import WorldLock
@@ -126,14 +126,39 @@ class Change:
         """Notes an attachment that is new or has a new relative pose."""
         self.attached[attachment.carrier.name, attachment.body.name] = attachment
 
+    def concerned(self) -> set[str]:
+        """Names of the objects of which anything may be another now."""
+        held = (*self.attached.values(), *self.detached)
+        return {*self.touched, *self.removed, *(side.name for one in held for side in (one.carrier, one.body))}
+
+
+class Observer(Protocol):
+    """Somebody who follows a world; called with its lock held, so that he sees every change, in order.
+
+    He must not call user code, nor wait for anybody.
+    """
+
+    def passed(self) -> None:
+        """Simulated time has passed, within a change."""
+
+    def changed(self, done: Change) -> None:
+        """A change was made and is on record."""
+
 
 class Funnel:
-    """The lock, the refusals and the records of one world."""
+    """The lock, the refusals and the records of one world.
+
+    Attributes:
+        lock: held from validating a change to emitting its record.
+        query: the reasoning query that runs, during which changes are refused.
+        observer: who follows the world.
+    """
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self.lock = WorldLock()
         self.query = ""
+        self.observer: Observer | None = None
         self._seen: dict[str, Reading] = {}
         self._since_keyframe = 0
 
@@ -162,6 +187,8 @@ class Funnel:
                 self._seen.pop(name, None)
             if journal.recording():
                 self._emit(change)
+            if self.observer is not None:
+                self.observer.changed(change)
             self.lock.owe(prepare() for prepare in change.events)
 
     def check(self, action: str) -> None:

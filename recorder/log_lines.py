@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Keyframe, Mutation, Query, Run, Task
+from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -48,6 +48,8 @@ def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911
         return mutation_text(record), Log.DEBUG
     if isinstance(record, Event):
         return f"event {record.name}({_values(record.arguments)}), {len(record.handlers)} handlers", Log.INFO
+    if isinstance(record, Fluent):
+        return _fluent(record), Log.DEBUG
     if isinstance(record, Query):
         if record.HasField("failure"):
             return f"{record.name}({_values(record.arguments)}) raised {record.failure.type}", Log.WARNING
@@ -99,6 +101,13 @@ def _joints(command: MoveJoints) -> str:
     one = len(command.joints) == 1
     told = f"{command.joints[0]} {command.positions[0]:.3f}" if one else f"{len(command.joints)} joints"
     return f"{command.body} {told}"
+
+
+def _fluent(record: Fluent) -> str:
+    told = f"fluent {record.name}"
+    if record.before_json == record.after_json:
+        return f"{told} pulsed at {record.after_json}" if record.after_json else f"{told} pulsed"
+    return f"{told}: {record.before_json} -> {record.after_json}"
 
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn't here has none

@@ -22,7 +22,7 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 
 def kind_of(record: Record) -> str:
-    """What kind of record it is: run, task, mutation, event, query or keyframe."""
+    """What kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
     return TOPICS[type(record)].removeprefix("/")
 
 

@@ -401,6 +401,32 @@ class Query(_message.Message):
     failure: Failure
     def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ...) -> None: ...
 
+class Fluent(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "before_json", "after_json", "source", "bodies")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    BEFORE_JSON_FIELD_NUMBER: _ClassVar[int]
+    AFTER_JSON_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    name: str
+    before_json: str
+    after_json: str
+    source: str
+    bodies: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., before_json: _Optional[str] = ..., after_json: _Optional[str] = ..., source: _Optional[str] = ..., bodies: _Optional[_Iterable[str]] = ...) -> None: ...
+
 class Run(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "phase", "name", "succeeded", "failure", "duration_ns")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):

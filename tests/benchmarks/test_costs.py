@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import statistics
 import sys
+import threading
 import time
 from contextlib import nullcontext, redirect_stdout
 from io import StringIO
@@ -19,11 +20,12 @@ import pytest
 import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld
+from pycram.fluent import Fluent
 from recorder import journal
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
 sys.path.insert(0, str(Path(__file__).parent.parent.parent / "demos"))
 
@@ -99,6 +101,52 @@ def recording_of_small_records(file: Path, count: int) -> float:
 
     with recorder.record(file):
         return seconds(write)
+
+
+def set_all(fluent: Fluent, count: int, dependants: Sequence[Fluent] = ()) -> float:
+    """Seconds to set a fluent to all numbers, and to read its dependants each time."""
+
+    def update() -> None:
+        for number in range(count):
+            fluent.set_value(number)
+            for dependant in dependants:
+                dependant.get_value()
+
+    return seconds(update)
+
+
+def set_all_awaited(fluent: Fluent, count: int, dependants: Sequence[Fluent]) -> float:
+    """The same, while a thread each waits for its dependants, and for the last number."""
+    fluent.set_value(None)
+    waiting = [threading.Thread(target=(one.OR(True).AND(fluent == count - 1)).wait_for) for one in dependants]
+    for thread in waiting:
+        thread.start()
+    took = set_all(fluent, count)
+    return took + seconds(lambda: [thread.join() for thread in waiting])
+
+
+def test_fluent_updates(tmp_path: Path) -> None:
+    count, cell, lock = 10_000, [0], threading.RLock()
+    fluent = Fluent(0, "counter")
+    dependants = [*(fluent > limit for limit in range(8)), fluent.pulsed(), (fluent * 2 == 4).pulsed()]
+
+    def assign() -> None:
+        for number in range(count):
+            with lock:
+                cell[0] = number
+
+    assigning = seconds(assign)
+    took = {
+        "10 dependants": set_all(fluent, count),
+        "10 dependants, each read every time": set_all(fluent, count, dependants),
+        "10 dependants, a thread waits for each": set_all_awaited(fluent, count, dependants),
+    }
+    with recorder.record(tmp_path / "x.mcap"):
+        took["10 dependants, recorded"] = set_all(fluent, count)
+    print(f"\n{count} assignments under a lock: {assigning * 1e3:.1f} ms")
+    for what, time_ in took.items():
+        print(f"{count} updates of a fluent, {what}: {time_:.3f} s ({time_ / assigning:.0f} times that)")
+        assert time_ / assigning < 1000
 
 
 def test_attaching_and_leaving(tmp_path: Path) -> None:

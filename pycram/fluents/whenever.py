@@ -1,0 +1,82 @@
+"""``whenever``: reacts to a fluent, again and again, until the block around is decided."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, overload
+
+from pycram.branch import unwrap
+from pycram.cancellation import checkpoint
+from pycram.failures import BadArgument
+from pycram.fluents.pulses import Account
+from pycram.fluents.watch import first_value
+from recorder.span import span
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pycram.fluent import Fluent
+    from pycram.fluents.terms import Term, Value
+
+
+@overload
+def whenever(fluent: Fluent) -> Iterator[Value]: ...
+
+
+@overload
+def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
+
+
+def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
+    """Does something as often as a fluent's value is not None: again and again while it stays so.
+
+    Of pulses, made by :meth:`Fluent.pulsed`, each is handled by one run, or as their behavior says::
+
+        for _ in whenever(door.pulsed()):
+            look_at(door)
+
+        with pursue as s:
+            s(whenever, battery < 20, charge)
+            s(plan)
+
+    Both forms run in the thread that calls them, and end when the branch is cancelled, that is when the block around
+    is decided; a loop also by ``break``, and both by what the body raises.
+
+    Args:
+        fluent: what to wait for, each time.
+        body: what to do; None to do it in a ``for`` loop.
+
+    Returns:
+        Without a body an iterator that waits, and gives the value that isn't None.
+
+    Raises:
+        BadArgument: not a fluent, or a body that can't be called.
+        Cancelled: the branch has been told to stop.
+    """
+    from pycram.fluent import Fluent  # noqa: PLC0415  which shows this function
+
+    watched = unwrap(fluent)
+    if not isinstance(watched, Fluent):
+        raise BadArgument("fluent", watched, "a fluent")
+    runs = _runs(watched.term)
+    if body is None:
+        return runs
+    if not callable(body):
+        raise BadArgument("body", body, "a function without arguments")
+    for _ in runs:
+        with span("whenever", watched.name):
+            body()
+    return None
+
+
+def _runs(term: Term) -> Iterator[Value]:
+    accounts = [leaf for leaf in term.leaves if isinstance(leaf, Account)]
+    while True:
+        checkpoint()
+        value = first_value(term)
+        for account in accounts:
+            account.take()
+        try:
+            yield value
+        finally:
+            for account in accounts:
+                account.settle()
