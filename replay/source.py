@@ -103,8 +103,8 @@ class Source:
             told = lines[at + 1].strip(" |") if at + 1 < len(lines) and not _FRAME.match(lines[at + 1]) else ""
             known = self.line(frame["file"], int(frame["line"]))
             function = known.function if known and known.function else frame["function"].strip()
-            text = known.text if known and known.text else told
-            found.append(Line(frame["file"], int(frame["line"]), function, text))
+            shown = known.text if known and known.text else told
+            found.append(Line(frame["file"], int(frame["line"]), function, shown))
         return found
 
 

@@ -130,7 +130,7 @@ def reasons(query: Query) -> str:
         query: its record.
     """
     evidence = plain_arguments(query.evidence)
-    found = []
+    found: list[str] = []
     for key, item in evidence.items():
         if key in _PHRASES:
             found += _PHRASES[key](item, evidence)
@@ -191,7 +191,10 @@ def _length(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
 
 def _links(told: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
     if isinstance(told, list) and told:
-        pairs = [" and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base" for item in told]
+        pairs = [
+            " and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base"
+            for item in told
+        ]
         yield f"at {names(pairs)}"
 
 
