@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Query
     from replay.plain import Plain
+    from replay.source import Line
 
 _WIDTH: Final = 100  # characters of a value
 _FEW: Final = 4  # names that are told one by one
@@ -38,6 +39,15 @@ def value(told: Plain) -> str:
         text = told
     else:
         text = json.dumps(told)
+    return short(text)
+
+
+def short(text: str) -> str:
+    """A text, cut where it is too long for a line.
+
+    Args:
+        text: the text.
+    """
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
@@ -93,6 +103,36 @@ def seconds(duration_ns: int) -> str:
         duration_ns: in ns.
     """
     return f"{duration_ns / 1e9:.2f} s" if duration_ns >= 1e9 else f"{duration_ns / 1e6:.1f} ms"
+
+
+def length(metres: float) -> str:
+    """A distance.
+
+    Args:
+        metres: in m.
+    """
+    return f"{metres:.3f} m" if metres >= 0.1 else f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else "less than 0.1 mm"
+
+
+def place(line: Line) -> str:
+    """A line of the plan: where it is and what it says.
+
+    Args:
+        line: the line.
+    """
+    function = f" in {line.function}" if line.function else ""
+    return f"{line.file}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def around(after: Line | None, before: Line | None) -> str:
+    """Between which lines the plan did something that no task was part of.
+
+    Args:
+        after: the last line before it that is known.
+        before: the first one behind it.
+    """
+    told = [f"{word} {line.file}:{line.number}" for word, line in (("after", after), ("before", before)) if line]
+    return ", " + " and ".join(told) if told else ""
 
 
 # --- queries ---------------------------------------------------------------------------------------------------------
