@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import ast
-import re
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from replay.errors import Damaged
 
@@ -15,13 +14,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from replay.log import Log
-
-_FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')
-_NEXT: Final = re.compile(
-    r"^[\s|]*(?:The above exception was the direct cause of|During handling of the above exception)", re.MULTILINE
-)
-#: Where the executor's own frames are; a plan that has itself attached is never among them.
-_MACHINERY: Final = re.compile(r"[/\\](?:pycram|recorder)[/\\](?:\w+[/\\])*\w+\.py$|^<frozen ")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +33,7 @@ class Line:
     text: str = ""
 
     def __str__(self) -> str:
-        return f"{_name(self.file)}:{self.number}"
+        return f"{name_of(self.file)}:{self.number}"
 
 
 class Source:
@@ -54,7 +46,7 @@ class Source:
             log: the recording.
         """
         self._assets = log.assets
-        self._keys = {_name(key): key for key in log.assets if key.endswith(".py")}
+        self._keys = {name_of(key): key for key in log.assets if key.endswith(".py")}
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
@@ -78,7 +70,7 @@ class Source:
         Args:
             file: path of the file when the plan ran.
         """
-        key = self._keys.get(_name(file))
+        key = self._keys.get(name_of(file))
         if key is None:
             return ""
         if key not in self._texts:
@@ -88,36 +80,21 @@ class Source:
                 self._texts[key] = ""
         return self._texts[key]
 
-    def frames(self, traceback: str) -> list[Line]:
-        """The plan's own lines in the traceback of one exception, outermost first.
+    def has(self, file: str) -> bool:
+        """Whether a file is attached.
 
         Args:
-            traceback: as Python prints it.
+            file: path of the file when the plan ran.
         """
-        found = []
-        lines = traceback.splitlines()
-        for at, text in enumerate(lines):
-            frame = _FRAME.match(text)
-            if frame is None or (_MACHINERY.search(frame["file"]) and _name(frame["file"]) not in self._keys):
-                continue
-            told = lines[at + 1].strip(" |") if at + 1 < len(lines) and not _FRAME.match(lines[at + 1]) else ""
-            known = self.line(frame["file"], int(frame["line"]))
-            function = known.function if known and known.function else frame["function"].strip()
-            shown = known.text if known and known.text else told
-            found.append(Line(frame["file"], int(frame["line"]), function, shown))
-        return found
+        return name_of(file) in self._keys
 
 
-def exceptions(traceback: str) -> list[str]:
-    """A traceback's parts, one for each exception; causes come first.
+def name_of(path: str) -> str:
+    """The file's own name, of a path of any system.
 
     Args:
-        traceback: as Python prints it.
+        path: the path.
     """
-    return [part for part in _NEXT.split(traceback) if part.strip()]
-
-
-def _name(path: str) -> str:
     return PurePosixPath(path.replace("\\", "/")).name
 
 

@@ -51,6 +51,16 @@ def short(text: str) -> str:
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
+def one_line(text: str) -> str:
+    """The first line of a text, and whether there are more.
+
+    Args:
+        text: the text.
+    """
+    first, _, more = text.strip().partition("\n")
+    return f"{first} ..." if more else first
+
+
 def number(told: float) -> str:
     """A number with three decimals, without trailing zeros.
 
