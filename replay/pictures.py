@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import importlib
-import math
 import sys
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from replay.errors import ReplayError
 
@@ -21,9 +20,6 @@ if TYPE_CHECKING:
     from replay.log import Log
     from replay.state import Body
     from replay.why import Why
-
-_AWAY: Final = 1.8  # m to the side of what matters
-_ABOVE: Final = 0.9  # m
 
 
 def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
@@ -50,9 +46,8 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
             files.append(folder / f"step_{found.step}_robot.png")
             render(log, found.step, camera=camera).save(files[-1])
         if found.things:
-            eye, target = _side(found)
             files.append(folder / f"step_{found.step}_side.png")
-            render(log, found.step, eye=eye, target=target).save(files[-1])
+            render(log, found.step, target=_middle(found)).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
@@ -72,13 +67,8 @@ def camera_of(robot: Body) -> str | None:
     return frame if isinstance(frame, str) else None
 
 
-def _side(found: Why) -> tuple[Vector, Vector]:
-    """From where robot and things are seen side by side: across the line between them, and where to look."""
+def _middle(found: Why) -> Vector:
+    """Between robot and things, at the height of the things."""
     places = [thing.body.position for thing in found.things]
     x, y = (sum(place[axis] for place in places) / len(places) for axis in (0, 1))
-    z = max(max(place[2] for place in places) * 0.8, 0.3)
-    first, last = places[0], places[-1]
-    along = math.atan2(last[1] - first[1], last[0] - first[0])
-    away = _AWAY + math.dist(first[:2], last[:2]) / 2
-    eye = x + away * math.sin(along), y - away * math.cos(along), z + _ABOVE
-    return eye, (x, y, z)
+    return x, y, max(place[2] for place in places)
