@@ -115,10 +115,8 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
 def _say_where(log: Path, code: int) -> None:
     size = log.stat().st_size / 1e6
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
-    verbs = ("info", "tree") if code == _DONE else ("tree", "state")
-    for verb in verbs:
-        last = " failure" if verb == "state" else ""
-        print(f"  pycram-replay {verb} {log}{last}", file=sys.stderr)
+    for verb in ("info", "tree") if code == _DONE else ("why", "tree"):
+        print(f"  pycram-replay {verb} {log}", file=sys.stderr)
     print(f"  rerun {log}", file=sys.stderr)
 
 

@@ -6,6 +6,7 @@ so then, and beside what has moved since.
 
 from __future__ import annotations
 
+import builtins
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -129,6 +130,11 @@ class Why:
     running: tuple[Attempt, ...] = ()
 
     @property
+    def is_of_python(self) -> bool:
+        """Whether the plan's code itself is wrong, rather than that something in the world was not as it should be."""
+        return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
+
+    @property
     def warning(self) -> Query | None:
         """The last query that said no, and still was so: nothing that it was about has moved since."""
         told = (asked.query for asked in reversed(self.asked) if not asked.moved)
@@ -229,7 +235,7 @@ def _of_task(
             ),
             None,
         ),
-        tuple(_things(world, [name for name, _ in objects])),
+        tuple(_things(world, [*(name for name, _ in objects), *_named(world, task)])),
         tuple(_try(log, other, world) for other in alike),
         sum(1 for other in before.origins if other not in alike),
         tuple(_with_moves(log, query, state) for query in asked),
@@ -353,6 +359,15 @@ def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
                 distance = math.hypot(across, along)
                 bearing = math.remainder(math.atan2(along, across) - heading(robot), math.tau)
             yield Thing(body, world.carrier(name), tuple(world.carried(name)), distance, bearing)
+
+
+def _named(world: World | None, task: Attempt) -> Iterator[str]:
+    """The bodies that a failure names in its data."""
+    data = plain_arguments(task.failure.data) if task.failure is not None else {}
+    for value in data.values():
+        for name in value if isinstance(value, list) else [value]:
+            if world is not None and isinstance(name, str) and name in world.bodies:
+                yield name
 
 
 def heading(body: Body) -> float:

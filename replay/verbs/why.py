@@ -165,7 +165,9 @@ def _section(title: str, body: Iterator[str]) -> Iterator[str]:
 def _headline(found: Why) -> Iterator[str]:
     run, name = found.run, found.run.plan or "the plan"
     if run.outcome == "failed":
-        message = run.failure.partition(": ")[2] or run.failure
+        message = run.failure
+        if found.failure is not None and found.failure.message and not found.is_of_python:
+            message = found.failure.message  # says it in words
         yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
     elif run.outcome == "succeeded":
         yield (
@@ -179,7 +181,7 @@ def _headline(found: Why) -> Iterator[str]:
     if found.task is not None:
         yield _first_words(found, found.task)
     warning = found.warning
-    if warning is not None:
+    if warning is not None and not found.is_of_python:
         yield f"The robot had been told: {words.question(warning)} said no at step {warning.seq}."
 
 
@@ -191,9 +193,8 @@ def _first_words(found: Why, task: Attempt) -> str:
         if found.same is not None:
             about = f"{motion.started.name} failed {len(found.tries)} times since it had succeeded."
         return f"{about} The last, {_call(motion)}, ended at step {_end(task)}: {told}"
-    lead = "It began when" if found.raised else "This failed:"
-    verb = "failed at" if found.raised else "at"
-    return f"{lead} {_call(motion)} {verb} step {_end(task)}: {told}"
+    lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
+    return f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
 
 
 def _call(task: Attempt) -> str:
@@ -211,15 +212,17 @@ def _running(found: Why) -> Iterator[str]:
 
 def _where(found: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    for number, error in enumerate(found.raised):
+    told = {(line.file, line.number) for error in found.raised for line in error.lines}
+    if found.line is not None and (found.line.file, found.line.number) not in told:
+        shown.add((found.line.file, found.line.number))
+        yield from _line(found.line)
+    for error in found.raised:
         fresh = [line for line in error.lines if (line.file, line.number) not in shown]
-        if number and fresh:
+        if shown and fresh:
             yield f"which became {error.type}:"
         for line in fresh:
             shown.add((line.file, line.number))
             yield from _line(line)
-    if found.line is not None and (found.line.file, found.line.number) not in shown and not shown:
-        yield from _line(found.line)
 
 
 def _line(line: Line) -> Iterator[str]:
@@ -230,9 +233,9 @@ def _line(line: Line) -> Iterator[str]:
 
 def _what(found: Why) -> Iterator[str]:
     if found.task is None:
-        error = found.raised[-1] if found.raised else None
-        if error is not None:
-            yield f"The plan's own code raised {error.type}; no task failed with it."
+        if found.failure is not None:
+            yield "no task: the plan's own code raised"
+            yield from (f"  {line}" for line in f"{found.failure.type}: {found.failure.message}".splitlines())
         return
     path = list(found.task.around())
     path.reverse()
@@ -280,15 +283,22 @@ def _tried(found: Why) -> Iterator[str]:
     given = [each.task.motion.parameters for each in found.tries]
     varying = [key for key in given[-1] if any(other.get(key) != given[-1][key] for other in given)]
     places = [_place(each) for each in found.tries]
-    left_out = len(places) - _FIRST - _LAST
-    for number, (each, place) in enumerate(zip(found.tries, places, strict=True), 1):
-        if left_out > 1 and number == _FIRST + 1:
+    told: list[tuple[str, str, list[int]]] = []  # how, what came of it, and at which steps one after the other
+    for each, place in zip(found.tries, places, strict=True):
+        how = [f"{key}={words.value(each.task.motion.parameters.get(key))}" for key in varying]
+        how += [place] if len(set(places)) > 1 else []
+        error = words.one_line(each.task.error[1]) if each.task.error else ""
+        if not told or told[-1][:2] != (", ".join(how), error):
+            told.append((", ".join(how), error, []))
+        told[-1][2].append(each.task.motion.started.seq)
+    left_out = len(told) - _FIRST - _LAST
+    for number, (how_told, error, steps) in enumerate(told):
+        if left_out > 1 and number == _FIRST:
             yield f"... {left_out} more ..."
-        if left_out <= 1 or not _FIRST < number <= _FIRST + left_out:
-            how = [f"{key}={words.value(each.task.motion.parameters.get(key))}" for key in varying]
-            how += [place] if len(set(places)) > 1 else []
-            yield f"step {each.task.motion.started.seq}: {', '.join(how) or 'the same once more'}"
-            yield f"    {words.one_line(each.task.error[1]) if each.task.error else ''}"
+        if left_out <= 1 or not _FIRST <= number < _FIRST + left_out:
+            many = f"steps {steps[0]} to {steps[-1]}, {len(steps)} times" if len(steps) > 1 else f"step {steps[0]}"
+            yield f"{many}: {how_told}" if how_told else f"{many}:"
+            yield f"    {error}"
 
 
 def _place(each: Try) -> str:
