@@ -1,7 +1,8 @@
 """Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
 
 The plan tries each arm from two places and gives up. Its recording is material for debugging:
-``pycram run demos/fails_to_reach.py --log fails.mcap`` and then ``pycram-replay log fails.mcap --kind query``.
+``pycram run demos/fails_to_reach.py --log fails.mcap`` and then
+``pycram-replay why fails.mcap``.
 """
 
 from __future__ import annotations

@@ -126,10 +126,8 @@ def _wait_for_threads() -> None:
 
 def _say_where(log: Path, size: float, code: int) -> None:
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
-    verbs = ("info", "tree") if code == _DONE else ("tree", "state")
-    for verb in verbs:
-        last = " failure" if verb == "state" else ""
-        print(f"  pycram-replay {verb} {log}{last}", file=sys.stderr)
+    for verb in ("info", "tree") if code == _DONE else ("why", "tree"):
+        print(f"  pycram-replay {verb} {log}", file=sys.stderr)
     print(f"  rerun {log}", file=sys.stderr)
 
 

@@ -25,7 +25,7 @@ from recorder.errors import RecordingError
 from recorder.frames import FrameTree
 from recorder.log_lines import line_of
 from recorder.mcap_writer import MAGIC, McapWriter
-from recorder.records import TOPICS, Run, Task
+from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -40,6 +40,8 @@ _HINT: Final = "free space or choose another path, and run again"
 _MOST_RECORDS: Final = 50
 _LONGEST: Final = 0.05  # s
 _CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
+_OF_WORLDS: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
+_MOST_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
 _PACKAGES: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
 
 
@@ -80,7 +82,8 @@ class McapSink:
         self._now = 0
         self._failed: OSError | None = None
         self._closed = False
-        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], int] = {}  # by topic, and world where each has its own
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
@@ -97,22 +100,31 @@ class McapSink:
         with self._guarded():
             self._writer = McapWriter(self._file, f"pycram {versions()['pycram']}")
             for kind, topic in TOPICS.items():
-                self._register(topic, kind)
+                self._schemas[topic] = self._schema(kind)
+                if topic not in _OF_WORLDS:
+                    self._register(topic, "")
             for topic, message in self._frames.channels():
-                self._register(topic, message)
+                self._schemas[topic] = self._schema(message)
+                self._register(topic, "")
             self._writer.add_metadata("pycram", dict(versions()) | dict(metadata))
             self._writer.flush()
 
-    def _register(self, topic: str, message: type[Message]) -> None:
-        schema = self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
-        self._channels[topic] = self._writer.add_channel(topic, "protobuf", schema)
+    def _schema(self, message: type[Message]) -> int:
+        return self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
+
+    def _register(self, topic: str, world: str) -> int:
+        """Adds a channel; one that is for a world says so: then the index tells which chunks have something of it."""
+        told = {"world": world} if world else {}
+        channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], told)
+        self._channels[topic, world] = channel
+        return channel
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.journal.Sink`."""
         with self._lock:
             self._check()
             self._now = record.wall_time_ns
-            self._add(topic, payload, record.seq)
+            self._add(topic, payload, record.seq, record.world if topic in _OF_WORLDS else "")
             for other, message in self._companions(record):
                 self._add(other, message.SerializeToString(), record.seq)
             self._count += 1
@@ -129,8 +141,14 @@ class McapSink:
         if line is not None:
             yield "/log", line
 
-    def _add(self, topic: str, payload: bytes, seq: int) -> None:
-        self._writer.add_message(self._channels[topic], self._now, seq, payload)
+    def _add(self, topic: str, payload: bytes, seq: int, world: str = "") -> None:
+        channel = self._channels.get((topic, world))
+        if channel is None and len(self._channels) >= _MOST_CHANNELS:
+            world = ""  # all further worlds share one
+            channel = self._channels.get((topic, world))
+        if channel is None:
+            channel = self._register(topic, world)
+        self._writer.add_message(channel, self._now, seq, payload)
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.journal.Sink`."""

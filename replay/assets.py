@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 
 class Assets(Mapping[str, bytes]):
-    """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for."""
+    """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for.
+
+    Attributes:
+        hurt: what is wrong with the damaged ones, as far as they were read, by name.
+    """
 
     def __init__(self, path: Path, index: Index) -> None:
         """Reads nothing yet.
@@ -35,6 +39,7 @@ class Assets(Mapping[str, bytes]):
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
+        self.hurt: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> bytes:
         """The content of a file.
@@ -47,12 +52,16 @@ class Assets(Mapping[str, bytes]):
         try:
             data: bytes = Attachment.read(ReadDataStream(io.BytesIO(content))).data
         except DAMAGE as error:
-            raise Damaged(self._path, f"the attached file {name}", str(error)) from error
+            raise self._damaged(name, str(error) or type(error).__name__) from error
         sha256, slash, _ = name.partition("/")
         torn = zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little")
         if torn or (slash and len(sha256) == 64 and hashlib.sha256(data).hexdigest() != sha256):
-            raise Damaged(self._path, f"the attached file {name}", "its sum is not the one that it was stored with")
+            raise self._damaged(name, "its sum is not the one that it was stored with")
         return data
+
+    def _damaged(self, name: str, cause: str) -> Damaged:
+        self.hurt[name] = cause
+        return Damaged(self._path, f"the attached file {name}", cause)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._index.attachments)

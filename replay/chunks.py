@@ -14,7 +14,7 @@ from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
-from replay.index import HEADER
+from replay.places import HEADER
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -53,12 +53,16 @@ class Chunks:
         """
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
-        self._first: dict[int, int] = {}
+        self._spans: dict[int, tuple[int, int]] = {}
         self.hurt: dict[int, str] = {}
         self.refresh(0)
 
     def __len__(self) -> int:
         return len(self._index.chunks)
+
+    def channel_maps(self) -> Iterator[bytes | None]:
+        """The channels in each chunk, as :class:`replay.places.ChunkPlace` has them."""
+        return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
         """Forgets what was read of a chunk and those behind it.
@@ -66,7 +70,7 @@ class Chunks:
         Args:
             number: of the first chunk that may have become another.
         """
-        for known in (self._cache, self._first, self.hurt):
+        for known in (self._cache, self._spans, self.hurt):
             for stale in [other for other in known if other >= number]:
                 del known[stale]
         self._kinds = kinds_of(self._index)
@@ -120,20 +124,22 @@ class Chunks:
 
     # --- where a step is -------------------------------------------------------------------------------------------
 
-    def first_step(self, number: int) -> int:
-        """The first step in a chunk; of one without readable records, that of the one before it.
+    def span(self, number: int) -> tuple[int, int]:
+        """The first and the last step in a chunk; of one without readable records, the last one before it twice.
 
         Args:
             number: of the chunk.
         """
         for at in range(number, -1, -1):
-            if at not in self._first:
+            if at not in self._spans:
                 first = next(self.records(at), None)
-                if first is None:
+                last = next(self.records(at, backwards=True), None)
+                if first is None or last is None:
                     continue
-                self._first[at] = first.seq
-            return self._first[at]
-        return 0
+                self._spans[at] = first.seq, last.seq
+            first_step, last_step = self._spans[at]
+            return (first_step, last_step) if at == number else (last_step, last_step)
+        return 0, 0
 
     def chunk_of(self, step: int, steps: int) -> int:
         """The number of the chunk that a step is in, if it is in any: the last one that doesn't begin behind it.
@@ -142,21 +148,21 @@ class Chunks:
             step: from 0.
             steps: how many there are.
         """
-        low, high = 0, len(self) - 1
+        low, high = 0, len(self) - 1  # the chunk low begins with the step first, the one behind high with end
         first, end = 0, steps
-        guess = True
+        probes = 0
         while low < high:
-            # steps increase almost evenly, so a guess comes near; halving each second time makes sure
-            near = low + (high - low) * (step - first) // max(1, end - first) if guess else (low + high + 1) // 2
-            middle = min(max(near, low + 1), high)
-            guess = not guess
-            begin = self.first_step(middle)
+            # steps increase almost evenly, so a guess comes near; halving each third time makes sure
+            probes += 1
+            even = low + (high + 1 - low) * (step - first) // max(1, end - first)
+            middle = min(max(even, low + 1), high) if probes % 3 else (low + high + 1) // 2
+            begin, last = self.span(middle)
             if begin > step:
                 high, end = middle - 1, begin
-            elif middle < high and self.first_step(middle + 1) <= step:
-                low, first = middle + 1, self.first_step(middle + 1)
-            else:
+            elif last >= step:
                 return middle
+            else:
+                low, first = middle, begin
         return low
 
     # --- decoding --------------------------------------------------------------------------------------------------
@@ -220,15 +226,29 @@ def worlds_of(chunks: Chunks) -> dict[str, tuple[Sequence[int], Sequence[int]]]:
         By world, in the order of their appearance: chunks with its mutations or keyframes, and those with keyframes.
     """
     found: dict[str, tuple[list[int], list[int]]] = {}
-    for number in range(len(chunks)):
-        marks = [mark for mark in chunks.channels(number) if mark[0] in (Mutation, Keyframe)]
-        if any(world is None for _, world in marks):
-            records = chunks.records(number, (Mutation, Keyframe))
-            marks = [(type(record), record.world) for record in records]
-        for kind, world in marks:
-            changes, keyframes = found.setdefault(world or "", ([], []))
-            if not changes or changes[-1] != number:
-                changes.append(number)
-            if kind is Keyframe and (not keyframes or keyframes[-1] != number):
-                keyframes.append(number)
+    alike: dict[bytes, list[list[int]]] = {}  # where a chunk belongs, by the ids of its channels
+    for number, channels in enumerate(chunks.channel_maps()):
+        ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
+        belongs = alike.get(ids)
+        if belongs is None:
+            marks = [mark for mark in chunks.channels(number) if mark[0] in (Mutation, Keyframe)]
+            shared = any(world is None for _, world in marks)
+            if shared:
+                marks = [(type(record), record.world) for record in chunks.records(number, (Mutation, Keyframe))]
+            belongs = _where(found, [(kind, world or "") for kind, world in marks])
+            if ids and not shared:
+                alike[ids] = belongs
+        for numbers in belongs:
+            numbers.append(number)
     return dict(found)
+
+
+def _where(found: dict[str, tuple[list[int], list[int]]], marks: Sequence[tuple[type[Record], str]]) -> list[list[int]]:
+    """The lists that a chunk belongs to, by what it has."""
+    belongs = []
+    for world in dict.fromkeys(world for _, world in marks):
+        changes, keyframes = found.setdefault(world, ([], []))
+        belongs.append(changes)
+        if (Keyframe, world) in marks:
+            belongs.append(keyframes)
+    return belongs

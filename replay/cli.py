@@ -24,6 +24,9 @@ VERBS: Final = {
     "show": "one record whole",
     "tree": "the tasks, how they ended, and the way down to the failure",
     "state": "poses, joints and attachments after a step",
+    "diff": "what is different between two steps, or two recordings",
+    "blame": "what last changed an object or a joint, and why",
+    "why": "why the plan failed, in plain words",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 _INTERRUPTED = 130

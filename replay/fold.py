@@ -6,6 +6,7 @@ start or from any keyframe gives the same.
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -58,7 +59,7 @@ def state_at(log: Log, step: int | str) -> State:
         base = _base(log, name, keyframes, here, last)
         begin = changes[0] if base is None else log.chunk_of(base.seq)
         start = 0 if base is None else base.seq
-        chunks = [number for number in changes if begin <= number <= here]
+        chunks = changes[bisect_left(changes, begin) : bisect_right(changes, here)]
         if chunks:
             since = min(since, start)
         for record in log.records_in(chunks, _OF_WORLDS, name):
@@ -82,11 +83,10 @@ def _range(gap: range) -> str:
 
 def _base(log: Log, world: str, keyframes: Sequence[int], here: int, last: int) -> records.Record | None:
     """The last keyframe of a world at or before a step."""
-    for number in reversed(keyframes):
-        if number <= here:
-            frames = [frame for frame in log.records_in([number], Keyframe, world) if frame.seq <= last]
-            if frames:
-                return frames[-1]
+    for at in range(bisect_right(keyframes, here) - 1, -1, -1):
+        frames = [frame for frame in log.records_in([keyframes[at]], Keyframe, world) if frame.seq <= last]
+        if frames:
+            return frames[-1]
     return None
 
 

@@ -10,7 +10,7 @@ import io
 import struct
 import zlib
 from collections import defaultdict
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -18,16 +18,15 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Chunk, Footer, Message, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
+from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-HEADER: Final = 9  # bytes of opcode and length before each MCAP record
 _FOOTER: Final = HEADER + 20
 _LIMIT: Final = 1 << 32  # no honest record is longer
 _LENGTH: Final = struct.Struct("<BQ")
-_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
-_CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 _CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
 _BLOCK: Final = 1 << 20
 #: Stands in the head of each compressed chunk: by this the next one is found behind a damaged part.
@@ -35,28 +34,6 @@ _MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
 
 #: What a damaged file can raise in the libraries that decode it.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-
-
-class Place(NamedTuple):
-    """Where an MCAP record's content lies: the file's offset, behind opcode and length, and its own length."""
-
-    offset: int
-    length: int
-
-
-class ChunkPlace(NamedTuple):
-    """A chunk: where its content lies, and which channels have messages in it.
-
-    ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where nothing says it.
-    """
-
-    offset: int
-    length: int
-    channels: bytes | None
-
-    def ids(self) -> Iterator[int]:
-        """Ids of the channels that have messages in this chunk."""
-        return (channel for channel, _ in _CHANNEL_OFFSET.iter_unpack(self.channels or b""))
 
 
 class Index:
@@ -86,7 +63,7 @@ class Index:
         self.closed = False
         self.whole = False
         self.damage: list[str] = []
-        self.chunks: list[ChunkPlace] = []
+        self.chunks = ChunkPlaces()
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, str] = {}
         self.attachments: dict[str, Place] = {}
@@ -102,7 +79,8 @@ class Index:
             self.refresh()
 
     def _forget(self) -> None:
-        for found in (self.chunks, self.channels, self.schemas, self.attachments, self.metadata, self.counts):
+        self.chunks.clear()
+        for found in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
             found.clear()
 
     def read(self, place: Place | ChunkPlace) -> bytes:
@@ -138,24 +116,26 @@ class Index:
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
             raise EOFError
-        self._take_summary(summary[: len(summary) - _FOOTER + 4])
+        self._take_summary(summary[: len(summary) - _FOOTER + 4], sound=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
             raise EOFError  # written without an index of chunks
         self.closed = self.whole = True
 
-    def _take_summary(self, summary: bytes) -> None:
+    def _take_summary(self, summary: bytes, *, sound: bool) -> None:
+        starts = []
         at = 0
         while at < len(summary):
             opcode, length = _LENGTH.unpack_from(summary, at)
             at += HEADER
-            if opcode == Opcode.CHUNK_INDEX:  # by far the most: 20,000 in a recording of a million records
-                _, _, offset, size, bytes_of_map = _CHUNK_INDEX.unpack_from(summary, at)
-                first = at + _CHUNK_INDEX.size
-                channels = summary[first : first + bytes_of_map] or None
-                self.chunks.append(ChunkPlace(offset + HEADER, size - HEADER, channels))
+            if opcode == Opcode.CHUNK_INDEX:  # by far the most
+                starts.append(at)
             else:
                 self._take_summary_record(opcode, ReadDataStream(io.BytesIO(summary[at : at + length])))
             at += length
+        self.chunks.take_summary(summary, starts)
+        if not sound:
+            for number in range(len(self.chunks)):
+                _ = self.chunks[number]
 
     def _take_summary_record(self, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.SCHEMA:
@@ -276,9 +256,8 @@ class Index:
             return False
         if not self.chunks or not length or self._decoded == len(self.chunks) - 1:
             return True
-        last = self.chunks[-1]
-        entry = _CHANNEL_OFFSET.pack(channel, place.offset)
-        self.chunks[-1] = last._replace(channels=(last.channels or b"") + entry)
+        entry = CHANNEL_OFFSET.pack(channel, place.offset)
+        self.chunks.tell_channels((self.chunks[-1].channels or b"") + entry)
         self._counted[channel] += length // 16
         self.counts[channel] += length // 16
         if channel not in self.channels:
@@ -320,8 +299,7 @@ class Index:
             return
         for channel in counted.keys() | self._counted.keys():
             self.counts[channel] += counted.get(channel, 0) - self._counted[channel]
-        channels = b"".join(_CHANNEL_OFFSET.pack(channel, 0) for channel in counted)
-        self.chunks[number] = self.chunks[number]._replace(channels=channels)
+        self.chunks.tell_channels(b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in counted))
         self._decoded = number
 
     def _next_chunk(self, start: int, size: int) -> int | None:

@@ -6,6 +6,7 @@ No question costs more than a few chunks, however long the recording is; see :mo
 
 from __future__ import annotations
 
+import contextlib
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -109,6 +110,7 @@ class Log:
             told.append("the index at its end is damaged")
         told += self._index.damage
         told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.hurt.items())]
+        told += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.hurt.items()]
         if self._lost and not self._chunks.hurt:
             told.append(f"{self._lost} records are lost on the way")
         return "; ".join(told)
@@ -229,13 +231,10 @@ class Log:
         """
         for number in range(len(self._chunks)):
             self._chunks.check(number)
-        hurt = []
         for name in self.assets:
-            try:
-                self.assets[name]
-            except Damaged as error:
-                hurt.append(f"{error.where} is damaged ({error.cause})")
-        return "; ".join(part for part in (self.missing, *hurt) if part)
+            with contextlib.suppress(Damaged):  # which it notes
+                _ = self.assets[name]
+        return self.missing
 
     def lost(self) -> list[range]:
         """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""

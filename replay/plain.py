@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 from recorder.records import TOPICS, Argument, Keyframe, Mutation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
     from google.protobuf.descriptor import FieldDescriptor
     from google.protobuf.message import Message
@@ -43,7 +43,7 @@ def plain_record(record: Record) -> dict[str, Plain]:
 def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
     for field, value in message.ListFields():
         if field.name.endswith("_json"):
-            yield field.name.removesuffix("_json"), _json(value)
+            yield field.name.removesuffix("_json"), plain_json(value)
         elif field.enum_type is not None:
             known = field.enum_type.values_by_number.get(value)
             yield field.name, known.name.lower() if known else value
@@ -55,17 +55,31 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
     if field.message_type is None:
         return list(value) if _is_repeated(value) else value  # type: ignore[call-overload, return-value]
     if field.message_type.full_name == Argument.DESCRIPTOR.full_name:
-        return {argument.name: _json(argument.json) for argument in value}  # type: ignore[attr-defined]
+        return plain_arguments(value)  # type: ignore[arg-type]
     if _is_repeated(value):
         return [dict(_fields(item)) for item in value]  # type: ignore[attr-defined]
     return dict(_fields(value))  # type: ignore[arg-type]
+
+
+def plain_arguments(arguments: Iterable[Argument]) -> dict[str, Plain]:
+    """Named values, unpacked.
+
+    Args:
+        arguments: as records carry them.
+    """
+    return {argument.name: plain_json(argument.json) for argument in arguments}
 
 
 def _is_repeated(value: object) -> bool:
     return hasattr(value, "append")
 
 
-def _json(text: str) -> Plain:
+def plain_json(text: str) -> Plain:
+    """A value that stands as JSON in a record.
+
+    Args:
+        text: the JSON.
+    """
     try:
         value: Plain = json.loads(text)
     except ValueError:  # somebody else's, or damaged: shown as it is

@@ -1,8 +1,10 @@
-"""Steps as people name them: numbers, ``last``, ``failure``, and moments of simulated time such as ``12.5s``."""
+"""Steps as people name them: numbers, ``last``, ``failure``, ``12.5s`` of simulated time, ``task:pick-up#2@end``."""
 
 from __future__ import annotations
 
+import difflib
 import math
+import re
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation, Task
@@ -12,7 +14,8 @@ if TYPE_CHECKING:
     from replay.log import Log
 
 STEPS_PER_SECOND: Final = 240
-HINT: Final = "number, negative from the end, last, failure, or 12.5s of simulated time"
+HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
+_TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
 
 
 def step_of(log: Log, name: int | str) -> int:
@@ -21,7 +24,8 @@ def step_of(log: Log, name: int | str) -> int:
     Args:
         log: the recording.
         name: a number (negative ones count from the end), ``last``, ``failure`` (the end of the first task that
-            failed), or simulated seconds with an ``s``: the last step before the clock of the first world passes them.
+            failed), simulated seconds with an ``s``: the last step before the clock of the first world passes them,
+            or a task, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -31,6 +35,8 @@ def step_of(log: Log, name: int | str) -> int:
         return len(log) - 1
     if text == "failure":
         return failure_of(log).seq
+    if text.startswith("task:"):
+        return task_step(log, text)
     try:
         if text.endswith("s"):
             return _at_time(log, float(text[:-1]), text)
@@ -53,6 +59,76 @@ def failure_of(log: Log) -> Task:
         if isinstance(record, Task) and record.phase == Task.FINISHED and record.status == Task.FAILED:
             return record
     raise NoSuchStep("failure", len(log), "no task failed")
+
+
+def final_of(log: Log) -> int:
+    """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
+    closing = len(log)
+    for record in log.backwards(-1, (Mutation, Keyframe)):
+        if not (isinstance(record, Mutation) and record.HasField("close_world")):
+            break
+        closing = record.seq
+    return max(closing - 1, 0)
+
+
+def task_step(log: Log, text: str) -> int:
+    """The start or the end of a task.
+
+    Args:
+        log: the recording.
+        text: ``task:PATH@start`` or ``task:PATH@end``. A path is names from the outside in, such as ``par/moving`` or
+            just ``pick-up``, or the task's id; it may leave out outer tasks. Of several that fit it is the first;
+            ``task:pick-up#2@end`` is the second, ``#-1`` the last.
+
+    Raises:
+        NoSuchStep: there is no such task, or it has not ended.
+    """
+    asked = _TASK.fullmatch(text)
+    if asked is None:
+        raise NoSuchStep(repr(text), len(log), "a task's step is task:PATH@start or task:PATH@end")
+    which = int(asked["which"] or 1)
+    found = _tasks(log, asked["path"], which)
+    if not which or len(found) < abs(which):
+        raise NoSuchStep(repr(text), len(log), _which_are(log, asked["path"], len(found)))
+    step = found[which - 1 if which > 0 else which][asked["end"] == "end"]
+    if step is None:
+        raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
+    return step
+
+
+def _tasks(log: Log, path: str, which: int) -> list[list[int | None]]:
+    """Start and end of the tasks that fit a path; not more than it takes to tell."""
+    wanted = path.strip("/").casefold().split("/")
+    paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
+    found: list[list[int | None]] = []
+    running: dict[int, list[int | None]] = {}
+    for record in log.records(Task):
+        if not isinstance(record, Task):
+            continue
+        if record.phase == Task.STARTED:
+            names = (*paths.get(record.parent, ()), record.name.casefold())
+            paths[record.task] = names[-len(wanted) :]
+            if list(names[-len(wanted) :]) == wanted or path == str(record.task):
+                running[record.task] = [record.seq, None]
+                found.append(running[record.task])
+        else:
+            paths.pop(record.task, None)
+            ended = running.pop(record.task, None)
+            if ended is not None:
+                ended[1] = record.seq
+            if len(found) == which > 0 and found[-1][1] is not None:
+                break
+    return found
+
+
+def _which_are(log: Log, path: str, count: int) -> str:
+    if count:
+        return f"{count} tasks fit {path!r}; #1 is the first of them, #-1 the last"
+    names = {record.name for record in log.records(Task) if isinstance(record, Task)}
+    near = difflib.get_close_matches(path.rpartition("/")[2], names, 3)
+    return f"no task fits {path!r}; " + (
+        f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(sorted(names)[:10]) or 'none'}"
+    )
 
 
 def _at_time(log: Log, seconds: float, text: str) -> int:

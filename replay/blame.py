@@ -1,0 +1,253 @@
+"""Who did it: the record that last changed a body or a joint, and why that record is there.
+
+What is carried moves with its carrier: then the record is the carrier's, and the one that attached it is told too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Keyframe, Mutation
+from replay.causes import Causes, causes
+from replay.diff import turn
+from replay.errors import Damaged, NoSuchName
+from replay.steps import final_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.geometry import Pose
+    from replay.log import Log
+    from replay.state import Attachment, State, World
+
+
+#: In simulation, less than this is a body coming to rest: m (or a joint's rad), rad.
+_SETTLING: Final = 5e-3, math.radians(5)
+
+
+@dataclass(frozen=True, slots=True)
+class Carried:
+    """That something was carried by what moved.
+
+    Attributes:
+        held: how, just before.
+        step: the record that attached it; None if that was before the recording began.
+        causes: why it was attached; None as well.
+    """
+
+    held: Attachment
+    step: int | None
+    causes: Causes | None
+
+
+@dataclass(frozen=True, slots=True)
+class Blame:
+    """What last changed a body or joint.
+
+    Attributes:
+        world: name of the world.
+        body: name of the body.
+        joint: name of the joint; "" for the body's pose.
+        record: the record that changed it; a keyframe if nothing did since the recording began.
+        how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
+            in), "physics", "reset", or "before" (the recording began later).
+        before: its pose or value before; None if it wasn't there.
+        after: its pose or value after.
+        distance: how far it moved: m, or of a revolute joint rad.
+        angle: by how much it turned, rad; 0 for joints.
+        carried: the attachments that made it move with the commanded body, the body's own first.
+        causes: why the record is there.
+        earlier: the last change that is more than coming to rest; None if this is one.
+    """
+
+    world: str
+    body: str
+    joint: str
+    record: Mutation | Keyframe
+    how: str
+    before: Pose | float | None
+    after: Pose | float
+    distance: float
+    angle: float
+    carried: tuple[Carried, ...]
+    causes: Causes
+    earlier: Blame | None = None
+
+
+def blame(log: Log, target: str, at: int | str | None = None, world: str | None = None) -> Blame:
+    """What last changed a body or a joint.
+
+    Args:
+        log: the recording.
+        target: name of a body, or ``BODY.JOINT``.
+        at: the step until which to look; by default the last one before worlds were closed.
+        world: name of the world; by default the first one that has the body.
+
+    Raises:
+        NoSuchStep: there is no such step.
+        NoSuchName: the body or joint wasn't there then.
+    """
+    step = final_of(log) if at is None else log.step(at)
+    place, body, joint = _find(log.state_at(step), target, world)
+    return _Search(log, place.name, body, joint).run(step)
+
+
+def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
+    worlds = [state.world(name)] if name is not None else list(state.worlds.values())
+    cuts = [len(target), *(at for at, letter in enumerate(target) if letter == ".")]
+    for cut in cuts:
+        body, joint = target[:cut], target[cut + 1 :]
+        for world in worlds:
+            if body in world.bodies:
+                if joint:
+                    world.bodies[body].joint(joint)
+                return world, body, joint
+    known = [body for world in worlds for body in world.bodies]
+    raise NoSuchName("object", target.partition(".")[0], known)
+
+
+class _Search:
+    """Goes back through a world's changes."""
+
+    def __init__(self, log: Log, world: str, body: str, joint: str) -> None:
+        self._log = log
+        self._world = world
+        self._body = body
+        self._joint = joint
+
+    def run(self, step: int) -> Blame:
+        """The last change, and with it the last one that is more than coming to rest."""
+        records = self._changes(step)
+        last = next(records, None)
+        if last is None:
+            raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
+        found = self._told(last)
+        if found.how != "physics" or found.distance >= _SETTLING[0] or found.angle >= _SETTLING[1]:
+            return found
+        return replace(found, earlier=self._told(self._notable(last, records)))
+
+    def _notable(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
+        """The last record that changed it by more than coming to rest; told without folding states."""
+        newer = dict.fromkeys(self._parts(last), last)
+        values = self._parts(last)
+        for record in older:
+            last = record
+            for part, value in self._parts(record).items():
+                changed = newer.get(part)
+                if changed is not None and (not _is_physics(changed) or _is_far(part, values[part], value)):
+                    return changed
+                newer[part], values[part] = record, value
+        return last
+
+    def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
+        """What a record says of it: position and orientation, or the joint's value."""
+        states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
+        state = next((state for state in states if state.body == self._body), None)
+        if state is None:
+            return {}
+        if self._joint:
+            values = dict(zip(state.joints, state.joint_positions, strict=False))
+            return {"joint": [values[self._joint]]} if self._joint in values else {}
+        told = {"position": state.position, "orientation": state.orientation}
+        return {part: list(values) for part, values in told.items() if values}
+
+    def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
+        """Records that changed it, the last one first, down to its loading or the first record that knows it."""
+        oldest: Keyframe | None = None
+        for record in self._log.backwards(step, (Mutation, Keyframe)):
+            if record.world != self._world:
+                continue
+            if isinstance(record, Keyframe):
+                if all(loaded.body != self._body for loaded in record.loaded):
+                    break
+                oldest = record
+            elif isinstance(record, Mutation):
+                if self._is_loading(record):
+                    yield record
+                    return
+                if self._is_change(record):
+                    yield record
+        if oldest is not None:
+            yield oldest
+
+    def _is_loading(self, record: Mutation) -> bool:
+        return record.HasField("load_body") and record.load_body.body == self._body
+
+    def _is_change(self, record: Mutation) -> bool:
+        for state in record.effect.bodies:
+            if state.body == self._body:
+                return self._joint in state.joints if self._joint else bool(state.position or state.orientation)
+        return False
+
+    def _told(self, record: Mutation | Keyframe) -> Blame:
+        after = self._value(self._log.state_at(record.seq))
+        why = causes(self._log, record)
+        if after is None:
+            raise NoSuchName("object", self._body, ())
+        if isinstance(record, Keyframe) or self._is_loading(record):
+            how = "before" if isinstance(record, Keyframe) else "load"
+            return Blame(self._world, self._body, self._joint, record, how, None, after, math.inf, 0.0, (), why)
+        state = self._log.state_at(record.seq - 1)
+        before = self._value(state)
+        how, chain = _how(record, state.world(self._world), self._body)
+        distance, angle = _size(before, after)
+        carried = tuple(self._carried(held, record.seq) for held in chain)
+        return Blame(self._world, self._body, self._joint, record, how, before, after, distance, angle, carried, why)
+
+    def _value(self, state: State) -> Pose | float | None:
+        world = state.worlds.get(self._world)
+        body = world.bodies.get(self._body) if world is not None else None
+        if body is None:
+            return None
+        return body.joints.get(self._joint) if self._joint else body.pose
+
+    def _carried(self, held: Attachment, step: int) -> Carried:
+        for record in self._log.backwards(step, Mutation):
+            if isinstance(record, Mutation) and record.world == self._world and record.HasField("attach_body"):
+                command = record.attach_body
+                if (command.carrier, command.body) == (held.carrier, held.body):
+                    return Carried(held, record.seq, causes(self._log, record))
+        return Carried(held, None, None)
+
+
+def _is_physics(record: Mutation | Keyframe) -> bool:
+    return isinstance(record, Mutation) and record.WhichOneof("command") in ("simulate", "set_realtime")
+
+
+def _is_far(part: str, after: Sequence[float], before: Sequence[float]) -> bool:
+    if part == "orientation":
+        return turn(before, after) >= _SETTLING[1]
+    return math.dist(before, after) >= _SETTLING[0]
+
+
+def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, float]:
+    if isinstance(before, float) and isinstance(after, float):
+        return abs(after - before), 0.0
+    if isinstance(before, tuple) and isinstance(after, tuple):
+        return math.dist(before[0], after[0]), turn(before[1], after[1])
+    return math.inf, 0.0
+
+
+def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachment]]:
+    """How a command made a body move, by the state before it."""
+    command = record.WhichOneof("command") or ""
+    if _is_physics(record):
+        return "physics", []
+    if command == "reset":
+        return "reset", []
+    commanded = getattr(getattr(record, command), "body", "") if command else ""
+    if commanded == body:
+        return "command", []
+    chain: list[Attachment] = []
+    seen = {body}
+    at = body
+    while at != commanded:
+        held = world.carrier(at)
+        if held is None or held.carrier in seen:
+            return "along", []
+        chain.append(held)
+        seen.add(held.carrier)
+        at = held.carrier
+    return "carried", chain

@@ -1,0 +1,74 @@
+"""Pictures of the moment in which something failed: what the robot saw, and robot and things from the side."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from typing import TYPE_CHECKING
+
+from replay.errors import ReplayError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from recorder.geometry import Vector
+    from replay.log import Log
+    from replay.state import Body
+    from replay.why import Why
+
+
+def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
+    """Writes the pictures.
+
+    Args:
+        log: the recording.
+        found: the explanation of the failure.
+        folder: where they go; it is made if it isn't there.
+
+    Returns:
+        Their files.
+
+    Raises:
+        ReplayError: they can't be written.
+    """
+    render = importlib.import_module("replay.render").render  # rebuilds the world, which needs the physics engine
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        files = []
+        robot = next((thing.body for thing in found.things if thing.distance is None), None)
+        camera = camera_of(robot) if robot is not None else None
+        if camera is not None:
+            files.append(folder / f"step_{found.step}_robot.png")
+            render(log, found.step, camera=camera).save(files[-1])
+        if found.things:
+            files.append(folder / f"step_{found.step}_side.png")
+            render(log, found.step, target=_middle(found)).save(files[-1])
+    except OSError as error:
+        raise ReplayError(f"{folder}: {error.strerror or error}") from error
+    return files
+
+
+def camera_of(robot: Body) -> str | None:
+    """The frame of a robot's camera, by the description that was recorded with it; None if it says none.
+
+    Args:
+        robot: its state.
+    """
+    try:
+        camera = tomllib.loads(robot.loaded.robot_description).get("camera", {})
+    except ValueError:
+        return None
+    frame = camera.get("frame") if isinstance(camera, dict) else None
+    return frame if isinstance(frame, str) else None
+
+
+def _middle(found: Why) -> Vector:
+    """Between robot and things, at the height of the things."""
+    places = [thing.body.position for thing in found.things]
+    x, y = (sum(place[axis] for place in places) / len(places) for axis in (0, 1))
+    return x, y, max(place[2] for place in places)

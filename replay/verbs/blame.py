@@ -1,0 +1,168 @@
+"""``blame``: what last changed a body or a joint, and why, up to the plan's line."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+from recorder.log_lines import text_of
+from recorder.records import Keyframe
+from replay import words
+from replay.blame import blame
+from replay.plain import plain_record
+from replay.steps import HINT
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from recorder.geometry import Pose
+    from replay.blame import Blame, Carried
+    from replay.causes import Causes
+    from replay.log import Log
+    from replay.source import Line
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes what to look at."""
+    parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
+    parser.add_argument("--at", metavar="STEP", help=f"until this step: {HINT}")
+    parser.add_argument("--world", metavar="NAME", help="in this world")
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints who did it."""
+    found = blame(log, options.object, options.at, options.world)
+    if options.json:
+        print(json.dumps(facts(found), ensure_ascii=False))
+    else:
+        print("\n".join(lines(found)))
+    return 0
+
+
+def facts(found: Blame) -> dict[str, object]:
+    """What was found, for machines.
+
+    Args:
+        found: the blame.
+    """
+    return {
+        "world": found.world,
+        "object": found.body,
+        "joint": found.joint,
+        "how": found.how,
+        "before": found.before,
+        "after": found.after,
+        "distance": found.distance if math.isfinite(found.distance) else None,
+        "angle": found.angle,
+        "record": plain_record(found.record),
+        "causes": _causes(found.causes),
+        "carried": [
+            {
+                "carrier": carried.held.carrier,
+                "carrier_link": carried.held.carrier_link,
+                "body": carried.held.body,
+                "step": carried.step,
+                "causes": _causes(carried.causes) if carried.causes is not None else None,
+            }
+            for carried in found.carried
+        ],
+        "earlier": facts(found.earlier) if found.earlier is not None else None,
+    }
+
+
+def _causes(why: Causes) -> dict[str, object]:
+    return {
+        "tasks": [
+            {
+                "id": cause.task,
+                "kind": cause.kind,
+                "name": cause.name,
+                "parameters": cause.parameters,
+                "step": cause.step,
+                "line": _place(cause.line),
+            }
+            for cause in why.tasks
+        ],
+        "after": _place(why.after),
+        "before": _place(why.before),
+    }
+
+
+def _place(line: Line | None) -> dict[str, object] | None:
+    if line is None:
+        return None
+    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
+
+
+def lines(found: Blame) -> Iterator[str]:
+    """What was found, for people.
+
+    Args:
+        found: the blame.
+    """
+    yield _headline(found)
+    yield f"  step {found.record.seq}: {text_of(found.record)[0]}"
+    yield from _because(found.causes, "  ")
+    for carried in found.carried:
+        yield from _held(carried)
+    if found.earlier is not None:
+        yield ""
+        yield "There it only came to rest. Before that:"
+        yield from lines(found.earlier)
+
+
+def _headline(found: Blame) -> str:
+    name = f"{found.body}.{found.joint}" if found.joint else found.body
+    where = _value(found.after)
+    if isinstance(found.record, Keyframe):
+        return f"{name} was at {where} already when the recording began"
+    if found.how == "load":
+        return f"{name} has been at {where} since it was loaded"
+    by = {
+        "command": "was moved",
+        "carried": f"was carried by {found.carried[-1].held.carrier}" if found.carried else "was carried",
+        "along": f"moved along with {_commanded(found)}",
+        "physics": "moved in simulation",
+        "reset": "moved when the world was reset",
+    }
+    return f"{name} {by[found.how]}: {_size(found)} to {where}"
+
+
+def _commanded(found: Blame) -> str:
+    """The body that the command was about."""
+    command = found.record.WhichOneof("command") if not isinstance(found.record, Keyframe) else None
+    return str(getattr(getattr(found.record, command), "body", "")) if command else ""
+
+
+def _value(value: Pose | float) -> str:
+    return words.number(value) if isinstance(value, float) else words.vector(value[0])
+
+
+def _size(found: Blame) -> str:
+    if isinstance(found.before, float) and isinstance(found.after, float):
+        return f"from {words.number(found.before)}"
+    turned = f", turned by {math.degrees(found.angle):.1f} degrees," if found.angle >= math.radians(0.05) else ""
+    return f"by {words.length(found.distance)}{turned}"
+
+
+def _because(why: Causes, indent: str) -> Iterator[str]:
+    for cause in why.tasks:
+        kind = "" if cause.kind in ("motion", "process-module") else f" {cause.kind}"
+        called = cause.name if cause.kind == "process-module" else words.call(cause.name, cause.parameters)
+        yield f"{indent}in {called}{kind}  [step {cause.step}]"
+    if why.line is not None:
+        yield f"{indent}from {words.place(why.line)}"
+    elif not why.tasks:
+        yield f"{indent}by the plan itself" + words.around(why.after, why.before)
+
+
+def _held(carried: Carried) -> Iterator[str]:
+    held = carried.held
+    link = f" ({held.carrier_link})" if held.carrier_link else ""
+    if carried.step is None or carried.causes is None:
+        yield f"  {held.carrier}{link} held {held.body} already when the recording began"
+        return
+    yield f"  {held.carrier}{link} held {held.body} since step {carried.step}, where it was attached"
+    yield from _because(carried.causes, "    ")

@@ -1,0 +1,228 @@
+"""``diff``: what is different between two steps of a recording, or between two recordings."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from recorder.log_lines import text_of
+from replay import words
+from replay.diff import difference
+from replay.errors import NoSuchStep
+from replay.log import open_log
+from replay.plain import plain_record
+from replay.runs import compare
+from replay.steps import HINT
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from recorder.records import Record
+    from replay.diff import BodyChange, Difference
+    from replay.log import Log
+    from replay.runs import Comparison, Parting
+    from replay.state import Attachment
+    from replay.summary import Summary
+
+_FEW: Final = 8  # joints and fields that are told one by one
+_FINE, _PARTED, _INCOMPLETE = 0, 1, 3
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes two steps, or another recording."""
+    parser.add_argument("first", metavar="STEP|LOG", help=f"{HINT}; or the other recording")
+    parser.add_argument("second", metavar="STEP", nargs="?", help="the step to compare it with")
+    parser.add_argument("--all", action="store_true", help="also what only came to rest, and every joint")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.0, metavar="X", help="numbers of two recordings that differ less are equal"
+    )
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the difference; of two recordings that part, the exit code is 1."""
+    if options.second is not None:
+        found = difference(log.state_at(options.first), log.state_at(options.second))
+        if options.json:
+            print(json.dumps(facts(found), ensure_ascii=False))
+        else:
+            print("\n".join(lines(found, whole=options.all)))
+        return _FINE
+    if not Path(options.first).exists():
+        raise NoSuchStep(options.first, len(log), "give two steps of this recording, or the path of another one")
+    with open_log(options.first) as other:
+        compared = compare(log, other, options.tolerance)
+        missing = other.missing
+    if options.json:
+        print(json.dumps(_run_facts(compared), ensure_ascii=False))
+    else:
+        print("\n".join(_run_lines(compared, whole=options.all)))
+    code = _PARTED if compared.parting is not None or compared.world else _FINE
+    if missing:
+        print(f"pycram-replay: {other.path} is incomplete: {missing}", file=sys.stderr)
+    return code or (_INCOMPLETE if missing else _FINE)
+
+
+# --- two steps -------------------------------------------------------------------------------------------------------
+
+
+def facts(found: Difference) -> dict[str, object]:
+    """A difference, for machines.
+
+    Args:
+        found: the difference.
+    """
+    return {
+        "opened": found.opened,
+        "closed": found.closed,
+        "came": [{"world": world, "object": body} for world, body in found.came],
+        "went": [{"world": world, "object": body} for world, body in found.went],
+        "changed": [_change_facts(change) for change in found.changed],
+        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in found.facts.items()],
+    }
+
+
+def _change_facts(change: BodyChange) -> dict[str, object]:
+    return {
+        "world": change.world,
+        "object": change.body,
+        "before": change.before,
+        "after": change.after,
+        "distance": change.distance,
+        "angle": change.angle,
+        "joints": {
+            name: [None if math.isnan(value) else value for value in pair] for name, pair in change.joints.items()
+        },
+        "carrier": [held and {"object": held.carrier, "link": held.carrier_link} for held in change.carrier],
+        "details": change.details,
+        "notable": change.notable,
+    }
+
+
+def lines(found: Difference, *, whole: bool = False) -> Iterator[str]:
+    """A difference, for people.
+
+    Args:
+        found: the difference.
+        whole: whether to tell also what only came to rest, and every joint.
+    """
+    yield from (f"{world} was opened" for world in found.opened)
+    yield from (f"{world} was closed" for world in found.closed)
+    yield from (f"{body} is new" for _, body in found.came)
+    yield from (f"{body} is gone" for _, body in found.went)
+    for (world, name), (before, after) in found.facts.items():
+        yield f"{world}: {name} {_plain(before)} -> {_plain(after)}"
+    shown = found.changed if whole else found.notable
+    for change in shown:
+        yield from _change(change, whole=whole)
+    rest = len(found.changed) - len(shown)
+    if rest:
+        yield (
+            f"{rest} more came to rest, by less than 1 mm"
+            if shown
+            else f"{rest} objects came to rest, by less than 1 mm"
+        )
+    if not found:
+        yield "no difference"
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, tuple):
+        return words.vector(value)
+    return words.number(value) if isinstance(value, float) else str(value) or "none"
+
+
+def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
+    told = []
+    if change.moved or (whole and (change.distance or change.angle)):
+        turned = f", turned by {math.degrees(change.angle):.1f} degrees" if change.angle >= math.radians(0.05) else ""
+        told.append(
+            f"moved by {words.length(change.distance)}{turned}: "
+            f"{words.vector(change.before[0])} -> {words.vector(change.after[0])}"
+        )
+    if change.changed_hands:
+        before, after = change.carrier
+        told.append(f"held by {_holder(after)}, before by {_holder(before)}")
+    told += [f"has another {detail}" for detail in change.details]
+    joints = change.joints if whole else change.moved_joints
+    if len(joints) > _FEW and not whole:
+        told.append(f"{len(joints)} joints moved, most of all " + _joint(*max(joints.items(), key=_travel)))
+        joints = {}
+    told += [_joint(name, pair) for name, pair in joints.items()]
+    if len(told) == 1:
+        yield f"{change.body} {told[0]}"
+    else:
+        yield change.body
+        yield from (f"  {line}" for line in told)
+
+
+def _joint(name: str, pair: tuple[float, float]) -> str:
+    return f"{name} {words.number(pair[0])} -> {words.number(pair[1])}"
+
+
+def _travel(item: tuple[str, tuple[float, float]]) -> float:
+    return abs(item[1][1] - item[1][0])
+
+
+def _holder(held: Attachment | None) -> str:
+    if held is None:
+        return "nobody"
+    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
+
+
+# --- two recordings --------------------------------------------------------------------------------------------------
+
+
+def _run_facts(compared: Comparison) -> dict[str, object]:
+    parting = compared.parting
+    return {
+        "alike": compared.alike,
+        "parting": parting
+        and {
+            "first": parting.first and plain_record(parting.first),
+            "second": parting.second and plain_record(parting.second),
+            "task": parting.task,
+            "fields": parting.fields,
+        },
+        "world": facts(compared.world),
+        "outcomes": [_outcome(each) for each in compared.outcomes],
+        "failures": [each.failure for each in compared.outcomes],
+    }
+
+
+def _run_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
+    first, second = compared.outcomes
+    if compared.parting is None:
+        yield f"the runs are the same: {compared.alike} records"
+    else:
+        yield from _parting(compared.parting, compared.alike)
+    if compared.world:
+        yield ""
+        yield "at the end, first -> second:"
+        yield from (f"  {line}" for line in lines(compared.world, whole=whole))
+    told = _outcome(first), _outcome(second)
+    yield ""
+    yield f"both {told[0]}" if told[0] == told[1] else f"the first {told[0]}; the second {told[1]}"
+
+
+def _outcome(run: Summary) -> str:
+    return run.outcome + (f" ({run.failure})" if run.failure else "")
+
+
+def _parting(parting: Parting, alike: int) -> Iterator[str]:
+    where = f" in {parting.task}" if parting.task else ""
+    yield f"the runs are alike for {alike} records, then they part{where}:"
+    for name, record in (("first", parting.first), ("second", parting.second)):
+        yield f"  {name:6} {_told(record)}"
+    for field, (before, after) in list(parting.fields.items())[:_FEW]:
+        apart = f"  (by {abs(after - before):.3g})" if isinstance(before, float) and isinstance(after, float) else ""
+        yield f"    {field}: {words.value(before)} -> {words.value(after)}{apart}"
+    if len(parting.fields) > _FEW:
+        yield f"    ... {len(parting.fields) - _FEW} more values"
+
+
+def _told(record: Record | None) -> str:
+    return f"step {record.seq}: {words.short(text_of(record)[0])}" if record is not None else "has no such record"

@@ -1,0 +1,352 @@
+"""``why``: why a plan failed, in plain words first."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from replay import words
+from replay.pictures import write_pictures
+from replay.plain import plain_record
+from replay.steps import HINT
+from replay.verbs import diff
+from replay.why import heading, why
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from replay.failures import Attempt
+    from replay.log import Log
+    from replay.source import Line
+    from replay.why import Since, Thing, Try, Why
+
+_FINE, _INCOMPLETE = 0, 3
+_FIRST, _LAST = 2, 5  # so many attempts are told one by one
+_MOST: Final = 12  # lines of a difference
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes which failure."""
+    parser.add_argument("step", metavar="STEP", nargs="?", help=f"of another task that failed: {HINT}")
+    parser.add_argument(
+        "--pictures", metavar="DIR", help="write pictures of that moment: the robot's view, and one from the side"
+    )
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the explanation."""
+    found = why(log, options.step)
+    pictures, refused = _pictures(log, found, options.pictures)
+    if options.json:
+        print(json.dumps(facts(found) | {"pictures": pictures}, ensure_ascii=False))
+    else:
+        print("\n".join(lines(found, str(log.path))))
+        if pictures:
+            print("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
+    if refused:
+        print(f"pycram-replay: no pictures: {refused}", file=sys.stderr)
+        return _INCOMPLETE
+    return _FINE
+
+
+def _pictures(log: Log, found: Why, folder: str | None) -> tuple[list[str], str]:
+    """The pictures that were asked for, and why there are none if they can't be made."""
+    if folder is None:
+        return [], ""
+    if found.failure is None:
+        return [], "nothing failed"
+    try:
+        return [str(path) for path in write_pictures(log, found, Path(folder))], ""
+    except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
+        return [], f"{type(error).__name__}: {error}"
+
+
+# --- for machines ----------------------------------------------------------------------------------------------------
+
+
+def facts(found: Why) -> dict[str, object]:
+    """The explanation, for machines.
+
+    Args:
+        found: the explanation.
+    """
+    return {
+        "plan": found.run.plan,
+        "outcome": found.run.outcome,
+        "step": found.step,
+        "failure": found.failure and {"type": found.failure.type, "message": found.failure.message},
+        "raised": [
+            {"type": error.type, "message": error.message, "lines": [_line_facts(line) for line in error.lines]}
+            for error in found.raised
+        ],
+        "task": found.task and _task_facts(found.task),
+        "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
+        "line": found.line and _line_facts(found.line),
+        "things": [
+            {
+                "object": thing.body.name,
+                "position": thing.body.position,
+                "orientation": thing.body.orientation,
+                "held_by": thing.held and thing.held.carrier,
+                "holds": [held.body for held in thing.holds],
+                "distance": thing.distance,
+                "bearing": thing.bearing,
+            }
+            for thing in found.things
+        ],
+        "tries": [
+            _task_facts(each.task.motion) | {"error": each.task.error, "robot": each.robot and each.robot.pose}
+            for each in found.tries
+        ],
+        "others": found.others,
+        "asked": [plain_record(asked.query) | {"moved_since": asked.moved} for asked in found.asked],
+        "earlier": found.earlier,
+        "same": found.same and _since_facts(found.same),
+        "last": found.last and _since_facts(found.last),
+        "running": [_task_facts(task) for task in found.running],
+    }
+
+
+def _line_facts(line: Line) -> dict[str, object]:
+    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
+
+
+def _task_facts(task: Attempt) -> dict[str, object]:
+    return {
+        "id": task.started.task,
+        "kind": task.started.kind,
+        "name": task.started.name,
+        "parameters": task.parameters,
+        "steps": [task.started.seq, task.finished and task.finished.seq],
+        "error": task.error,
+    }
+
+
+def _since_facts(since: Since) -> dict[str, object]:
+    return {"task": _task_facts(since.task), "difference": diff.facts(since.difference)}
+
+
+# --- for people ------------------------------------------------------------------------------------------------------
+
+
+def lines(found: Why, path: str) -> Iterator[str]:
+    """The explanation, for people.
+
+    Args:
+        found: the explanation.
+        path: of the recording, for commands to go on with.
+    """
+    yield from _headline(found)
+    yield from _section("Not finished when the recording ended", _running(found))
+    if found.failure is None:
+        return
+    yield from _section("Where in the plan", _where(found))
+    yield from _section("What failed", _what(found))
+    yield from _section(f"How things were, at step {found.step}", (_thing(thing) for thing in found.things))
+    yield from _section("What was tried", _tried(found))
+    yield from _section("What the robot asked, and was told", _asked(found))
+    yield from _section("What has changed since the last success", _changed(found))
+    yield from _section("Look closer", _commands(found, shlex.quote(path)))
+
+
+def _section(title: str, body: Iterator[str]) -> Iterator[str]:
+    told = list(body)
+    if told:
+        yield ""
+        yield title
+        yield from (f"  {line}" for line in told)
+
+
+def _headline(found: Why) -> Iterator[str]:
+    run, name = found.run, found.run.plan or "the plan"
+    if run.outcome == "failed":
+        message = run.failure
+        if found.failure is not None and found.failure.message and not found.is_of_python:
+            message = found.failure.message  # says it in words
+        yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
+    elif run.outcome == "succeeded":
+        yield (
+            f"{name} succeeded."
+            if found.failure is None
+            else f"{name} succeeded; what failed on its way it dealt with."
+        )
+    else:
+        ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
+        yield f"{name} {ended}." + ("" if found.failure else " Until then nothing failed.")
+    if found.task is not None:
+        yield _first_words(found, found.task)
+    warning = found.warning
+    if warning is not None and not found.is_of_python:
+        yield f"The robot had been told: {words.question(warning)} said no at step {warning.seq}."
+
+
+def _first_words(found: Why, task: Attempt) -> str:
+    motion = task.motion
+    told = words.one_line(task.error[1] or task.error[0]) if task.error else ""
+    if len(found.tries) > 1:
+        about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
+        if found.same is not None:
+            about = f"{motion.started.name} failed {len(found.tries)} times since it had succeeded."
+        return f"{about} The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+    lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
+    return f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
+
+
+def _call(task: Attempt) -> str:
+    return words.call(task.started.name, task.parameters)
+
+
+def _end(task: Attempt) -> int:
+    return task.finished.seq if task.finished is not None else task.started.seq
+
+
+def _running(found: Why) -> Iterator[str]:
+    for task in found.running:
+        yield " in ".join(_call(each) for each in task.around()) + f"  [since step {task.started.seq}]"
+
+
+def _where(found: Why) -> Iterator[str]:
+    shown: set[tuple[str, int]] = set()
+    told = {(line.file, line.number) for error in found.raised for line in error.lines}
+    if found.line is not None and (found.line.file, found.line.number) not in told:
+        shown.add((found.line.file, found.line.number))
+        yield from _line(found.line)
+    for error in found.raised:
+        fresh = [line for line in error.lines if (line.file, line.number) not in shown]
+        if shown and fresh:
+            yield f"which became {error.type}:"
+        for line in fresh:
+            shown.add((line.file, line.number))
+            yield from _line(line)
+
+
+def _line(line: Line) -> Iterator[str]:
+    yield f"{line.file}:{line.number}" + (f" in {line.function}" if line.function else "")
+    if line.text:
+        yield f"    {line.text}"
+
+
+def _what(found: Why) -> Iterator[str]:
+    if found.task is None:
+        if found.failure is not None:
+            yield "no task: the plan's own code raised"
+            yield from (f"  {line}" for line in f"{found.failure.type}: {found.failure.message}".splitlines())
+        return
+    path = list(found.task.around())
+    path.reverse()
+    for depth, task in enumerate(path):
+        if task.finished is None and task is not found.task:
+            state = "not finished"
+        else:
+            took = words.seconds(task.finished.duration_ns) if task.finished is not None else ""
+            state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
+        kind = "" if task.started.kind in ("motion", "process-module") else f" {task.started.kind}"
+        called = task.started.name if task.started.kind == "process-module" else _call(task)
+        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
+    if found.task.failure is not None:
+        yield f"{'  ' * len(path)}{found.task.failure.type}: {found.task.failure.message}"
+    siblings = [part for part in found.task.outermost.parts if part.failure is not None and part not in path]
+    for part in siblings[:_LAST]:
+        yield f"also failed: {_call(part)}: {part.error[1] if part.error else ''}"
+
+
+def _thing(thing: Thing) -> str:
+    body = thing.body
+    told = f"{body.name} at {words.vector(body.position)}"
+    if thing.distance is None:
+        told += f", facing {_degrees(heading(body))}"
+        told += f", holding {words.names([held.body for held in thing.holds])}" if thing.holds else ", holding nothing"
+    else:
+        side = math.degrees(thing.bearing or 0.0)
+        turn = (
+            "straight ahead" if abs(side) < 1 else f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
+        )
+        told += f", {thing.distance:.2f} m from the robot on the ground, {turn}"
+        told += f", held by {thing.held.carrier}" if thing.held else ""
+    return told
+
+
+def _degrees(angle: float) -> str:
+    return f"{round(math.degrees(angle)) or 0} degrees"
+
+
+def _tried(found: Why) -> Iterator[str]:
+    if found.others:
+        yield f"{found.others} other {'tasks' if found.others > 1 else 'task'} failed before (`pycram-replay tree`)"
+    if len(found.tries) < 2:
+        return
+    given = [each.task.motion.parameters for each in found.tries]
+    varying = [key for key in given[-1] if any(other.get(key) != given[-1][key] for other in given)]
+    places = [_place(each) for each in found.tries]
+    told: list[tuple[str, str, list[int]]] = []  # how, what came of it, and at which steps one after the other
+    for each, place in zip(found.tries, places, strict=True):
+        how = [f"{key}={words.value(each.task.motion.parameters.get(key))}" for key in varying]
+        how += [place] if len(set(places)) > 1 else []
+        error = words.one_line(each.task.error[1]) if each.task.error else ""
+        if not told or told[-1][:2] != (", ".join(how), error):
+            told.append((", ".join(how), error, []))
+        told[-1][2].append(each.task.motion.started.seq)
+    left_out = len(told) - _FIRST - _LAST
+    for number, (how_told, error, steps) in enumerate(told):
+        if left_out > 1 and number == _FIRST:
+            yield f"... {left_out} more ..."
+        if left_out <= 1 or not _FIRST <= number < _FIRST + left_out:
+            many = f"steps {steps[0]} to {steps[-1]}, {len(steps)} times" if len(steps) > 1 else f"step {steps[0]}"
+            yield f"{many}: {how_told}" if how_told else f"{many}:"
+            yield f"    {error}"
+
+
+def _place(each: Try) -> str:
+    if each.robot is None:
+        return ""
+    return f"{each.robot.name} at {words.vector(each.robot.position[:2])} facing {_degrees(heading(each.robot))}"
+
+
+def _asked(found: Why) -> Iterator[str]:
+    if found.earlier:
+        yield f"... {found.earlier} more before ..."
+    for asked in found.asked:
+        query = asked.query
+        told = words.reasons(query)
+        yield f"step {query.seq}: {words.question(query)}"
+        yield f"    {words.answer(query)}" + (f": {told}" if told else "")
+        if asked.moved:
+            yield f"    since then {words.names(asked.moved)} moved"
+
+
+def _changed(found: Why) -> Iterator[str]:
+    if found.task is not None:
+        name = found.task.motion.started.name
+        if found.same is None:
+            yield f"No {name} succeeded before."
+        else:
+            yield from _since(found.same)
+    if found.last is not None and (found.same is None or found.same.task is not found.last.task):
+        yield from _since(found.last)
+
+
+def _since(since: Since) -> Iterator[str]:
+    task = since.task
+    told = list(diff.lines(since.difference)) if since.difference.notable or since.difference.came else []
+    name = f"{_call(task)} succeeded at step {_end(task)}"
+    if not told:
+        yield f"{name}; since then nothing in the world has changed."
+        return
+    yield f"{name}; since then:"
+    yield from (f"  {line}" for line in told[:_MOST])
+    if len(told) > _MOST:
+        yield f"  ... {len(told) - _MOST} more lines; `diff` tells all"
+
+
+def _commands(found: Why, path: str) -> Iterator[str]:
+    if found.asked:
+        yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
+    things = [thing.body.name for thing in found.things]
+    if things:
+        yield f"pycram-replay state {path} {found.step} {shlex.quote(things[-1])}"
+        yield f"pycram-replay blame {path} {shlex.quote(things[-1])} --at {found.step}"

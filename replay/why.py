@@ -1,0 +1,386 @@
+"""Why a plan failed: what failed and where in the plan, what was tried, what it rested on, and what had changed.
+
+Everything here is read from the recording; nothing is guessed. What the robot was told (queries) is set beside what was
+so then, and beside what has moved since.
+"""
+
+from __future__ import annotations
+
+import builtins
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Query, Run
+from replay.diff import Difference, difference
+from replay.errors import NoSuchStep
+from replay.failures import Failures, failures
+from replay.plain import mentions, plain_arguments
+from replay.raised import Raised, raised
+from replay.source import Source
+from replay.steps import final_of
+from replay.summary import Summary, summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from recorder.records import Failure
+    from replay.failures import Attempt
+    from replay.log import Log
+    from replay.plain import Plain
+    from replay.source import Line
+    from replay.state import Attachment, Body, State, World
+
+_MOST_ASKED: Final = 8  # queries that are told
+_NEAR: Final = 0.001  # m; what moved less has not moved since a query
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """A body that matters, at the moment that matters.
+
+    Attributes:
+        body: its state.
+        held: how it is carried; None if it isn't.
+        holds: what it carries.
+        distance: on the ground, from the robot's base, m; None for the robot.
+        bearing: its direction from the robot's heading, rad, to the left; None for the robot.
+    """
+
+    body: Body
+    held: Attachment | None
+    holds: tuple[Attachment, ...]
+    distance: float | None
+    bearing: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Try:
+    """One time that something was tried.
+
+    Attributes:
+        task: the attempt.
+        robot: the robot as it stood then; None if there was none.
+    """
+
+    task: Attempt
+    robot: Body | None
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A query that the plan rested on.
+
+    Attributes:
+        query: its record.
+        moved: what it was about and has moved between it and the failure.
+    """
+
+    query: Query
+    moved: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Since:
+    """What has changed since something went well.
+
+    Attributes:
+        task: what went well.
+        difference: of the states after it and before the failure.
+    """
+
+    task: Attempt
+    difference: Difference
+
+
+@dataclass(frozen=True, slots=True)
+class Why:
+    """The explanation of a failure.
+
+    Attributes:
+        run: how the whole run ended.
+        step: the moment that is explained: the last step before what failed began.
+        failure: what the plan failed with, or the task; None if nothing failed.
+        raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
+        task: the task in which it began; None if the plan's own code did it.
+        line: the plan's line that started that task.
+        things: the robot, and the bodies that it was about.
+        tries: all attempts of the same with the same objects, this one last.
+        others: how many other tasks failed before.
+        asked: the queries that it rested on, in their order.
+        earlier: how many more queries were about the same.
+        same: since the same kind of task went well for the last time; None if it never did.
+        last: since anything went well for the last time.
+        running: the innermost tasks that have not ended, of a recording that was cut.
+    """
+
+    run: Summary
+    step: int
+    failure: Failure | None
+    raised: tuple[Raised, ...] = ()
+    task: Attempt | None = None
+    line: Line | None = None
+    things: tuple[Thing, ...] = ()
+    tries: tuple[Try, ...] = ()
+    others: int = 0
+    asked: tuple[Asked, ...] = ()
+    earlier: int = 0
+    same: Since | None = None
+    last: Since | None = None
+    running: tuple[Attempt, ...] = ()
+
+    @property
+    def is_of_python(self) -> bool:
+        """Whether the plan's code itself is wrong, rather than that something in the world was not as it should be."""
+        return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
+
+    @property
+    def warning(self) -> Query | None:
+        """The last query that said no, and still was so: nothing that it was about has moved since."""
+        told = (asked.query for asked in reversed(self.asked) if not asked.moved)
+        return next((query for query in told if query.answer_json == "false"), None)
+
+
+def why(log: Log, step: int | str | None = None) -> Why:
+    """Explains a failure.
+
+    Args:
+        log: the recording.
+        step: one of a task that failed, or the first after it did; by default what the plan failed with, or the last
+            task that failed if it didn't.
+
+    Raises:
+        NoSuchStep: there is no such step, or nothing failed until then.
+    """
+    found = failures(log)
+    source = Source(log)
+    run = summary(log)
+    if step is not None:
+        return _of_task(log, source, run, _chosen(log, found, log.step(step)))
+    end = log[-1]
+    if isinstance(end, Run) and end.HasField("failure"):
+        chain = _chain(end.failure, source)
+        task = _began(found, chain)
+        if task is not None:
+            return _of_task(log, source, run, task, end.failure, chain)
+        return _of_plan(log, run, found, end.failure, chain)
+    running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
+    if found.origins:
+        return _of_task(log, source, run, found.origins[-1], running=running)
+    return Why(run, final_of(log), None, running=running)
+
+
+def _chosen(log: Log, found: Failures, step: int) -> Attempt:
+    """The failed task that a step is part of, or that ended last until then."""
+    record = log[step]
+    until = [task for task in found.origins if task.finished is not None and task.finished.seq <= step]
+    of_step = [task for task in found.origins if any(outer.started.task == record.task for outer in task.around())]
+    if record.task and of_step:
+        return of_step[-1]
+    if not until:
+        raise NoSuchStep(step, len(log), "no task failed there, or before")
+    return until[-1]
+
+
+def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
+    """The exceptions, causes first; the last one is the failure itself, whose words the record has."""
+    chain = raised(failure.traceback, source)
+    last = chain.pop() if chain else Raised("", "", ())
+    return (*chain, Raised(failure.type, failure.message, last.lines))
+
+
+def _began(found: Failures, chain: Iterable[Raised]) -> Attempt | None:
+    """The task that raised one of the exceptions, the first cause if there are several; the last such task."""
+    for error in chain:
+        for task in reversed(found.origins):
+            if any(outer.error == (error.type, error.message) for outer in task.around()):
+                return task
+    return None
+
+
+def _of_task(
+    log: Log,
+    source: Source,
+    run: Summary,
+    task: Attempt,
+    failure: Failure | None = None,
+    chain: tuple[Raised, ...] = (),
+    running: tuple[Attempt, ...] = (),
+) -> Why:
+    motion = task.motion
+    began, ended = motion.started.seq, task.finished.seq if task.finished else motion.started.seq
+    before = failures(log, ended + 1)
+    objects = _objects(motion.parameters)
+    alike = [other for other in before.origins if _is_alike(other.motion, motion, objects)]
+    previous = next(
+        (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < began), None
+    )
+    same = before.successes.get((motion.started.kind, motion.started.name))
+    window = max((_ended(each) for each in (previous, same) if each is not None), default=0)
+    asked, earlier = _asked(log, window, ended, objects, _ids(task))
+    step = max(began - 1, 0)
+    state = log.state_at(step)
+    world = _world(state, objects, asked)
+    return Why(
+        run,
+        step,
+        failure or task.failure,
+        chain,
+        task,
+        next(
+            (
+                line
+                for each in task.around()
+                if (line := source.line(each.started.source_file, each.started.source_line))
+            ),
+            None,
+        ),
+        tuple(_things(world, [*(name for name, _ in objects), *_named(world, task)])),
+        tuple(_try(log, other, world) for other in alike),
+        sum(1 for other in before.origins if other not in alike),
+        tuple(_with_moves(log, query, state) for query in asked),
+        earlier,
+        _since(log, same, state),
+        _since(log, before.last_success, state),
+        running,
+    )
+
+
+def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: tuple[Raised, ...]) -> Why:
+    """Of a failure that the plan's own code raised, not a task."""
+    step = final_of(log)
+    state = log.state_at(step)
+    last = found.last_success
+    window = last.started.seq if last is not None else 0
+    asked, earlier = _asked(log, window, len(log), (), ())
+    objects = list(dict.fromkeys(each for query in asked for each in _objects(plain_arguments(query.arguments))))
+    world = _world(state, objects, asked)
+    return Why(
+        run,
+        step,
+        failure,
+        chain,
+        things=tuple(_things(world, [name for name, _ in objects])),
+        others=len(found.origins),
+        asked=tuple(_with_moves(log, query, state) for query in asked),
+        earlier=earlier,
+        last=_since(log, last, state),
+    )
+
+
+# --- what was tried --------------------------------------------------------------------------------------------------
+
+
+def _is_alike(task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
+    if (task.started.kind, task.started.name) != (wanted.started.kind, wanted.started.name):
+        return False
+    told = _objects(task.parameters)
+    return not objects or not told or bool(set(told).intersection(objects))
+
+
+def _ended(task: Attempt) -> int:
+    return task.finished.seq if task.finished is not None else task.started.seq
+
+
+def _ids(task: Attempt) -> set[int]:
+    return {each.started.task for each in task.around()}
+
+
+def _try(log: Log, task: Attempt, world: World | None) -> Try:
+    then = log.state_at(max(task.motion.started.seq - 1, 0)).worlds.get(world.name) if world is not None else None
+    return Try(task, then.bodies.get(then.robot) if then is not None else None)
+
+
+def _objects(parameters: Plain) -> list[tuple[str, str]]:
+    """Names of the bodies in values, with their worlds."""
+    if isinstance(parameters, dict):
+        if set(parameters) == {"object", "world"}:
+            return [(str(parameters["object"]), str(parameters["world"]))]
+        return [found for value in parameters.values() for found in _objects(value)]
+    if isinstance(parameters, list):
+        return [found for value in parameters for found in _objects(value)]
+    return []
+
+
+# --- what it rested on -----------------------------------------------------------------------------------------------
+
+
+def _asked(
+    log: Log, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
+) -> tuple[list[Query], int]:
+    """The last queries about some bodies, or of some tasks, each question once; and how many more there are."""
+    latest: dict[tuple[object, ...], Query] = {}
+    names = {name for name, _ in objects}
+    for query in log.records(Query, start, stop):
+        if isinstance(query, Query) and (
+            not names or query.task in set(tasks) or any(mentions(query, name) for name in names)
+        ):
+            question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
+            latest.pop(question, None)
+            latest[question] = query
+    found = list(latest.values())
+    return found[-_MOST_ASKED:], max(len(found) - _MOST_ASKED, 0)
+
+
+def _with_moves(log: Log, query: Query, now: State) -> Asked:
+    then = log.state_at(query.seq).worlds.get(query.world)
+    today = now.worlds.get(query.world)
+    moved = []
+    for name, _ in dict.fromkeys(_objects(plain_arguments(query.arguments))):
+        before = then.bodies.get(name) if then is not None else None
+        after = today.bodies.get(name) if today is not None else None
+        if before is not None and (after is None or math.dist(before.position, after.position) > _NEAR):
+            moved.append(name)
+    return Asked(query, tuple(moved))
+
+
+# --- what was so -----------------------------------------------------------------------------------------------------
+
+
+def _world(state: State, objects: Iterable[tuple[str, str]], asked: Iterable[Query]) -> World | None:
+    """The world that it was about."""
+    opened = {name: world for name, world in state.worlds.items() if world.open}
+    for name in (*(world for _, world in objects), *(query.world for query in asked)):
+        if name in opened:
+            return opened[name]
+    return max(opened.values(), key=lambda world: bool(world.robot), default=None)
+
+
+def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
+    if world is None:
+        return
+    robot = world.bodies.get(world.robot)
+    for name in dict.fromkeys((world.robot, *names)):
+        body = world.bodies.get(name)
+        if body is not None:
+            distance = bearing = None
+            if robot is not None and body is not robot:
+                across, along = body.position[0] - robot.position[0], body.position[1] - robot.position[1]
+                distance = math.hypot(across, along)
+                bearing = math.remainder(math.atan2(along, across) - heading(robot), math.tau)
+            yield Thing(body, world.carrier(name), tuple(world.carried(name)), distance, bearing)
+
+
+def _named(world: World | None, task: Attempt) -> Iterator[str]:
+    """The bodies that a failure names in its data."""
+    data = plain_arguments(task.failure.data) if task.failure is not None else {}
+    for value in data.values():
+        for name in value if isinstance(value, list) else [value]:
+            if world is not None and isinstance(name, str) and name in world.bodies:
+                yield name
+
+
+def heading(body: Body) -> float:
+    """Where a body faces on the ground, rad from the world's x axis.
+
+    Args:
+        body: its state.
+    """
+    x, y, z, w = body.orientation
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _since(log: Log, task: Attempt | None, now: State) -> Since | None:
+    if task is None or task.finished is None:
+        return None
+    return Since(task, difference(log.state_at(min(task.finished.seq, now.step)), now))
