@@ -201,11 +201,11 @@ class Engine:
         position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
         return position
 
-    def set_joints(self, body: Body, positions: Mapping[str, float]) -> None:
-        """Puts joints there, at rest, and makes them keep that place."""
+    def set_joints(self, body: Body, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None) -> None:
+        """Puts joints there, at rest unless speeds (rad/s or m/s) are given, and makes them keep that place."""
         for name, position in positions.items():
-            joint = body.joints[name]
-            bullet.resetJointState(body.id, joint.index, position, 0.0, physicsClientId=self._client)
+            joint, speed = body.joints[name], speeds[name] if speeds else 0.0
+            bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
             self._hold(body, joint, position)
 
     def _hold(self, body: Body, joint: Joint, position: float) -> None:

@@ -24,6 +24,8 @@ VERBS: Final = {
     "show": "one record whole",
     "tree": "the tasks, how they ended, and the way down to the failure",
     "state": "poses, joints and attachments after a step",
+    "ask": "any reasoning query at a step, also with things moved",
+    "render": "a picture of a step, without a viewer",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 _INTERRUPTED = 130
