@@ -295,7 +295,6 @@ class Object:
         """
         with self.world.lock:
             engine = self.world.engine
-            engine.refresh()
             links = self.links if name is None else (self.check_link(name),)
             boxes = [engine.box(self.handle, link) for link in links]
         return (

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from replay.log import Log
 
 _WIDE: Final = math.radians(60)  # horizontal field of view where no camera says another
-_NEAR, _FAR = 0.05, 30.0  # m
+_NEAR, _FAR = 0.1, 30.0  # m; triangles of the robot's own head, if nearer, would be drawn as lines
 _SIDE: Final = (-0.55, -0.65, 0.55)  # the direction to look from, of the robot's heading
-_FINE: Final = 2  # pixels are so many by so many of the renderer's, which has no smooth edges
 _LARGEST: Final = 4096  # pixels a side
 
 
@@ -72,8 +71,7 @@ def render(
 
 def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:
     window = Window(-camera.right, -camera.down, camera.right, camera.down)
-    seen = camera.look(world.engine, window, (size[0] * _FINE, size[1] * _FINE))
-    return Image.fromarray(seen.rgb).resize(size, Image.Resampling.BOX)
+    return Image.fromarray(np.ascontiguousarray(camera.look(world.engine, window, size).rgb))
 
 
 def _camera(
@@ -99,7 +97,7 @@ def _of_robot(world: BulletWorld, frame: str, size: tuple[int, int]) -> Camera:
     own = robot.description.camera if robot.description else None
     if own is None or own.frame != frame:
         return _camera(place, turn, _WIDE, size)
-    return _camera(place, turn, own.horizontal_fov, size, own.near, own.far)
+    return _camera(place, turn, own.horizontal_fov, size, max(own.near, _NEAR), own.far)
 
 
 def _middle(world: BulletWorld) -> Vector:

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pycram import assets, attachments
+from pycram import assets, attachments, worlds
 from pycram.bullet_world import BulletWorld, Object
 from pycram.funnel import Reading, put
 from pycram.robots.description import RobotDescription
@@ -135,7 +135,7 @@ def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
         mode: "DIRECT" or "GUI".
     """
     current = BulletWorld.current_bullet_world
-    taken = {world.name for world in BulletWorld.open_worlds}
+    taken = {world.name for world in worlds.opened()}
     free = next(title for title in _numbered(name) if title not in taken)
     world = BulletWorld(mode, name=free)
     if current is not None and not current.closed:
