@@ -183,7 +183,7 @@ def _model(log: Log, loaded: LoadBody) -> Model:
     missing = next((name for name in names if name not in log.assets), None)
     if missing is not None:
         raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
-    return assets.restore(((name, log.assets[name]) for name in names), names[0])
+    return assets.restore((name, log.assets[name]) for name in names)
 
 
 @cache
