@@ -231,11 +231,7 @@ class Engine:
         return state[4], state[5]
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
-        """Axis-aligned bounds of a link's shape in the world, current without a step.
-
-        PyBullet's performCollisionDetection is neither needed for it nor harmless: what it caches of contacts changes
-        the last bits of what simulation does next.
-        """
+        """Axis-aligned bounds of a link's shape in the world, current without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
@@ -319,6 +315,13 @@ class Engine:
         client = self._client
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
+
+    def refresh(self) -> None:
+        """Makes what rays hit current without a step; nothing else needs it.
+
+        Only for twins: what it caches of contacts changes the last bits of what simulation does next.
+        """
+        bullet.performCollisionDetection(physicsClientId=self._client)
 
     def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:
         """The nearest points of the links of two bodies that are nearer than a distance in m."""
