@@ -29,7 +29,8 @@ from recorder.urdf_joint import UrdfError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-_MESH_TYPES = (".stl", ".obj", ".dae")
+_MESH_SUFFIXES = (".stl", ".obj", ".dae")
+_MESH_TYPE, _URDF_TYPE = "model/mesh", "application/xml"
 _FRAME_MASS = 1e-3  # kg, of links that are only frames
 _FRAME_INERTIA = 1e-6  # kg m^2
 
@@ -114,30 +115,37 @@ def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
     kind = file.suffix.lower()
     if kind == ".urdf":
         return _canonical(file, _read(file), file.stem)
-    if kind in _MESH_TYPES:
+    if kind in _MESH_SUFFIXES:
         return _canonical(file, mesh.as_urdf(file, color, _keep_mesh, _decompose), file.stem)
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
-def restore(files: Iterable[tuple[str, bytes]], urdf: str) -> Model:
-    """Lays out a recording's attachments and loads a model from them.
+def restore(files: Iterable[tuple[str, bytes]]) -> Model:
+    """Lays out a recording's attachments and loads a model from them, as they are: they were canonical when recorded.
 
     Args:
-        files: attachment names (``<sha256>/<file name>``) and contents of the model's files.
-        urdf: which of them is the URDF.
+        files: attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
 
     Returns:
         The model.
 
     Raises:
-        AssetError: a file is missing or broken.
+        AssetError: a file isn't what its name says, or the URDF is broken.
     """
+    kept = []
     for key, content in files:
+        name = key.partition("/")[2]
+        asset = AssetFile(name, content, _URDF_TYPE if name.endswith(".urdf") else _MESH_TYPE)
+        if asset.key != key or Path(name).name != name:
+            raise AssetError(key, "is not the file that its name says")
         _keep(key, content)
-    file = _store() / urdf
-    if not file.is_file():
-        raise AssetError(urdf, "is not among the recording's attachments")
-    return _canonical(file, _read(file), file.stem)
+        kept.append(asset)
+    itself = kept[0]
+    try:
+        tree = Urdf.parse(itself.content)
+    except UrdfError as error:
+        raise AssetError(itself.key, str(error)) from error
+    return Model(_keep(f"{itself.sha256}.urdf", itself.content), tree, tuple(kept))
 
 
 def _read(file: Path) -> str:
@@ -159,7 +167,7 @@ def _keep(name: str, content: bytes) -> Path:
 
 
 def _keep_mesh(name: str, content: bytes) -> str:
-    asset = AssetFile(name, content, "model/mesh")
+    asset = AssetFile(name, content, _MESH_TYPE)
     _keep(asset.key, content)
     return asset.key
 
@@ -198,7 +206,7 @@ def _canonical(source: Path, text: str, stem: str) -> Model:
         tree = Urdf.parse(content)
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
-    itself = AssetFile(f"{stem}.urdf", content.encode(), "application/xml")
+    itself = AssetFile(f"{stem}.urdf", content.encode(), _URDF_TYPE)
     # PyBullet looks for meshes from the URDF's folder: URDFs lie flat in the store, beside the folders of the meshes.
     path = _keep(f"{itself.sha256}.urdf", itself.content)
     return Model(path, tree, (itself, *meshes.values()))
@@ -232,7 +240,7 @@ def _find_mesh(source: Path, name: str) -> Path:
 @cache
 def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     """A mesh in the store, in a form that the engine really reads; checked once per version of the file."""
-    asset = AssetFile(*mesh.checked(file), "model/mesh")
+    asset = AssetFile(*mesh.checked(file), _MESH_TYPE)
     _keep(asset.key, asset.content)
     return asset
 

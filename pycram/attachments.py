@@ -57,7 +57,7 @@ class Attachment:
         )
 
 
-def attach(carrier: Object, body: Object, link: str | None, body_link: str | None) -> None:
+def attach(carrier: Object, body: Object, link: str | None, body_link: str | None, pose: Pose | None = None) -> None:
     """Makes an object carry another; an attachment that exists already is left as it is.
 
     Args:
@@ -65,6 +65,7 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
         body: the object to carry; it keeps its full relative pose.
         link: the carrier's link; its base link for None.
         body_link: the link by which the body is held; its base link for None.
+        pose: of the body's base in the carrier's link; None for the one that it has now.
 
     Raises:
         UnknownName: there is no such link.
@@ -76,7 +77,7 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
     command = records.AttachBody(carrier=carrier.name, carrier_link=carrying, body=body.name, body_link=held)
     with world.funnel.change(records.Mutation(attach_body=command)) as change:
         _check(carrier, body)
-        _hold(carrier, carrying, body, held, change)
+        _hold(carrier, carrying, body, held, change, pose)
         change.events.append(lambda: world.get_attachment_event().prepare(carrier, body))
 
 
@@ -132,10 +133,11 @@ def end(attachment: Attachment, change: Change) -> None:
     change.events.append(lambda: world.get_detachment_event().prepare(carrier, body))
 
 
-def _hold(carrier: Object, link: str, body: Object, body_link: str, change: Change) -> None:
+def _hold(carrier: Object, link: str, body: Object, body_link: str, change: Change, pose: Pose | None = None) -> None:
     engine = carrier.world.engine
     base = engine.pose(body.handle)
-    pose = geometry.multiply(geometry.invert(engine.link_pose(carrier.handle, link)), base)
+    if pose is None:
+        pose = geometry.multiply(geometry.invert(engine.link_pose(carrier.handle, link)), base)
     held = engine.link_pose(body.handle, body_link)
     held_pose = geometry.multiply(pose, geometry.multiply(geometry.invert(base), held))
     constraint = engine.fix(carrier.handle, link, body.handle, body_link, held_pose)

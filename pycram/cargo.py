@@ -68,7 +68,6 @@ def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
     """
     world = container.world
     engine = world.engine
-    engine.refresh()
     free = [body for body in world.objects if not body.fixed and body.carrier is None]
     found: dict[Object, str] = {}
     for link in links:

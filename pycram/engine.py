@@ -201,11 +201,11 @@ class Engine:
         position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
         return position
 
-    def set_joints(self, body: Body, positions: Mapping[str, float]) -> None:
-        """Puts joints there, at rest, and makes them keep that place."""
+    def set_joints(self, body: Body, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None) -> None:
+        """Puts joints there, at rest unless speeds (rad/s or m/s) are given, and makes them keep that place."""
         for name, position in positions.items():
-            joint = body.joints[name]
-            bullet.resetJointState(body.id, joint.index, position, 0.0, physicsClientId=self._client)
+            joint, speed = body.joints[name], speeds[name] if speeds else 0.0
+            bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
             self._hold(body, joint, position)
 
     def pose_joints(self, body: Body, positions: Mapping[str, float]) -> None:
@@ -241,7 +241,7 @@ class Engine:
         return state[4], state[5]
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
-        """Axis-aligned bounds of a link's shape in the world, current after :meth:`refresh`."""
+        """Axis-aligned bounds of a link's shape in the world, current without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
@@ -332,7 +332,10 @@ class Engine:
             bullet.stepSimulation(physicsClientId=client)
 
     def refresh(self) -> None:
-        """Makes bounds and contacts current without a step."""
+        """Makes what rays hit current without a step; nothing else needs it.
+
+        Only for twins: what it caches of contacts changes the last bits of what simulation does next.
+        """
         bullet.performCollisionDetection(physicsClientId=self._client)
 
     def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:

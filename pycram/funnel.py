@@ -49,6 +49,23 @@ def read(body: Object) -> Reading:
     return Reading(engine.pose(handle), engine.velocity(handle), *engine.joints(handle))
 
 
+def put(body: Object, state: Reading) -> None:
+    """Brings a body into a state that was read before; its motors hold the joints where they then are.
+
+    No record tells of it: it belongs to the building of a world aside, which is introduced when it is complete.
+
+    Args:
+        body: a living object.
+        state: what :func:`read` gave of it, or of the same model elsewhere.
+    """
+    engine, handle = body.world.engine, body.handle
+    engine.set_pose(handle, state.pose)
+    if not body.fixed and state.velocity != _AT_REST:
+        engine.set_velocity(handle, state.velocity)
+    positions = dict(zip(body.joints, state.positions, strict=True))
+    engine.set_joints(handle, positions, dict(zip(body.joints, state.velocities, strict=True)))
+
+
 def told(body: Object, now: Reading, before: Reading | None, tolerance: float = 0.0) -> records.BodyState | None:
     """What of a body is to be told.
 

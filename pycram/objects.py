@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from pycram.assets import Model
     from pycram.attachments import Attachment
     from pycram.body import Body
     from pycram.bullet_world import BulletWorld
@@ -44,6 +45,7 @@ class Object:
         world: where it appears; the current world by default.
         color: RGBA 0..1 for a mesh; None leaves it the colours that it has.
         description: of a robot; by default found by the name in its URDF.
+        model: what the path would give, if it is there already, as from a recording.
 
     Raises:
         NoWorld: no world is given and none is current.
@@ -64,6 +66,7 @@ class Object:
         color: Sequence[float] | None = None,
         *,
         description: RobotDescription | None = None,
+        model: Model | None = None,
     ) -> None:
         from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds hold objects
 
@@ -80,7 +83,7 @@ class Object:
         self.path = str(path)
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         self.color = None if color is None else checks.color("color", color)
-        self.model = assets.load(path, self.color)
+        self.model = model or assets.load(path, self.color)
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | None = None
         if self.is_robot:
@@ -292,7 +295,6 @@ class Object:
         """
         with self.world.lock:
             engine = self.world.engine
-            engine.refresh()
             links = self.links if name is None else (self.check_link(name),)
             boxes = [engine.box(self.handle, link) for link in links]
         return (

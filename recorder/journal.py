@@ -11,7 +11,7 @@ import itertools
 import threading
 import time
 import weakref
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
@@ -19,7 +19,7 @@ from recorder.interrupts import Uninterrupted
 from recorder.records import TOPICS, Keyframe, Mutation, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from recorder.asset import AssetFile
 
@@ -144,11 +144,34 @@ _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
 _openings = itertools.count()
+_aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
+
+
+def _listening() -> tuple[Journal, ...]:
+    """The journals that get what happens in this context."""
+    own = _aside.get()
+    return _open if own is None else own
 
 
 def recording() -> bool:
-    """Whether any journal is open; without one nothing is read back or built."""
-    return bool(_open)
+    """Whether any journal listens; without one nothing is read back or built."""
+    return bool(_listening())
+
+
+@contextmanager
+def aside(*journals: Journal) -> Iterator[None]:
+    """What its block does is told to these journals and no others; without any it is on no record.
+
+    Worlds that are opened in it are unknown outside until they are introduced.
+
+    Args:
+        journals: who listens.
+    """
+    token = _aside.set(journals)
+    try:
+        yield
+    finally:
+        _aside.reset(token)
 
 
 def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
@@ -167,7 +190,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.sim_step = sim_step
     record.task = task_id.get() if task is None else task
     record.thread = threading.current_thread().name
-    for journal in _open:
+    for journal in _listening():
         journal.append(record)
 
 
@@ -178,7 +201,7 @@ def attach(assets: Iterable[AssetFile]) -> None:
         assets: the files.
     """
     files = list(assets)
-    for journal in _open:
+    for journal in _listening():
         journal.attach(files)
 
 
@@ -188,8 +211,20 @@ def register(source: Source) -> None:
     Args:
         source: the world; held weakly.
     """
-    with _registry:
-        _sources[next(_openings)] = source
+    if _aside.get() is None:
+        with _registry:
+            _sources[next(_openings)] = source
+
+
+def introduce(source: Source) -> None:
+    """Makes a world known that was opened aside: journals that are open get its state now, others when they open.
+
+    Args:
+        source: the world; held weakly.
+    """
+    register(source)
+    for journal in _listening():
+        source.record_keyframe(journal)
 
 
 def unregister(source: Source) -> None:

@@ -27,6 +27,8 @@ VERBS: Final = {
     "diff": "what is different between two steps, or two recordings",
     "blame": "what last changed an object or a joint, and why",
     "why": "why the plan failed, in plain words",
+    "ask": "any reasoning query at a step, also with things moved",
+    "render": "a picture of a step, without a viewer",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 _INTERRUPTED = 130

@@ -76,3 +76,17 @@ class NoSuchName(ReplayError, LookupError):
         near = difflib.get_close_matches(name, self.known, 3)
         told = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.known) or 'none'}"
         super().__init__(f"there is no {kind} {name!r}; {told}")
+
+
+class NotRestored(ReplayError):
+    """A world that can't be had again as it was.
+
+    Attributes:
+        step: the step that was asked for.
+        cause: why not.
+    """
+
+    def __init__(self, step: int, cause: str) -> None:
+        super().__init__(f"the world after step {step} can't be restored: {cause}")
+        self.step = step
+        self.cause = cause

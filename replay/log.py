@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from pycram.bullet_world import BulletWorld
     from recorder.records import Record
     from replay.state import State
 
@@ -220,6 +221,12 @@ class Log:
     def state_at(self, step: int | str) -> State:
         """What is true after a step; see :func:`replay.fold.state_at`."""
         return state_at(self, step)
+
+    def world_at(self, step: int | str, world: str | None = None, *, exact: bool = False) -> BulletWorld:
+        """A live world as it was after a step; see :func:`replay.world.world_at`."""
+        from replay.world import world_at  # noqa: PLC0415  it needs the executor and its engine; reading does not
+
+        return world_at(self, step, world, exact=exact)
 
     # --- whole or not ----------------------------------------------------------------------------------------------
 

@@ -62,7 +62,6 @@ def _group(body: Object) -> list[Object]:
     """The object and what could make it move: what is near, and what is near to that, but not beyond what is fixed."""
     world = body.world
     engine = world.engine
-    engine.refresh()
     group, queue = [body], [body]
     while queue:
         current = queue.pop()

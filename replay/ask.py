@@ -1,0 +1,186 @@
+"""Asks the reasoning queries at any past step, also under changed conditions.
+
+The world of that step is rebuilt aside, things are put elsewhere if wanted, and the query is asked there: it is the
+same code that plans ask, so at a step where a plan asked, the answer is the plan's. A query that is on record can be
+asked again as it was.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from pycram import bullet_world_reasoning as btr
+from pycram.failures import PycramError
+from recorder.records import Query, to_json
+from replay.errors import NoSuchName
+from replay.question import BadQuestion, Name, Question, Term, parse
+from replay.world import aside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from pycram.bullet_world import BulletWorld
+    from pycram.objects import Object
+    from pycram.reasoning.query import Found, Verdict
+    from recorder.geometry import Quaternion, Vector
+    from replay.log import Log
+    from replay.plain import Plain
+
+QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
+"""Names of the queries that can be asked."""
+
+_OBJECTS: Final = ("object", "object1", "object2", "robot")  # parameters that take an object
+_EITHER: Final = ("pose",)  # those that take an object or a position
+_RECORDED: Final = {"gripper": "gripper_name"}  # arguments whose name on record isn't the parameter's
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """What shall be elsewhere.
+
+    Attributes:
+        body: name of the object.
+        position: xyz, m.
+        orientation: xyzw; None keeps it.
+    """
+
+    body: str
+    position: Vector
+    orientation: Quaternion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What was found out.
+
+    Attributes:
+        step: the step after which it was asked.
+        world: name of the world.
+        question: what was asked.
+        moves: what was put elsewhere before.
+        answer: true or false, or names of objects.
+        evidence: what it rests on.
+    """
+
+    step: int
+    world: str
+    question: Question
+    answer: bool | list[str]
+    evidence: Mapping[str, Plain]
+    moves: tuple[Move, ...] = field(default=())
+
+
+def ask(
+    log: Log, step: int | str, question: str | Question, *, world: str | None = None, moves: Sequence[Move] = ()
+) -> Answer:
+    """Asks a query at a past step; nothing of it appears in any recording.
+
+    Args:
+        log: the recording.
+        step: a number, or a name as :func:`replay.steps.step_of` knows them.
+        question: as ``visible(milk, wide_stereo_optical_frame)``; all of :data:`QUERIES`, with the arguments of
+            :mod:`pycram.bullet_world_reasoning`.
+        world: its name; without one, the open one that was opened last.
+        moves: what is put elsewhere before, with all that it carries.
+
+    Raises:
+        BadQuestion: it can't be read, or that world has no answer to it.
+        NotRestored: no world was open then.
+    """
+    asked = parse(question) if isinstance(question, str) else question
+    if asked.query not in QUERIES:
+        raise NoSuchName("query", asked.query, QUERIES)
+    number = log.step(step)
+    name = log.state_at(number).world(world).name if world is not None else None
+    with aside(log, number, name) as restored:
+        for move in moves:
+            _put(restored, move)
+        try:
+            found = _call(restored, asked)
+        except PycramError as error:
+            raise BadQuestion(str(asked), str(error)) from error
+        answer = [body.name for body in found] if isinstance(found, list) else bool(found)
+        evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
+        title = restored.name.rpartition("@")[0]
+    return Answer(number, title, asked, answer, evidence, tuple(moves))
+
+
+def again(log: Log, step: int | str, *, moves: Sequence[Move] = ()) -> Answer:
+    """Asks a query that is on record once more, where it was asked.
+
+    Args:
+        log: the recording.
+        step: the query's.
+        moves: what is put elsewhere before.
+
+    Raises:
+        BadQuestion: the step's record isn't a query.
+    """
+    number = log.step(step)
+    record = log[number]
+    if not isinstance(record, Query):
+        raise BadQuestion(f"step {number}", "it is no query that could be asked again; say what to ask")
+    return ask(log, number, question_of(record), world=record.world, moves=moves)
+
+
+def question_of(record: Query) -> Question:
+    """The question that a query on record was.
+
+    Args:
+        record: the query.
+    """
+    arguments = {_RECORDED.get(told.name, told.name): _recorded(json.loads(told.json)) for told in record.arguments}
+    return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
+
+
+def _recorded(value: Plain) -> Term:
+    if isinstance(value, dict):
+        return Name(str(value.get("object", "")))
+    if isinstance(value, list):
+        return [_recorded(item) for item in value]
+    return value
+
+
+def _put(world: BulletWorld, move: Move) -> None:
+    body = _object(world, move.body)
+    try:
+        body.set_position(move.position, move.orientation)
+    except PycramError as error:
+        raise BadQuestion(f"moving {move.body}", str(error)) from error
+
+
+def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object]:
+    query: Callable[..., Verdict | Found[Object]] = getattr(btr, question.query)
+    signature = inspect.signature(query)
+    try:
+        bound = signature.bind(*question.arguments, **question.keywords)
+    except TypeError as error:
+        takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
+        raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None
+    given = {name: _value(world, name, term) for name, term in bound.arguments.items()}
+    return query(**given)
+
+
+def _value(world: BulletWorld, parameter: str, term: object) -> object:
+    """What a query gets for a term."""
+    if parameter == "world":
+        return world
+    if parameter in _OBJECTS and isinstance(term, Name | str):
+        return _object(world, term.text if isinstance(term, Name) else term)
+    if parameter in _EITHER and isinstance(term, Name):
+        return _object(world, term.text)
+    if isinstance(term, list):
+        return [_value(world, "", item) for item in term]
+    return term.text if isinstance(term, Name) else term
+
+
+def _object(world: BulletWorld, name: str) -> Object:
+    found = world.get_objects_by_name(name)
+    if found:
+        return found[0]
+    if name == "robot" and world.robot is not None:
+        return world.robot
+    raise NoSuchName("object", name, (body.name for body in world.objects))

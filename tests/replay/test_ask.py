@@ -1,0 +1,211 @@
+"""Questions at past steps: the answers of the live run, changed conditions, and what isn't a question."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import replay
+from pycram import worlds
+from recorder.records import Query
+from replay.ask import QUERIES, Move, again, ask
+from replay.cli import main
+from replay.question import BadQuestion, Name, parse
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+CAMERA = "wide_stereo_optical_frame"
+
+
+def names(answer_json: str) -> bool | list[str]:
+    answer = json.loads(answer_json)
+    return [body["object"] for body in answer] if isinstance(answer, list) else answer
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log_of", ["demo_log", "failed_log"])
+def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: pytest.FixtureRequest) -> None:
+    with replay.open(request.getfixturevalue(log_of)) as log:
+        asked = [record for record in log.records(Query) if isinstance(record, Query)]
+        assert {"visible", "blocking"} <= {record.name for record in asked}
+        for record in asked:
+            found = again(log, record.seq)
+            where = f"step {record.seq}: {found.question}"
+            assert found.answer == names(record.answer_json), where
+            assert found.world == record.world
+            live = {told.name: json.loads(told.json) for told in record.evidence}
+            assert_near(found.evidence, live, where)
+    assert not worlds.opened()
+
+
+def assert_near(found: object, wanted: object, where: str) -> None:
+    if isinstance(wanted, dict):
+        assert isinstance(found, dict)
+        assert list(found) == list(wanted), where
+        for key, value in wanted.items():
+            assert_near(found[key], value, f"{where}/{key}")
+    elif isinstance(wanted, list):
+        assert isinstance(found, list)
+        for a, b in zip(found, wanted, strict=True):
+            assert_near(a, b, where)
+    elif isinstance(wanted, float):
+        assert found == pytest.approx(wanted, abs=1e-3), where  # m and shares: a stepped twin has a past of its own
+    else:
+        assert found == wanted, where
+
+
+def first(log: replay.Log, query: str) -> Query:
+    return next(record for record in log.records(Query) if isinstance(record, Query) and record.name == query)
+
+
+def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
+    with replay.open(demo_log) as log:
+        step = first(log, "visible").seq
+        question = f"visible(milk, {CAMERA}, threshold=0.5)"
+        seen = ask(log, step, question)
+        assert seen.answer is True
+        assert seen.evidence["share"] > 0.5  # type: ignore[operator]
+        behind = ask(log, step, question, moves=[Move("milk", (-2, 0, 1))])
+        assert behind.answer is False
+        assert "behind the camera" in str(behind.evidence["reason"])
+        gone = ask(log, step, question)
+        assert gone.answer is True  # nothing of the move is left
+        assert gone.evidence == seen.evidence
+        in_hand = ask(log, step, "reachable(milk, robot, l_gripper_tool_frame)", moves=[Move("milk", (1.2, 0.9, 1))])
+        assert in_hand.answer is True
+        blocked = first(log, "blocking")
+        assert again(log, blocked.seq).answer == ["bowl"]
+        assert again(log, blocked.seq, moves=[Move("bowl", (-2, 0, 1))]).answer == []
+
+
+@pytest.mark.parametrize(
+    ("question", "answer"),
+    [
+        ("stable(milk)", True),
+        ("btr.stable('milk', world)", True),
+        ("contact(kitchen, milk)", True),
+        ("contact(object1=milk, object2=bowl)", False),
+        ("supporting(kitchen, milk, None)", True),
+        ("visible(milk, [0.6, 1.0, 1.4])", True),
+        ("visible(milk, ([0.6, 1.0, 1.4], (0, 0, 0, 1)))", False),
+        (f"occluding(milk, {CAMERA}, robot=pr2)", None),
+        ("reachable([1.2, 0.9, 1], BulletWorld.robot, l_gripper_tool_frame, world, 0.02)", True),
+        ("reachable_object(milk, pr2, 'l_gripper_tool_frame', threshold=0.05, grasp=front)", True),
+        ("reachable_pose([1.2, 9, -1], pr2, l_gripper_tool_frame)", False),
+        ("blocking(cereal, pr2, r_gripper_tool_frame, grasp=None)", []),
+    ],
+)
+def test_queries_are_asked_as_in_the_thesis(demo_log: Path, question: str, answer: object) -> None:
+    with replay.open(demo_log) as log:
+        found = ask(log, first(log, "visible").seq, question)
+    assert isinstance(found.answer, list) if answer is None else found.answer == answer
+    assert found.evidence or answer is False
+    assert parse(str(found.question)) == found.question  # it can be typed again as it is printed
+
+
+def test_every_query_can_be_asked() -> None:
+    assert set(QUERIES) == {
+        "blocking",
+        "contact",
+        "occluding",
+        "reachable",
+        "reachable_object",
+        "reachable_pose",
+        "stable",
+        "supporting",
+        "visible",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "can't be read"),
+        ("stable(", "can't be read"),
+        ("stable", "is the call of a query"),
+        ("stable(milk) and stable(bowl)", "is the call of a query"),
+        ("stable(open('x'))", "can't be an argument"),
+        ("stable(*milk)", "can't be an argument"),
+        ("stable(**milk)", r"\*\*"),
+        ("stable(lambda: 0)", "can't be an argument"),
+        ("stable([x for x in milk])", "can't be an argument"),
+        ("stable(milk.__class__.__mro__[0])", "can't be an argument"),
+        ("(lambda: 0)()", "is no name"),
+        ("stable(f'{milk}')", "can't be an argument"),
+        ("stable(-milk)", "can't be an argument"),
+        ("stable(" + "[" * 5000 + "]" * 5000 + ")", "nest"),
+        ("stable(\0)", "can't be read"),
+        ("stable(1j)", "can't be an argument"),
+    ],
+)
+def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None:
+    with pytest.raises(BadQuestion, match=told):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("question", "told"),
+    [
+        ("stabel(milk)", "did you mean stable"),
+        ("__import__('os')", "no query"),
+        ("stable(milc)", "did you mean milk"),
+        ("stable()", "missing a required argument: 'object'"),
+        ("stable(milk, speed=3)", "unexpected keyword argument 'speed'"),
+        ("stable(3)", "expected an Object"),
+        ("visible(milk, no_such_frame)", "no_such_frame"),
+        ("reachable([0, 0], pr2, l_gripper_tool_frame)", "3 finite numbers"),
+    ],
+)
+def test_questions_without_an_answer_say_why(demo_log: Path, question: str, told: str) -> None:
+    with replay.open(demo_log) as log, pytest.raises(replay.ReplayError, match=told):
+        ask(log, first(log, "visible").seq, question)
+    assert not worlds.opened()
+
+
+def test_words_stay_words() -> None:
+    asked = parse("btr.visible(milk, camera=wide, threshold=-0.5, robot=None)")
+    assert asked.query == "visible"
+    assert asked.arguments == (Name("milk"),)
+    assert asked.keywords == {"camera": Name("wide"), "threshold": -0.5, "robot": None}
+
+
+def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path) -> None:
+    """In a process of its own, as people call it: what the engine prints doesn't get among the results."""
+    with replay.open(demo_log) as log:
+        step = str(first(log, "visible").seq)
+    command = [sys.executable, "-m", "replay", "ask", str(demo_log), step, f"visible(milk, {CAMERA})"]
+    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert text.startswith(f"visible(milk, {CAMERA}): yes\n  share")
+    moved = subprocess.run(
+        [*command, "--json", "--move", "milk=-2,0,1,0,0,0,1"], capture_output=True, text=True, check=True
+    )
+    told = json.loads(moved.stdout)
+    assert told["answer"] is False
+    assert told["evidence"]["reason"]
+    assert told["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["35", "stabel(milk)"],
+        ["35", "stable(milk)", "--move", "milk=1,2"],
+        ["35", "stable(milk)", "--move", "nothing=1,2,3"],
+        ["35", "stable(milk)", "--move", "milk=nan,2,3"],
+        ["0"],
+        ["last", "stable(milk)"],
+        ["35", "stable(milk)", "--world", "elsewhere"],
+    ],
+)
+def test_wrong_usage_is_told_on_stderr(
+    demo_log: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["ask", str(demo_log), *arguments]) == 2
+    told = capsys.readouterr()
+    assert not told.out
+    assert told.err.startswith("pycram-replay: ")

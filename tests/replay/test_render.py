@@ -1,0 +1,100 @@
+"""Pictures of any step, without a viewer."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import recorder
+import replay
+from pycram import worlds
+from pycram.bullet_world import BulletWorld, Object
+from recorder.records import Query
+from replay.cli import main
+from replay.render import render
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SMALL = (80, 60)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A red bowl appears at step 2, moves aside at step 3."""
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld():
+        bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 0], color=[1, 0, 0, 1])
+        bowl.set_position([0, 5, 0])
+    return path
+
+
+def red(picture: Image.Image) -> np.ndarray:
+    pixels = np.asarray(picture).astype(int)
+    found: np.ndarray = (pixels[..., 0] > 80) & (pixels[..., 1] < 60) & (pixels[..., 2] < 60)
+    return found
+
+
+def test_it_shows_that_moment_from_that_place(file: Path) -> None:
+    with replay.open(file) as log:
+        there = red(render(log, 2, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL))
+        assert there.mean() > 0.005
+        rows, columns = np.nonzero(there)
+        assert rows.mean() == pytest.approx(30, abs=3)  # in the middle of the picture
+        assert columns.mean() == pytest.approx(40, abs=3)
+        assert red(render(log, 3, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL)).mean() == 0
+        left = red(render(log, 2, eye=(-1, 0, 0.3), target=(0, -0.2, 0), size=SMALL))
+        assert np.nonzero(left)[1].mean() < 30
+        wide = render(log, 2, size=(100, 50))
+    assert wide.size == (100, 50)
+    assert red(wide).any()  # by default it looks at what there is
+    assert not worlds.opened()
+
+
+def test_the_robots_camera_sees_what_the_plan_looked_at(demo_log: Path) -> None:
+    with replay.open(demo_log) as log:
+        step = next(record.seq for record in log.records(Query))  # it looks at the milk
+        picture = np.asarray(render(log, step, camera="wide_stereo_optical_frame", size=(160, 120))).astype(int)
+    middle = picture[45:75, 60:100]
+    blue = (middle[..., 2] > middle[..., 0] + 40).any()  # the print on the carton
+    assert blue
+
+
+def test_what_cant_be_shown_says_so(file: Path, demo_log: Path) -> None:
+    with replay.open(file) as log:
+        with pytest.raises(replay.NoSuchName, match="robot"):
+            render(log, 2, camera="head")
+        with pytest.raises(replay.ReplayError, match="no direction"):
+            render(log, 2, eye=(0, 0, 1), target=(0, 0, 1))
+        with pytest.raises(replay.ReplayError, match="3 finite numbers"):
+            render(log, 2, eye=(0, float("nan"), 1))
+        with pytest.raises(replay.ReplayError, match="pixels"):
+            render(log, 2, size=(0, 10))
+        with pytest.raises(replay.NotRestored):
+            render(log, "last")
+    with replay.open(demo_log) as log, pytest.raises(replay.NoSuchName, match="did you mean wide_stereo"):
+        render(log, 50, camera="wide_stereo_optical")
+
+
+def test_the_verb_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    target = tmp_path / "x.png"
+    asked = ["render", str(file), "2", "-o", str(target), "--from=-1,0,0.3", "--to", "0,0,0", "--size", "80x60"]
+    assert main(asked) == 0
+    assert capsys.readouterr().out == f"{target}\n"
+    assert red(Image.open(target)).any()
+    assert main([*asked, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"step": 2, "file": str(target), "width": 80, "height": 60}
+    for wrong in (
+        ["--size", "big"],
+        ["--from", "1,2"],
+        ["--camera", "head", "--to", "0,0,0"],
+        ["-o", "/no/such/x.png"],
+    ):
+        assert main(["render", str(file), "2", "-o", str(target), *wrong]) == 2
+        told = capsys.readouterr()
+        assert not told.out
+        assert told.err.startswith("pycram-replay: ")

@@ -1,0 +1,261 @@
+"""Worlds as they were: what a user gets back from a recording is what was there."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram import attachments, worlds
+from pycram.bullet_world import BulletWorld, Object
+from pycram.funnel import read
+from recorder import geometry
+from recorder.records import Keyframe, Mutation, OpenWorld
+from replay.ask import ask
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "run.mcap"
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    yield
+    for world in worlds.opened():
+        world.exit()
+
+
+def plan() -> None:
+    """A robot holds a cup on which an apple is held; a drawer with a spoon is open; the bowl falls and is painted."""
+    world = BulletWorld(name="kitchen")
+    world.set_gravity([0, 0, -9.8])
+    Object("floor", "environment", "plane.urdf")
+    robot = Object("pr2", "robot", "pr2.urdf", [0.5, 0.6, 0])
+    kitchen = Object("kitchen", "environment", "kitchen.urdf")
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])
+    bowl = Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1.4])
+    cup = Object("cup", "cup", "cup.stl", [0.8, 0.2, 0.8])
+    apple = Object("apple", "apple", "apple.stl", [0.8, 0.2, 0.9], color=[0, 1, 0, 1])
+    BulletWorld.robot = robot
+    world.simulate(0.1)
+    robot.attach(cup, "l_gripper_tool_frame")
+    cup.attach(apple)
+    kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.3)
+    bowl.set_color([1, 0, 0, 1])
+    robot.set_joint_position("l_shoulder_pan_joint", 0.5)
+    world.simulate(0.1)  # the bowl is falling now
+
+
+def record(file: Path) -> dict[str, object]:
+    with recorder.record(file):
+        plan()
+        world = BulletWorld.current_bullet_world
+        assert world is not None
+        told = everything(world)
+        world.exit()
+    return told
+
+
+def everything(world: BulletWorld) -> dict[str, object]:
+    told: dict[str, object] = {
+        body.name: {
+            "type": body.type,
+            "color": body.color,
+            "numbers": [x for part in (*read(body).pose, *read(body)[1:]) for x in part],
+            "holds": {
+                held.body.name: (held.carrier_link, held.body_link, [*held.pose[0], *held.pose[1]])
+                for held in body.carried
+            },
+        }
+        for body in world.objects
+    }
+    return told | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot and world.robot.name}
+
+
+def assert_near(found: object, wanted: object, where: str = "") -> None:
+    if isinstance(wanted, dict):
+        assert isinstance(found, dict)
+        assert list(found) == list(wanted), where
+        for key, value in wanted.items():
+            assert_near(found[key], value, f"{where}/{key}")
+    elif isinstance(wanted, list | tuple) and wanted and isinstance(wanted[-1], list):
+        for a, b in zip(found, wanted, strict=True):
+            assert_near(a, b, where)
+    elif isinstance(wanted, list):
+        assert found == pytest.approx(wanted, abs=1e-9), where
+    else:
+        assert found == wanted, where
+
+
+def end_of(log: replay.Log) -> int:
+    """The last step at which the world is open."""
+    return max(record.seq for record in log.records(Mutation) if not record.HasField("close_world"))
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_it_reads_back_what_the_live_world_had(file: Path, exact: bool) -> None:
+    wanted = record(file)
+    with replay.open(file) as log:
+        step = end_of(log)
+        world = log.world_at(step, exact=exact)
+    assert world.name == f"kitchen@{step}"
+    assert BulletWorld.current_bullet_world is world
+    assert BulletWorld.robot is world.get_object("pr2")
+    assert_near(everything(world), wanted)
+    if exact:
+        assert everything(world) == wanted
+    apple, cup, robot = (world.get_object(name) for name in ("apple", "cup", "pr2"))
+    robot.set_position([0.4, 0.6, 0])  # the chain follows, each with its recorded relative pose
+    (in_hand,), (on_cup,) = robot.carried, cup.carried
+    hand = robot.get_link_position_and_orientation("l_gripper_tool_frame")
+    place = geometry.multiply(geometry.multiply(hand, in_hand.pose), on_cup.pose)
+    assert apple.get_position() == pytest.approx(place[0], abs=1e-9)
+    world.reset()
+    assert robot.get_position() == [0.5, 0.6, 0.0]
+
+
+def test_it_needs_nothing_but_the_file(file: Path) -> None:
+    """In another process, with all resources and the robot's package out of reach."""
+    record(file)
+    script = """
+import sys
+from pycram import assets
+def gone(*_):
+    raise AssertionError("looked for a model outside of the recording")
+assets.find = assets.resources = gone
+import replay
+with replay.open(sys.argv[1]) as log:
+    world = log.world_at(-3)
+assert world.get_object("apple").carrier.name == "cup"
+world.simulate(0.1)
+"""
+    subprocess.run([sys.executable, "-c", script, str(file)], check=True)
+
+
+def test_the_past_doesnt_disturb_a_plan_that_runs(file: Path) -> None:
+    """Only a world that is handed out is on record, from a keyframe on; pictures and questions leave nothing."""
+    record(file)
+    with BulletWorld(name="now") as now, recorder.record(file.with_name("second.mcap")):
+        with replay.open(file) as log:
+            step = end_of(log)
+            ask(log, step, "stable(bowl)")
+            assert BulletWorld.current_bullet_world is now
+            assert worlds.opened() == (now,)
+            past = log.world_at(step)
+        past.simulate(0.1)
+        past.exit()
+        assert BulletWorld.current_bullet_world is now
+    with replay.open(file.with_name("second.mcap")) as second:
+        told = [(type(r), r.world) for r in second.records((Mutation, Keyframe))]
+        assert told == [
+            (Keyframe, "now"),
+            (Keyframe, f"kitchen@{step}"),
+            (Mutation, f"kitchen@{step}"),
+            (Mutation, f"kitchen@{step}"),
+        ]
+        again = second.world_at(end_of(second), world=f"kitchen@{step}")
+        assert again.get_object("apple").carrier is again.get_object("cup")
+
+
+def test_two_at_once_have_their_own_names(file: Path) -> None:
+    record(file)
+    with replay.open(file) as log:
+        worlds_made = [log.world_at(20) for _ in range(3)]
+    assert [world.name for world in worlds_made] == ["kitchen@20", "kitchen@20 (2)", "kitchen@20 (3)"]
+    worlds_made[0].get_object("bowl").set_position([0, 0, 5])
+    assert worlds_made[1].get_object("bowl").get_position() != [0, 0, 5]
+
+
+def test_steps_without_a_world_say_so(file: Path) -> None:
+    record(file)
+    with replay.open(file) as log:
+        with pytest.raises(replay.NotRestored, match="no world is open then"):
+            log.world_at(0)
+        with pytest.raises(replay.NotRestored, match=r"no world is open then .*kitchen"):
+            log.world_at("last")
+        with pytest.raises(replay.NotRestored, match="kitchen has ended"):
+            log.world_at("last", "kitchen")
+        with pytest.raises(replay.NoSuchName, match="kitchen"):
+            log.world_at(20, "kitchn")
+    assert not worlds.opened()
+
+
+def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> None:
+    with BulletWorld(name="early") as world:
+        Object("bowl", "bowl", "bowl.stl", [0, 0, 1])
+        with recorder.record(file):
+            world.set_gravity([0, 0, -1])
+    with replay.open(file) as log:
+        assert log.world_at(2).gravity == (0, 0, -1)
+        with pytest.raises(replay.NotRestored, match="began before the recording"):
+            log.world_at(2, exact=True)
+
+
+@pytest.mark.slow
+def test_the_future_of_an_exact_world_is_the_originals(demo_log: Path) -> None:
+    """At 20 random steps: two seconds more are the same, bit for bit, as if the original run had gone on."""
+    with replay.open(demo_log) as log:
+        opened = next(record.seq for record in log.records(Mutation) if record.HasField("open_world"))
+        chosen = sorted(random.Random(5).sample(range(opened + 20, end_of(log)), 20))
+        original = Original(log)
+        for step in chosen:
+            original.go_to(step)
+            wanted = original.continued()
+            with log.world_at(step, exact=True) as world:
+                world.simulate_steps(480)
+                assert everything(world) == wanted, f"step {step}"
+
+
+class Original:
+    """The original run, made again by hand with the public methods only, from the recording's commands."""
+
+    def __init__(self, log: replay.Log) -> None:
+        self.log = log
+        self.step = 0
+
+    def go_to(self, step: int) -> None:
+        self.step = step
+
+    def continued(self) -> dict[str, object]:
+        with BulletWorld() as world:
+            for change in self.log.records(Mutation, stop=self.step + 1):
+                self.make(world, change)
+            world.simulate_steps(480)
+            return everything(world)
+
+    @staticmethod
+    def make(world: BulletWorld, change: Mutation) -> None:
+        command = change.WhichOneof("command")
+        told = getattr(change, command)
+        if isinstance(told, OpenWorld):
+            return
+        if command == "load_body":
+            Object(told.body, told.type, told.path, told.position, told.orientation, world, list(told.color) or None)
+        elif command == "set_gravity":
+            world.set_gravity(told.gravity)
+        elif command == "set_robot":
+            world.robot = world.get_object(told.body)
+        elif command == "simulate":
+            world.simulate(told.steps / 240)
+        elif command == "move_body":
+            world.get_object(told.body).set_position(told.position, told.orientation)
+        elif command == "move_joints":
+            world.get_object(told.body).set_joint_positions(dict(zip(told.joints, told.positions, strict=True)))
+        elif command == "attach_body":
+            attachments.attach(
+                world.get_object(told.carrier), world.get_object(told.body), told.carrier_link, told.body_link
+            )
+        elif command == "detach_body":
+            world.get_object(told.body).detach(world.get_object(told.carrier))
+        else:
+            raise AssertionError(command)
