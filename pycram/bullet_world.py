@@ -258,6 +258,7 @@ class BulletWorld(metaclass=CurrentWorld):
 
         Raises:
             BadArgument: neither.
+            Exception: when it is stopped, the first error that a handler of an event raised in that thread.
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None
@@ -324,7 +325,7 @@ class BulletWorld(metaclass=CurrentWorld):
         change.command.simulate.steps = done
 
     def reset(self) -> None:
-        """Puts every object back to where and how it was loaded; attachments end, simulated time goes on."""
+        """Puts every object back to where it was loaded, with its joints; attachments end, time and colours stay."""
         with self.funnel.change(records.Mutation(reset=records.Reset())) as change:
             for body in self.objects:
                 for attachment in list(body.attachments.values()):
@@ -367,14 +368,18 @@ class BulletWorld(metaclass=CurrentWorld):
         """Ends the world at once, its window and its threads; a second call does nothing.
 
         Raises:
-            Exception: the first error of what :meth:`at_exit` was given, when all has ended.
+            Exception: the first error of what :meth:`at_exit` was given or of handlers in real time; all has ended.
         """
         with self.lock:
             if self.closed:
                 return
             self.funnel.query = ""  # a query that dies in an exception can't keep its world from ending
-        if self._clock is not None:
-            self.set_realtime(False)
+        with ExitStack() as ending:
+            ending.callback(self._close)
+            if self._clock is not None:
+                self.set_realtime(False)
+
+    def _close(self) -> None:
         with self.lock, ExitStack() as ending:
             if self.closed:
                 return

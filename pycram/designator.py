@@ -6,7 +6,7 @@ to it. Designators that are equated describe the same thing, over time; they for
 one. A designator is *effective* once it has been referenced, or when it was made to stand for something that was found.
 
 Two designators are ``==`` only if they are one and the same; :meth:`Designator.equal` tells whether they are equated.
-The slots never change, so that a designator may be used by any number of threads.
+The slots never change, so that a designator may be used by any number of threads; lists among them are its own.
 """
 
 from __future__ import annotations
@@ -15,15 +15,13 @@ import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
-
-import numpy as np
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from pycram.branch import Handle, branch_of, unwrap
+from pycram.description import Description, DesignatorError, Value, own, pairs, same
 from pycram.equated import Equated
 from pycram.error_chain import chained
-from pycram.failures import UsageError
 from pycram.resolvers import Resolvers
 from pycram.solutions import Solution, Solutions
 
@@ -32,28 +30,7 @@ if TYPE_CHECKING:
 
     from pycram.claims import Claims
 
-#: Slots as plans write them, and the constraints and properties of the same form.
-Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
-#: What a slot holds, or what a designator stands for: whatever the plan gave.
-Value: TypeAlias = Any
-
-
-class DesignatorError(UsageError):
-    """A designator that can't be resolved: a slot is missing, unknown or wrong.
-
-    Attributes:
-        type: the designator's type, "" if it has none.
-        slot: the slot in question, "" for none.
-        value: what stands there.
-        takes: what such a designator takes.
-    """
-
-    def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
-        super().__init__(f"{problem}\n{takes}" if takes else problem)
-        self.type = type
-        self.slot = slot
-        self.value = value
-        self.takes = takes
+__all__ = ["Designator", "DesignatorError", "MotionDesignator", "Solution"]
 
 
 class Designator(Equated, ABC):
@@ -75,7 +52,7 @@ class Designator(Equated, ABC):
             DesignatorError: the description isn't that.
         """
         super().__init__()
-        self._slots = _pairs(description)
+        self._slots = pairs(description)
         self._lock = threading.RLock()
         self._effective = False
         self._data: Value = None
@@ -88,7 +65,7 @@ class Designator(Equated, ABC):
     @property
     def description(self) -> list[tuple[str, Value]]:
         """The slots as they were given."""
-        return list(self._slots)
+        return list(pairs(self._slots))
 
     def prop_value(self, key: str) -> Value:
         """The value of a slot.
@@ -99,7 +76,7 @@ class Designator(Equated, ABC):
         Returns:
             The value, the result where it is a handle (waits for it); None if there is no such slot.
         """
-        return next((unwrap(value) for name, value in self._slots if name == key), None)
+        return next((own(unwrap(value)) for name, value in self._slots if name == key), None)
 
     def check_constraints(self, properties: Iterable[str | tuple[str, object]]) -> bool:
         """Whether the slots are as asked.
@@ -115,7 +92,9 @@ class Designator(Equated, ABC):
             if isinstance(constraint, str):
                 if self.prop_value(constraint) is None:
                     return False
-            elif not _same(self.prop_value(constraint[0]), constraint[1]):
+                continue
+            ((name, value),) = pairs([constraint])
+            if not same(self.prop_value(name), value):
                 return False
         return True
 
@@ -128,8 +107,8 @@ class Designator(Equated, ABC):
         Returns:
             A dictionary with all of these.
         """
-        pairs = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
-        return {key: unwrap(value) for key, value in pairs}
+        given = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
+        return {key: unwrap(value) for key, value in pairs(given)}
 
     def newest_effective(self) -> Designator | None:
         """The newest effective designator among those equated with this one; None if there is none."""
@@ -172,7 +151,7 @@ class Designator(Equated, ABC):
             self._effective = True
             if self.timestamp is None:
                 self.timestamp = time.time()
-            return solution
+            return own(solution)  # type: ignore[no-any-return]
 
     def next_solution(self) -> Self | None:
         """Another solution.
@@ -211,7 +190,7 @@ class Designator(Equated, ABC):
             The new one.
         """
         slots = list(self._slots)
-        for key, value in _pairs(new_properties or ()):
+        for key, value in pairs(new_properties or ()):
             places = [place for place, (name, _) in enumerate(slots) if name == key]
             for place in places:
                 slots[place] = (key, value)
@@ -351,30 +330,6 @@ class MotionDesignator(Designator):
                 errors.append(error)
         if errors and not found:
             raise chained(errors[-1], errors[:-1])
-
-
-def _pairs(description: Description) -> tuple[tuple[str, object], ...]:
-    problem = DesignatorError(
-        "a designator is described by a list of (name, value) pairs, such as "
-        f"[('type', 'looking'), ('target', [1, 0, 1])]; not by {description!r}",
-        value=description,
-    )
-    if isinstance(description, str):
-        raise problem
-    try:
-        pairs = tuple(description.items() if isinstance(description, Mapping) else map(tuple, description))
-        slots = tuple((name, value) for name, value in pairs)
-    except (TypeError, ValueError) as error:
-        raise problem from error
-    if not all(isinstance(name, str) for name, _ in slots):
-        raise problem
-    return slots
-
-
-def _same(left: Value, right: Value) -> bool:
-    if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
-        return bool(np.array_equal(left, right))
-    return bool(left == right)
 
 
 def unfinished(designator: Designator) -> list[str]:

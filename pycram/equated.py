@@ -9,6 +9,8 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
+from pycram.failures import BadArgument
+
 if TYPE_CHECKING:
     from typing_extensions import Self
 
@@ -27,7 +29,12 @@ class Equated:
 
         Args:
             other: any; nothing happens if they are equated already.
+
+        Raises:
+            BadArgument: it is something else.
         """
+        if not isinstance(other, Equated):
+            raise BadArgument("other", other, "something to equate with, such as a designator")
         with _lock:
             own, theirs = self._chain, other._chain
             if own is theirs:
@@ -46,7 +53,7 @@ class Equated:
     def equal(self, other: Self) -> bool:
         """Whether another one is equated with this one."""
         with _lock:
-            return self._chain is other._chain
+            return isinstance(other, Equated) and self._chain is other._chain
 
     def first(self) -> Self:
         """The oldest of those that are equated with this one."""

@@ -179,13 +179,14 @@ class Object:
         )
 
     def get_joint_id(self, name: str) -> int:
-        """PyBullet's index of a movable joint.
+        """PyBullet's index of a joint, movable or fixed.
 
         Raises:
             UnknownName: there is no such joint.
         """
-        self.check_joint(name)
-        return self.handle.joints[name].index
+        if checks.text("joint", name) not in self.urdf.joints:
+            raise UnknownName("joint", name, self.name, self.urdf.joints)
+        return self.handle.links[self.urdf.joints[name].child]  # PyBullet's joints and their child links share numbers
 
     def get_link_id(self, name: str) -> int:
         """PyBullet's index of a link; -1 is the base link.

@@ -6,7 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Final
 
-from pycram.failures import UsageError
+from pycram.failures import ChangeRefused, UsageError
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
@@ -25,6 +25,7 @@ class RealtimeClock:
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._stop = threading.Event()
+        self._error: BaseException | None = None
         # not a daemon's: exit() of the world ends it; daemon so that a plan that forgets to exit can end all the same
         self._thread = threading.Thread(target=self._run, name=f"{world.name} realtime", daemon=True)
 
@@ -33,10 +34,17 @@ class RealtimeClock:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stops and waits for the stretch that is being simulated; never call it with the world's lock held."""
+        """Stops and waits for the stretch that is being simulated; never call it with the world's lock held.
+
+        Raises:
+            Exception: the first error that a handler of an event raised in the clock's thread, where nobody could
+                catch it.
+        """
         self._stop.set()
         if self._thread is not threading.current_thread():
             self._thread.join()
+        if self._error is not None:
+            raise self._error
 
     def _run(self) -> None:
         due = time.monotonic()
@@ -44,6 +52,16 @@ class RealtimeClock:
             due = max(due + _FRAME, time.monotonic() - _MOST_BEHIND)
             try:
                 self._world.simulate(_FRAME)
-            except UsageError:  # a query refuses changes for a moment, or the world has ended
+            except UsageError as error:
                 if self._world.closed:
                     return
+                if not isinstance(error, ChangeRefused):  # which a query does for a moment
+                    self._keep(error)
+            except Exception as error:  # noqa: BLE001  of a handler: time goes on
+                self._keep(error)
+
+    def _keep(self, error: Exception) -> None:
+        """Tells the first error at once, and keeps it for who stops the clock."""
+        if self._error is None:
+            self._error = error
+            threading.excepthook(threading.ExceptHookArgs((type(error), error, error.__traceback__, self._thread)))

@@ -126,8 +126,8 @@ def _plain(value: object) -> object:
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
-    name = getattr(value, "__qualname__", None)
-    return {"callable": f"{value.__module__}.{name}"} if name else {"repr": repr(value)}
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    return {"callable": f"{module}.{name}"} if module and name else {"repr": repr(value)}
 
 
 def _finite(value: float) -> object:
@@ -172,12 +172,20 @@ def to_json(value: object) -> str:
 
     Args:
         value: what a user gave. Arrays become lists, recordable objects what they say of themselves, anything unknown
-            ``{"repr": ...}``.
+            ``{"repr": ...}``, and what can't even be told ``{"untold": type, "because": ...}``: recording never breaks
+            a plan.
 
     Returns:
         JSON text.
     """
-    return json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+    try:
+        text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+        text.encode()  # a lone surrogate can't be
+    except UnicodeEncodeError:
+        return json.dumps(_plain(value), separators=(",", ":"))
+    except Exception as error:  # noqa: BLE001  the user's own __repr__ and __record__, and lists that hold themselves
+        return json.dumps({"untold": type(value).__qualname__, "because": f"{type(error).__name__}: {error}"})
+    return text
 
 
 def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:

@@ -6,6 +6,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
+from pycram.failures import BadArgument
 
 
 def looking(**more: object) -> MotionDesignator:
@@ -90,3 +91,34 @@ def test_errors_say_what_the_designator_takes(slots: list[tuple[str, object]], t
     with pytest.raises(DesignatorError, match=told) as raised:
         MotionDesignator(slots).reference()
     assert raised.value.takes
+
+
+def test_slots_and_solutions_belong_to_the_designator_alone() -> None:
+    target = [1.0, 0.0, 0.0]
+    designator = MotionDesignator([("type", "moving"), ("target", target), ("orientation", [0, 0, 0, 1])])
+    target[0] = 9.0
+    assert designator.prop_value("target") == [1.0, 0.0, 0.0]
+    designator.prop_value("target")[0] = 9.0
+    solution = designator.reference()
+    solution["target"][0] = 9.0
+    assert designator.reference()["target"] == [1.0, 0.0, 0.0]
+    assert designator.copy().reference()["target"] == [1.0, 0.0, 0.0]
+
+
+def test_a_value_that_can_t_even_be_printed_is_a_value() -> None:
+    class Shy:
+        def __repr__(self) -> str:
+            raise ZeroDivisionError
+
+    shy = Shy()
+    endless: list[object] = []
+    endless.append(endless)
+    designator = MotionDesignator([("type", "x"), ("shy", shy), ("endless", endless)])
+    assert designator.prop_value("shy") is shy
+    assert len(designator.prop_value("endless")) == 1
+
+
+def test_only_designators_are_equated() -> None:
+    with pytest.raises(BadArgument, match="equate"):
+        MotionDesignator([("type", "x")]).equate("x")
+    assert not MotionDesignator([("type", "x")]).equal(None)

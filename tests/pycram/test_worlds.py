@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import os
+import queue
 import threading
 
 import psutil
@@ -262,6 +263,32 @@ def test_real_time_runs_and_stops(world: BulletWorld) -> None:
     world.set_realtime(True)
     world.exit()
     assert not [thread for thread in threading.enumerate() if "realtime" in thread.name]
+
+
+def test_an_error_of_a_handler_in_real_time_is_told_and_time_goes_on(
+    scene: BulletWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[type[BaseException]] = []
+    monkeypatch.setattr(threading, "excepthook", lambda hook: told.append(hook.exc_type))
+    calls = queue.Queue[str]()
+
+    def fail(body: Object) -> None:
+        calls.put(body.name)
+        raise ZeroDivisionError
+
+    manipulated = scene.get_manipulation_event()
+    manipulated += fail
+    scene.set_realtime(True)
+    scene.set_gravity([-1e4, 0.0, 0.0])  # the drawers slide out, whatever holds them
+    assert calls.get(timeout=20) == "kitchen"
+    while not calls.empty():
+        calls.get()
+    scene.set_gravity([1e4, 0.0, 0.0])  # and in again, as time goes on
+    assert calls.get(timeout=20) == "kitchen"
+    with pytest.raises(ZeroDivisionError):
+        scene.set_realtime(False)
+    assert told == [ZeroDivisionError]
+    assert not scene.realtime
 
 
 def test_a_change_inside_a_query_is_refused(world: BulletWorld) -> None:

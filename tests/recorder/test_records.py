@@ -57,6 +57,20 @@ def test_objects_functions_and_the_unknown() -> None:
     assert json.loads(to_json(Odd())) == {"repr": "<odd>"}
 
 
+def test_whatever_a_plan_hands_over_recording_it_never_fails() -> None:
+    class Broken:
+        def __repr__(self) -> str:
+            raise ZeroDivisionError
+
+    endless: list[object] = []
+    endless.append(endless)
+    assert json.loads(to_json(Broken()))["because"].startswith("ZeroDivisionError")
+    assert json.loads(to_json(endless))["untold"] == "list"
+    assert "generator" in json.loads(to_json(x for x in "ab"))["repr"]
+    assert json.loads(to_json("a\ud800")) == "a\ud800"
+    to_json("a\ud800").encode()
+
+
 def test_failures_carry_their_data() -> None:
     with pytest.raises(JointLimitError) as caught:
         raise JointLimitError("pr2", "torso_lift_joint", 2.0, 0.0, 0.33)
