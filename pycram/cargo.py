@@ -1,7 +1,7 @@
 """What moves along: things that an object carries, and things that lie on or in a drawer.
 
-Attachments are followed through chains. A thing rides on a moving link if it rests on it or lies inside of it, or
-rests on something that rides.
+Attachments are followed through chains. A thing rides on a moving link if it rests on it or was put just above its
+floor, or rests on something that rides.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from recorder.urdf import Urdf
 
 _GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
+_DROP: Final = 0.03  # m that something put into a drawer may hang over its floor
 _UPWARD: Final = 0.5  # of a normal's length: steeper contacts don't carry
 
 
@@ -77,8 +78,9 @@ def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
                 continue
             at = engine.pose(body.handle)[0]
             inside = all(low <= x <= high for low, x, high in zip(lower, at, upper, strict=True))
-            touches = engine.link_touches(container.handle, link, body.handle, _GAP)
-            if inside or any(touch.normal[2] < -_UPWARD for touch in touches):
+            gap = _DROP if inside else _GAP
+            touches = engine.link_touches(container.handle, link, body.handle, gap)
+            if any(touch.normal[2] < -_UPWARD for touch in touches):
                 found[body] = link
     queue = list(found)
     while queue:

@@ -240,6 +240,38 @@ class InCollision(PlanFailure):
         self.bodies = list(bodies)
 
 
+class NotDrivable(PlanFailure):
+    """A base can't stand there: it drives on its ground, and upright.
+
+    Attributes:
+        position: xyz of the refused base pose in m.
+        orientation: xyzw of the refused base pose.
+        reason: why not.
+    """
+
+    def __init__(self, position: Sequence[float], orientation: Sequence[float], reason: str) -> None:
+        where = ", ".join(f"{x:.3f}" for x in position)
+        super().__init__(f"the robot can't drive to [{where}]: {reason}; it stays where it is")
+        self.position = [float(x) for x in position]
+        self.orientation = [float(x) for x in orientation]
+        self.reason = reason
+
+
+class PostureInCollision(PlanFailure):
+    """Arms would touch something in a posture that they don't touch now.
+
+    Attributes:
+        arms: names of the arms.
+        bodies: names of what they would touch.
+    """
+
+    def __init__(self, arms: Sequence[str], bodies: Sequence[str]) -> None:
+        told = " and ".join(arms)
+        super().__init__(f"in that posture the {told} arm would touch {', '.join(bodies)}; it stays where it is")
+        self.arms = list(arms)
+        self.bodies = list(bodies)
+
+
 class LookingFailed(PlanFailure):
     """The head can't turn the camera to the target.
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.failures import BadArgument, GraspFailed, PlaceFailed, Unreachable
+from pycram.failures import BadArgument, GraspFailed, PlaceFailed, PostureInCollision, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
 from pycram.reasoning import grasps, grip, placing, reach, rehearsal
+from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.designator import Designator
     from pycram.objects import Object
@@ -32,17 +33,23 @@ class MoveJoints(SimulatedModule):
         robot = self.robot()
         description = self.description(robot)
         positions: dict[str, float] = {}
+        moved: list[str] = []
         for name, arm in description.arms.items():
             wanted = solution.get(f"{name}-arm")
             if wanted is None:
                 continue
+            moved.append(name)
             if isinstance(wanted, str):
                 positions |= arm.posture(wanted)
             elif len(wanted) != len(arm.joints):
                 raise BadArgument(f"{name}-arm", wanted, f"{len(arm.joints)} joint values")
             else:
                 positions |= dict(zip(arm.joints, wanted, strict=True))
-        robot.set_joint_positions(positions)
+        with robot.world.lock:
+            touched = _newly_touched(robot, positions)
+            if touched:
+                raise PostureInCollision(moved, touched)
+            robot.set_joint_positions(positions)
 
 
 class MoveTCP(SimulatedModule):
@@ -54,10 +61,29 @@ class MoveTCP(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
         with robot.world.lock:
-            way = reach.postures(robot, arm.tool_frame, target, solution.get("orientation"))[0]
-            if not way.reached(reach.THRESHOLD):
-                raise Unreachable(arm.name, target, way.posture.position_error)
-            robot.set_joint_positions(way.posture.positions)
+            ways = reach.postures(robot, arm.tool_frame, target, solution.get("orientation"), thorough=True)
+            if not ways[0].reached(reach.THRESHOLD):
+                raise Unreachable(arm.name, target, ways[0].posture.position_error)
+            touched: list[str] = []
+            for way in ways:
+                if way.reached(reach.THRESHOLD):
+                    touched = _newly_touched(robot, way.posture.positions)
+                    if not touched:
+                        robot.set_joint_positions(way.posture.positions)
+                        return
+            raise Unreachable(arm.name, target, None, f"{', '.join(touched)} would be in the way")
+
+
+def _newly_touched(robot: Object, positions: Mapping[str, float]) -> list[str]:
+    """Names of what a robot would touch in a posture, but for what it touches already, as on purpose."""
+    now = robot.get_joint_positions()
+    with Rehearsal(robot, positions) as rehearsal:
+        rehearsal.take(positions)
+        touched = rehearsal.touched()
+        if not touched:
+            return []
+        rehearsal.take({name: now[name] for name in positions})
+        return sorted(other.name for other in touched.keys() - rehearsal.touched().keys())
 
 
 class PickUp(SimulatedModule):

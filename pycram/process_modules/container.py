@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from pycram import cargo
 from pycram.failures import AccessFailed, BadArgument, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
 from pycram.reasoning import reach
+from pycram.reasoning.rehearsal import DEPTH, Rehearsal
+from pycram.reasoning.twin import twin
 from recorder import geometry
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
     from pycram.designator import Designator
     from pycram.objects import Object
-    from pycram.robots.description import Arm
+    from pycram.robots.description import Arm, Gripper
     from recorder.geometry import Pose
 
 _STRIDE: Final = 0.1  # m or rad between the postures on the way
@@ -32,6 +36,9 @@ class Accessing(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         container, joint, handle = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
         with robot.world.lock:
+            held = next((held.body.name for held in robot.carried if held.carrier_link == arm.tool_frame), None)
+            if held is not None:
+                raise AccessFailed(joint, f"the {arm.name} gripper holds {held}")
             start = container.get_joint_position(joint)
             container.check_link(handle)
             if handle not in cargo.moved_links(container.urdf, [joint]):
@@ -43,6 +50,14 @@ class Accessing(SimulatedModule):
             steps = max(1, math.ceil(abs(end - start) / _STRIDE))
             values = [start + (end - start) * i / steps for i in range(steps + 1)]
             postures = self._plan(robot, arm, container, joint, handle, values)
+            blockers = sorted(
+                {
+                    body.name
+                    for body in (*_hit(robot, arm, container, joint, postures), *_swept(container, joint, values))
+                }
+            )
+            if blockers:
+                raise AccessFailed(joint, f"{', '.join(blockers)} would be in the way")
             robot.set_joint_positions(arm.gripper.positions("open"))
             robot.set_joint_positions(postures[0])
             robot.set_joint_positions(arm.gripper.positions("close"))
@@ -55,7 +70,7 @@ class Accessing(SimulatedModule):
     def _plan(
         robot: Object, arm: Arm, container: Object, joint: str, handle: str, values: list[float]
     ) -> list[dict[str, float]]:
-        grip = _grip(robot, container, handle)
+        grip = _grip(robot, arm.gripper, container, handle)
         link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), grip)
         postures: list[dict[str, float]] = []
         now = container.get_joint_positions()
@@ -72,13 +87,51 @@ class Accessing(SimulatedModule):
         return postures
 
 
-def _grip(robot: Object, container: Object, handle: str) -> Pose:
-    """Pose of the tool at a handle: from the front, the fingers across the bar."""
+def _hit(
+    robot: Object, arm: Arm, container: Object, joint: str, postures: Sequence[Mapping[str, float]]
+) -> Iterator[Object]:
+    """What the arm would touch on the way, but for what it opens."""
+    moved = set(cargo.moved_links(container.urdf, [joint]))
+    opened = arm.gripper.positions("open")
+    with Rehearsal(robot, [*arm.joints, *opened]) as rehearsal:
+        for posture in postures:
+            rehearsal.take({**posture, **opened})
+            for body, told in rehearsal.touched().items():
+                if body is not container or not moved.issuperset(cast("list[str]", told["by"])):
+                    yield body
+
+
+def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[Object]:
+    """What a drawer or door would push away when it opens; what lies in it moves along."""
+    moved = cargo.moved_links(container.urdf, [joint])
+    riding = cargo.riders(container, moved)
+    copy = twin(container.world, "reach")
+    bodies = copy.sync()
+    engine, opening = copy.engine, bodies[container.name]
+    others = [
+        body for body in container.world.objects if not body.fixed and body not in riding and body.carrier is None
+    ]
+    try:
+        for value in values[1:]:
+            engine.pose_joints(opening, {joint: value})
+            for body in others:
+                touches = (touch for link in moved for touch in engine.link_touches(opening, link, bodies[body.name]))
+                if any(touch.distance < -DEPTH for touch in touches):
+                    yield body
+    finally:
+        copy.disturbed(container.name)
+
+
+def _grip(robot: Object, gripper: Gripper, container: Object, handle: str) -> Pose:
+    """Pose of the tool at a handle: from the front, the fingers across the bar, the palm before it."""
     low, high = container.get_AABB(handle)
     tool = reach.approach("front", robot)
+    forward = geometry.rotate(tool, (1.0, 0.0, 0.0))
+    half = sum(abs(f) * (b - a) for f, a, b in zip(forward, low, high, strict=True)) / 2
     _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
     across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])
     if across > high[2] - low[2]:  # a bar that lies
         tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
-    x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
+    back = max(half - gripper.depth, 0.0)
+    x, y, z = ((a + b) / 2 - back * f for a, b, f in zip(low, high, forward, strict=True))
     return (x, y, z), tool

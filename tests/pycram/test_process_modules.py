@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import process_module
+from pycram.bullet_world import Object
 from pycram.designator import MotionDesignator
 from pycram.failures import (
     AccessFailed,
@@ -16,8 +17,10 @@ from pycram.failures import (
     GraspFailed,
     InCollision,
     LookingFailed,
+    NotDrivable,
     PerceptionError,
     PlaceFailed,
+    PostureInCollision,
     Unreachable,
 )
 from pycram.language import State, par
@@ -26,7 +29,7 @@ from recorder import geometry
 from recorder.records import Task
 
 if TYPE_CHECKING:
-    from pycram.bullet_world import BulletWorld, Object
+    from pycram.bullet_world import BulletWorld
     from tests.conftest import MemorySink
 
 DRAWER = "sink_area_left_upper_drawer_main_joint"
@@ -222,3 +225,70 @@ def test_designators_that_no_module_takes(scene: BulletWorld) -> None:
             assert perform(type="dancing") == "danced"
             with pytest.raises(NoProcessModule, match="ballroom"):
                 perform(type="opening-gripper", gripper="left")
+
+
+def test_a_drawer_doesn_t_open_against_what_stands_before_it_or_with_a_full_hand(scene: BulletWorld) -> None:
+    kitchen, milk, robot = scene.get_object("kitchen"), scene.get_object("milk"), scene.robot
+    slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
+    x, y, z = kitchen.get_link_position(HANDLE)
+    pot = Object("pot", "pot", "pot.stl", [x - 0.1, y, z])
+    before = snapshot(scene)
+    with pytest.raises(AccessFailed, match="pot would be in the way"):
+        perform(**slots, distance=0.3)
+    assert snapshot(scene) == before
+    pot.remove()
+    robot.attach(milk, "l_gripper_tool_frame")
+    before = snapshot(scene)
+    with pytest.raises(AccessFailed, match="holds milk"):
+        perform(**slots, distance=0.3)
+    assert snapshot(scene) == before
+
+
+def test_the_palm_stays_before_the_handle(scene: BulletWorld) -> None:
+    kitchen, robot = scene.get_object("kitchen"), scene.robot
+    slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
+    deepest: list[float] = []
+
+    def look(_: Object) -> None:
+        touches = scene.engine.link_touches(robot.handle, "l_gripper_palm_link", kitchen.handle, 0.05)
+        deepest.extend(touch.distance for touch in touches if touch.link_b == HANDLE)
+
+    manipulated = scene.get_manipulation_event()
+    manipulated += look
+    perform(**slots, distance=0.3)
+    assert deepest
+    assert min(deepest) > -1e-3
+
+
+def test_what_only_hangs_beside_a_door_isn_t_dragged_along(scene: BulletWorld) -> None:
+    kitchen = scene.get_object("kitchen")
+    door = "sink_area_dish_washer_door_joint"
+    kitchen.set_joint_position(door, 0.75)
+    low, high = kitchen.get_AABB("sink_area_dish_washer_door")
+    cup = Object("cup", "cup", "cup.stl", [low[0] + 0.03, (low[1] + high[1]) / 2, low[2] + 0.05])
+    assert all(a < x < b for a, x, b in zip(low, cup.get_position(), high, strict=True))
+    lay = cup.get_position()
+    kitchen.set_joint_position(door, 0.0)
+    assert cup.get_position() == lay
+
+
+def test_arms_don_t_go_into_furniture(scene: BulletWorld) -> None:
+    before = snapshot(scene)
+    with pytest.raises(Unreachable, match="kitchen"):
+        perform(type="move-tcp", target=[1.3, 0.9, 0.7], arm="left")
+    with pytest.raises(PostureInCollision, match="left arm would touch kitchen"):
+        perform(**{"type": "move-arm-joints", "left-arm": [0, 0.6, 0, -0.3, 0, -0.2, 0]})
+    assert snapshot(scene) == before
+
+
+@pytest.mark.parametrize(
+    ("target", "orientation", "told"),
+    [([0, 0, 3], [0, 0, 0, 1], "leave the ground"), ([-0.3, -3, 0], [0.7, 0, 0, 0.7], "lean over by 90")],
+)
+def test_a_base_drives_on_its_ground(
+    scene: BulletWorld, target: list[float], orientation: list[float], told: str
+) -> None:
+    before = snapshot(scene)
+    with pytest.raises(NotDrivable, match=told):
+        perform(type="moving", target=target, orientation=orientation)
+    assert snapshot(scene) == before
