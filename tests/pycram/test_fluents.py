@@ -505,6 +505,23 @@ def test_a_cancelled_branch_leaves_its_wait_at_once(kind: str) -> None:
     fluent.set_value(3)
 
 
+def test_a_wait_ends_in_time_or_when_cancelled_however_often_the_value_changes() -> None:
+    fluent = Fluent(0)
+    looked = threading.Event()
+
+    def another(value: int) -> None:
+        fluent.set_value(value + 1)
+        if value > 100:
+            looked.set()
+
+    restless = network(another, fluent)
+    assert restless.wait_for(timeout=0.01) is False
+    running = Running(restless.wait_for)
+    assert looked.wait(PATIENCE)
+    running.scope.cancel()
+    assert isinstance(running.end(), Cancelled)
+
+
 def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
     fluent = Fluent(1)
     scope = Scope()
