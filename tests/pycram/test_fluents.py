@@ -10,6 +10,7 @@ import itertools
 import json
 import math
 import operator
+import signal
 import threading
 from contextlib import contextmanager
 from operator import itemgetter
@@ -546,6 +547,18 @@ def test_an_old_values_finalizer_may_use_fluents() -> None:
     assert told.get_value() == 1
 
 
+def test_ctrl_c_ends_a_wait() -> None:
+    fluent = Fluent()
+    main = threading.get_ident()
+    looked = threading.Event()
+    watched = network(lambda value: (looked.set(), value)[1], fluent)
+    running = Running(lambda: looked.wait(PATIENCE) and signal.pthread_kill(main, signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        watched.wait_for(PATIENCE)
+    running.end()
+    assert not fluent.term.watchers
+
+
 # --- leaks -------------------------------------------------------------------------------------------------------------
 
 
@@ -818,6 +831,24 @@ def test_a_change_that_cant_be_recorded_isnt_made() -> None:
         journal.close_journal(log)
     assert fluent.get_value() == 1
     assert pulsed.get_value() is None
+
+
+def test_values_are_not_told_while_nothing_is_recorded(request: pytest.FixtureRequest) -> None:
+    told = []
+
+    class Value:
+        def __record__(self) -> str:
+            told.append(self)
+            return "told"
+
+    fluent = Fluent(Value())
+    fluent.set_value(Value())
+    fluent.pulse()
+    assert fluent.wait_for()
+    assert not told
+    sink: MemorySink = request.getfixturevalue("sink")
+    fluent.set_value(1)
+    assert [(one.before_json, one.after_json) for one in sink.of(FluentRecord)] == [('"told"', "1")]
 
 
 def test_values_stand_in_records_as_they_were_when_set(sink: MemorySink) -> None:
