@@ -782,6 +782,8 @@ def test_every_change_is_on_record_and_comes_back_from_the_file(
         assert cause.WhichOneof("command") == "move_body"
         waits = [one for one in log.records(Task) if isinstance(one, Task) and one.kind == "wait"]
         assert [one.name for one in waits] == ["battery < 20"] * 2
+        assert [(told.name, json.loads(told.json)) for told in waits[0].parameters][1:] == [("timeout", PATIENCE)]
+        assert waits[0].parameters[0].name == "battery"
         assert json.loads(waits[1].result_json) is True
         assert log.counts()["fluent"] == 4
         step = told[3].seq
