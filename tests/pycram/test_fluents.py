@@ -535,6 +535,25 @@ def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
             next(whenever(fluent))
 
 
+def test_a_block_that_is_broken_off_takes_what_waits_in_it_along() -> None:
+    battery, charged = Fluent(100, "battery"), Fluent(0)
+    threads = threading.active_count()
+
+    def charge() -> None:
+        battery.set_value(100)
+        charged.set_value(charged.get_value() + 1)
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(whenever, battery < 20, charge)
+        s((battery < 0).wait_for)
+        for times in range(1, 4):
+            battery.set_value(10)
+            assert (charged == times).wait_for(PATIENCE)
+        raise KeyboardInterrupt
+    assert threading.active_count() == threads
+    assert not battery.term.watchers
+
+
 def test_an_old_values_finalizer_may_use_fluents() -> None:
     fluent, told = Fluent(), Fluent(0)
 
