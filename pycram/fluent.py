@@ -157,8 +157,8 @@ class Fluent:
         """
         limit = None if timeout is None else checks.number("timeout", timeout)
         state = self.term.state()
-        values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
-        with span("wait", self.name, {"timeout": limit, "values": values}) as task:
+        found_there = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
+        with span("wait", self.name, found_there | ({} if limit is None else {"timeout": limit})) as task:
             task.result = found = first_value(self.term, limit) is not None
             return found
 

@@ -61,7 +61,7 @@ class Watch:
             timeout: in seconds from now; None to go on for ever.
 
         Yields:
-            Each state, until the time is up.
+            Each state until the time is up, however fast they come.
 
         Raises:
             Cancelled: the branch has been told to stop.
@@ -69,12 +69,14 @@ class Watch:
         limit = None if timeout is None else min(timeout, threading.TIMEOUT_MAX)
         end = None if limit is None else time.monotonic() + limit
         while True:
-            checkpoint()
-            while self._states:
+            late = end is not None and time.monotonic() >= end
+            for _ in range(len(self._states)):
+                checkpoint()
                 yield self._states.popleft()
-            left = None if end is None else max(0.0, end - time.monotonic())
-            if not wait(self._news, lambda: bool(self._states), left):
+            if late:
                 return
+            left = None if end is None else max(0.0, end - time.monotonic())
+            wait(self._news, lambda: bool(self._states), left)
 
 
 def first_value(term: Term, timeout: float | None = None) -> Value:
