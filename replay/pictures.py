@@ -40,7 +40,7 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files = []
-        robot = next((thing.body for thing in found.things if thing.distance is None), None)
+        robot = next((thing.body for thing in found.things if thing.robot), None)
         camera = camera_of(robot) if robot is not None else None
         if camera is not None:
             files.append(folder / f"step_{found.step}_robot.png")
