@@ -241,6 +241,8 @@ class Log:
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which it notes
                 _ = self.assets[name]
+        if not self.missing:
+            self._index.check()
         return self.missing
 
     def lost(self) -> list[range]:
@@ -307,7 +309,7 @@ def _check_ours(path: Path, index: Index) -> None:
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
         raise NotALog(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
-    if index.channels or (index.closed and index.whole):
+    if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
+from replay.outlet import results_only
 from replay.pictures import write_pictures
 from replay.plain import plain_record
 from replay.steps import HINT
@@ -61,7 +62,8 @@ def _pictures(log: Log, found: Why, folder: str | None) -> tuple[list[str], str]
     if found.failure is None:
         return [], "nothing failed"
     try:
-        return [str(path) for path in write_pictures(log, found, Path(folder))], ""
+        with results_only():
+            return [str(path) for path in write_pictures(log, found, Path(folder))], ""
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
         return [], f"{type(error).__name__}: {error}"
 

@@ -14,7 +14,6 @@ from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.span import span
 
-
 CARTON = str(Path(__file__).with_name("carton.stl"))
 
 
