@@ -32,7 +32,7 @@ from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER: Final = HEADER + 20
@@ -226,6 +226,7 @@ class Index:
                 self._data_end = at
                 self.closed = True
                 self.whole = self._ends_well(place, size)
+                self._learn_from_summary(place.offset + place.length, size)
                 at = size
                 break
             beyond = place.offset + length > size
@@ -251,6 +252,25 @@ class Index:
         end = self._file.read(_FOOTER + len(MAGIC))
         whole = end.endswith(MAGIC) and len(end) == _FOOTER + len(MAGIC) and end[HEADER : HEADER + 8] == b"\0" * 8
         return whole and self._file.tell() == size
+
+    def _learn_from_summary(self, at: int, size: int) -> None:
+        """Learns channels whose definitions are lost: the summary repeats them, also where its places are wrong."""
+        while at + HEADER <= size:
+            self._file.seek(at)
+            opcode, length = _LENGTH.unpack(self._file.read(HEADER))
+            place = Place(at + HEADER, length)
+            at = place.offset + length
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
+                return
+            try:
+                told = (Schema if opcode == Opcode.SCHEMA else Channel).read(
+                    ReadDataStream(io.BytesIO(self.read(place)))
+                )
+            except DAMAGE:
+                return
+            known: Container[int] = self.schemas if isinstance(told, Schema) else self.channels
+            if told.id not in known:
+                self._learn(told)
 
     def _is_damaged(self, opcode: int, place: Place, size: int) -> bool:
         """Whether a record that reaches beyond the end has a wrong head, rather than being cut."""

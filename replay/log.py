@@ -247,7 +247,8 @@ class Log:
 
     def lost(self) -> list[range]:
         """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
-        if not self._chunks.hurt and not self._lost:
+        sound = self._index.whole or (not self._index.closed and not self._index.damage)
+        if sound and not self._chunks.hurt and not self._lost:
             return []
         found = []
         expected = 0
