@@ -5,7 +5,7 @@ package's own writer takes an object and a dozen calls for each message, three t
 of ours is two or three messages.
 
 Only what a recording needs is there: every message is in a chunk, every chunk is compressed with Zstandard and has a
-CRC and message indexes, and the summary indexes all.
+CRC and message indexes, the summary indexes all, and all bytes before it have a CRC too.
 """
 
 from __future__ import annotations
@@ -57,6 +57,7 @@ class McapWriter:
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file
         self._at = 0
+        self._crc = 0  # of all that was written
         self._compressor = zstandard.ZstdCompressor()
         self._chunk: list[bytes] = []
         self._chunk_size = 0
@@ -218,7 +219,7 @@ class McapWriter:
     def finish(self) -> None:
         """Writes the summary; nothing can be added then."""
         self.flush()
-        self._write(_packed(DataEnd(data_section_crc=0)))  # 0: each chunk has its own
+        self._write(_packed(DataEnd(data_section_crc=self._crc)))
         summary_start = self._at
         groups: list[tuple[int, Sequence[McapRecord]]] = [
             (Opcode.SCHEMA, self._schemas),
@@ -263,6 +264,7 @@ class McapWriter:
     def _write(self, packed: bytes) -> None:
         self._file.write(packed)
         self._at += len(packed)
+        self._crc = zlib.crc32(packed, self._crc)
 
 
 def _packed(record: McapRecord) -> bytes:

@@ -85,9 +85,12 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
 
     try:
         with open_log(options.log) as log:
-            code: int = verb.run(log, options)
+            try:
+                code: int = verb.run(log, options)
+            except ReplayError as error:
+                code = _complain(str(error), INCOMPLETE if log.missing or isinstance(error, Damaged) else USAGE)
             missing = log.missing
-    except (Damaged, Unreadable) as error:
+    except Unreadable as error:
         return _complain(str(error), INCOMPLETE)
     except ReplayError as error:
         return _complain(str(error), USAGE)

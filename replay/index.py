@@ -15,18 +15,30 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import AttachmentIndex, Channel, Chunk, Footer, Message, Metadata, MetadataIndex, Schema, Statistics
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    Footer,
+    Header,
+    Message,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _FOOTER: Final = HEADER + 20
 _LIMIT: Final = 1 << 32  # no honest record is longer
 _LENGTH: Final = struct.Struct("<BQ")
+_DATA_END: Final = HEADER + 4
 _CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
 _BLOCK: Final = 1 << 20
 #: Stands in the head of each compressed chunk: by this the next one is found behind a damaged part.
@@ -50,6 +62,7 @@ class Index:
         metadata: what the recorder said, by name of the metadata.
         counts: messages of each channel; of a file that was cut, in all whole chunks.
         torn: bytes at the end that are no whole record, or not yet.
+        library: what wrote the file, by its own words; "" if that is damaged.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -71,7 +84,9 @@ class Index:
         self.counts: defaultdict[int, int] = defaultdict(int)
         self.torn = 0
         self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
+        self._data_end = 0  # where the record that ends the data begins; 0 if there is none
         self._decoded = -1  # the chunk whose messages were counted by decoding it
+        self.library = self._read_library()
         try:
             self._read_summary()
         except DAMAGE:
@@ -101,6 +116,34 @@ class Index:
         stream, length = get_chunk_data_stream(chunk, validate_crc=True)
         return stream.read(length)
 
+    def check(self) -> None:
+        """Compares the sum of all bytes with that which the file tells, and notes in ``damage`` if it is another.
+
+        It finds what nothing else does: wrong bytes in parts that are not needed for reading.
+        """
+        if not self._data_end:
+            return
+        self._file.seek(0)
+        crc, left = 0, self._data_end
+        while left and (block := self._file.read(min(left, _BLOCK))):
+            crc = zlib.crc32(block, crc)
+            left -= len(block)
+        end = self._file.read(_DATA_END)
+        told = int.from_bytes(end[HEADER:], "little")
+        if end[:1] != bytes([Opcode.DATA_END]) or (told and told != crc):
+            self.damage = [*self.damage, "the sum of its bytes is not the one that it was closed with"]
+
+    def _read_library(self) -> str:
+        self._file.seek(len(MAGIC))
+        head = self._file.read(HEADER)
+        if len(head) < HEADER or head[0] != Opcode.HEADER:
+            return ""
+        try:
+            told: str = Header.read(ReadDataStream(self._file)).library
+        except DAMAGE:
+            return ""
+        return told
+
     # --- a finished file -------------------------------------------------------------------------------------------
 
     def _read_summary(self) -> None:
@@ -119,6 +162,7 @@ class Index:
         self._take_summary(summary[: len(summary) - _FOOTER + 4], sound=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
             raise EOFError  # written without an index of chunks
+        self._data_end = footer.summary_start - _DATA_END
         self.closed = self.whole = True
 
     def _take_summary(self, summary: bytes, *, sound: bool) -> None:
@@ -179,8 +223,10 @@ class Index:
             opcode, length = _LENGTH.unpack(self._file.read(HEADER))
             place = Place(at + HEADER, length)
             if opcode == Opcode.DATA_END and length == 4:
+                self._data_end = at
                 self.closed = True
                 self.whole = self._ends_well(place, size)
+                self._learn_from_summary(place.offset + place.length, size)
                 at = size
                 break
             beyond = place.offset + length > size
@@ -206,6 +252,25 @@ class Index:
         end = self._file.read(_FOOTER + len(MAGIC))
         whole = end.endswith(MAGIC) and len(end) == _FOOTER + len(MAGIC) and end[HEADER : HEADER + 8] == b"\0" * 8
         return whole and self._file.tell() == size
+
+    def _learn_from_summary(self, at: int, size: int) -> None:
+        """Learns channels whose definitions are lost: the summary repeats them, also where its places are wrong."""
+        while at + HEADER <= size:
+            self._file.seek(at)
+            opcode, length = _LENGTH.unpack(self._file.read(HEADER))
+            place = Place(at + HEADER, length)
+            at = place.offset + length
+            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
+                return
+            try:
+                told = (Schema if opcode == Opcode.SCHEMA else Channel).read(
+                    ReadDataStream(io.BytesIO(self.read(place)))
+                )
+            except DAMAGE:
+                return
+            known: Container[int] = self.schemas if isinstance(told, Schema) else self.channels
+            if told.id not in known:
+                self._learn(told)
 
     def _is_damaged(self, opcode: int, place: Place, size: int) -> bool:
         """Whether a record that reaches beyond the end has a wrong head, rather than being cut."""

@@ -241,11 +241,14 @@ class Log:
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which it notes
                 _ = self.assets[name]
+        if not self.missing:
+            self._index.check()
         return self.missing
 
     def lost(self) -> list[range]:
         """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
-        if not self._chunks.hurt and not self._lost:
+        sound = self._index.whole or (not self._index.closed and not self._index.damage)
+        if sound and not self._chunks.hurt and not self._lost:
             return []
         found = []
         expected = 0
@@ -307,7 +310,7 @@ def _check_ours(path: Path, index: Index) -> None:
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
         raise NotALog(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
-    if index.channels or (index.closed and index.whole):
+    if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from typing import TYPE_CHECKING
 
@@ -36,11 +35,12 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
     Raises:
         ReplayError: they can't be written.
     """
-    render = importlib.import_module("replay.render").render  # rebuilds the world, which needs the physics engine
+    from replay.render import render  # noqa: PLC0415  rebuilds the world, which needs the physics engine
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files = []
-        robot = next((thing.body for thing in found.things if thing.distance is None), None)
+        robot = next((thing.body for thing in found.things if thing.robot), None)
         camera = camera_of(robot) if robot is not None else None
         if camera is not None:
             files.append(folder / f"step_{found.step}_robot.png")

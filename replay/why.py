@@ -43,13 +43,15 @@ class Thing:
         body: its state.
         held: how it is carried; None if it isn't.
         holds: what it carries.
-        distance: on the ground, from the robot's base, m; None for the robot.
-        bearing: its direction from the robot's heading, rad, to the left; None for the robot.
+        robot: whether it is the robot.
+        distance: on the ground, from the robot's base, m; None for the robot itself, or without one.
+        bearing: its direction from the robot's heading, rad, to the left; None as well.
     """
 
     body: Body
     held: Attachment | None
     holds: tuple[Attachment, ...]
+    robot: bool
     distance: float | None
     bearing: float | None
 
@@ -99,7 +101,7 @@ class Why:
 
     Attributes:
         run: how the whole run ended.
-        step: the moment that is explained: the last step before what failed began.
+        step: the moment that is explained: that in which it failed.
         failure: what the plan failed with, or the task; None if nothing failed.
         raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code did it.
@@ -218,12 +220,11 @@ def _of_task(
     same = before.successes.get((motion.started.kind, motion.started.name))
     window = max((_ended(each) for each in (previous, same) if each is not None), default=0)
     asked, earlier = _asked(log, window, ended, objects, _ids(task))
-    step = max(began - 1, 0)
-    state = log.state_at(step)
+    state = log.state_at(ended)
     world = _world(state, objects, asked)
     return Why(
         run,
-        step,
+        ended,
         failure or task.failure,
         chain,
         task,
@@ -358,7 +359,7 @@ def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
                 across, along = body.position[0] - robot.position[0], body.position[1] - robot.position[1]
                 distance = math.hypot(across, along)
                 bearing = math.remainder(math.atan2(along, across) - heading(robot), math.tau)
-            yield Thing(body, world.carrier(name), tuple(world.carried(name)), distance, bearing)
+            yield Thing(body, world.carrier(name), tuple(world.carried(name)), body is robot, distance, bearing)
 
 
 def _named(world: World | None, task: Attempt) -> Iterator[str]:
@@ -366,8 +367,9 @@ def _named(world: World | None, task: Attempt) -> Iterator[str]:
     data = plain_arguments(task.failure.data) if task.failure is not None else {}
     for value in data.values():
         for name in value if isinstance(value, list) else [value]:
-            if world is not None and isinstance(name, str) and name in world.bodies:
-                yield name
+            body = world.bodies.get(name) if world is not None and isinstance(name, str) else None
+            if body is not None and not body.fixed_base:  # furniture is where it always is
+                yield body.name
 
 
 def heading(body: Body) -> float:

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from replay.plain import plain_arguments, plain_json
+from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -248,6 +249,11 @@ def _links(told: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
         yield f"at {names(pairs)}"
 
 
+def _simulated(told: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(told, int):
+        yield f"in {told / STEPS_PER_SECOND:.2f} s of simulation"
+
+
 def _silent(_: Plain, __: Mapping[str, Plain]) -> Iterator[str]:
     yield from ()
 
@@ -265,4 +271,6 @@ _PHRASES: Final[Mapping[str, Callable[[Plain, Mapping[str, Plain]], Iterator[str
     "moved": _length("it moved"),
     "turned": _angle("turned"),
     "links": _links,
+    "simulated_steps": _simulated,
+    "moved_after_steps": _silent,
 }

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
+from replay.outlet import results_only
 from replay.pictures import write_pictures
 from replay.plain import plain_record
 from replay.steps import HINT
@@ -61,7 +62,8 @@ def _pictures(log: Log, found: Why, folder: str | None) -> tuple[list[str], str]
     if found.failure is None:
         return [], "nothing failed"
     try:
-        return [str(path) for path in write_pictures(log, found, Path(folder))], ""
+        with results_only():
+            return [str(path) for path in write_pictures(log, found, Path(folder))], ""
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
         return [], f"{type(error).__name__}: {error}"
 
@@ -212,8 +214,7 @@ def _running(found: Why) -> Iterator[str]:
 
 def _where(found: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    told = {(line.file, line.number) for error in found.raised for line in error.lines}
-    if found.line is not None and (found.line.file, found.line.number) not in told:
+    if found.line is not None and not (found.raised and found.raised[0].lines):
         shown.add((found.line.file, found.line.number))
         yield from _line(found.line)
     for error in found.raised:
@@ -258,17 +259,16 @@ def _what(found: Why) -> Iterator[str]:
 def _thing(thing: Thing) -> str:
     body = thing.body
     told = f"{body.name} at {words.vector(body.position)}"
-    if thing.distance is None:
+    if thing.robot:
         told += f", facing {_degrees(heading(body))}"
         told += f", holding {words.names([held.body for held in thing.holds])}" if thing.holds else ", holding nothing"
-    else:
-        side = math.degrees(thing.bearing or 0.0)
+    elif thing.distance is not None and thing.bearing is not None:
+        side = math.degrees(thing.bearing)
         turn = (
             "straight ahead" if abs(side) < 1 else f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
         )
         told += f", {thing.distance:.2f} m from the robot on the ground, {turn}"
-        told += f", held by {thing.held.carrier}" if thing.held else ""
-    return told
+    return told + (f", held by {thing.held.carrier}" if thing.held else "")
 
 
 def _degrees(angle: float) -> str:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import recorder
+from pycram.bullet_world_reasoning import ReasoningError
+
+GOLDEN = Path(__file__).parent / "golden"
 DEMOS = Path(__file__).parents[2] / "demos"
 
 
@@ -26,3 +31,12 @@ def demo_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def failed_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded("fails_to_reach", tmp_path_factory.mktemp("failed"))
+
+
+@pytest.fixture(scope="session")
+def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small plan's recording: two tasks that failed, and a run that did."""
+    file = tmp_path_factory.mktemp("small") / "plan.mcap"
+    with pytest.raises(ReasoningError), recorder.record(file, name="plan", source=GOLDEN / "plan.py"):
+        runpy.run_path(str(GOLDEN / "plan.py"), run_name="__main__")
+    return file

@@ -1,0 +1,197 @@
+"""Damaged copies: no traceback, no hang, what can be read is delivered, and the exit code says that it isn't all."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+from mcap.opcode import Opcode
+from mcap.writer import Writer
+
+import replay
+from replay.cli import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+VERBS = (
+    ("info",),
+    ("log",),
+    ("tree",),
+    ("show", "9"),
+    ("state", "last"),
+    ("diff", "9", "last"),
+    ("blame", "milk"),
+    ("why",),
+)
+MAGIC = 8
+PATIENCE = 10.0  # s; a hundred times what a verb takes
+
+
+def records_of(content: bytes) -> list[tuple[int, int, int]]:
+    """Opcode, start and end of each record of the container, up to the end of the data."""
+    found = []
+    at = MAGIC
+    while at + 9 <= len(content):
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        found.append((opcode, at, at + 9 + length))
+        at += 9 + length
+        if opcode == Opcode.DATA_END:
+            break
+    return found
+
+
+def steps_by_chunk(file: Path) -> list[tuple[int, int, list[int]]]:
+    """Start and end of each chunk, and the steps in it."""
+    content = file.read_bytes()
+    chunks = [(start, end) for opcode, start, end in records_of(content) if opcode == Opcode.CHUNK]
+    with replay.open(file) as log:
+        return [
+            (start, end, [record.seq for record in log._chunks.records(number)])
+            for number, (start, end) in enumerate(chunks)
+        ]
+
+
+class Damager:
+    """Makes damaged copies of a recording."""
+
+    def __init__(self, file: Path, seed: int) -> None:
+        self.content = file.read_bytes()
+        self.chunks = steps_by_chunk(file)
+        self.rng = random.Random(seed)
+
+    def cut(self) -> tuple[bytes, set[int]]:
+        at = self.rng.randrange(len(self.content))
+        return self.content[:at], {step for _, end, steps in self.chunks if end <= at for step in steps}
+
+    def flip(self) -> tuple[bytes, set[int]]:
+        damaged = bytearray(self.content)
+        at = self.rng.randrange(len(damaged))
+        damaged[at] ^= 1 << self.rng.randrange(8)
+        return bytes(damaged), {s for start, end, steps in self.chunks if not start <= at < end for s in steps}
+
+    def remove(self) -> tuple[bytes, set[int]]:
+        """Takes a chunk out; nothing else is changed, so that the index points to wrong places."""
+        gone = self.rng.randrange(len(self.chunks))
+        start, end, _ = self.chunks[gone]
+        kept = {step for number, (_, _, steps) in enumerate(self.chunks) if number != gone for step in steps}
+        return self.content[:start] + self.content[end:], kept
+
+    def overwrite(self) -> tuple[bytes, set[int]]:
+        at, length = self.rng.randrange(MAGIC, len(self.content)), self.rng.randrange(1, 2000)
+        noise = self.rng.randbytes(length)
+        damaged = (self.content[:at] + noise + self.content[at + length :])[: len(self.content)]
+        return damaged, {s for start, end, steps in self.chunks if end <= at or start >= at + length for s in steps}
+
+
+def look(file: Path, capsys: pytest.CaptureFixture[str]) -> set[int]:
+    """Runs every verb; returns the steps that were delivered."""
+    delivered: set[int] = set()
+    for verb, *rest in VERBS:
+        start = time.monotonic()
+        code = main([verb, str(file), *rest, "--json"])
+        said = capsys.readouterr()
+        assert time.monotonic() - start < PATIENCE, (verb, "hangs")
+        assert "Traceback" not in said.err
+        assert code in ((3,) if verb == "info" else (0, 3)), (verb, code, said.err)
+        if code == 3:
+            assert said.err.startswith("pycram-replay: ")
+        for line in said.out.splitlines():
+            told = json.loads(line)
+            if verb == "log":
+                delivered.add(told["step"])
+    return delivered
+
+
+def check(
+    file: Path, original: dict[int, bytes], kind: str, damager: Damager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content, readable = getattr(damager, kind)()
+    file.write_bytes(content)
+    if not content.startswith(b"\x89MCAP0\r\n"):
+        assert main(["info", str(file)]) == 2
+        capsys.readouterr()
+        return
+    delivered = look(file, capsys)
+    assert delivered >= readable
+    if delivered:
+        with replay.open(file) as log:
+            for record in log:
+                assert record.SerializeToString() == original[record.seq]
+
+
+def originals(file: Path) -> dict[int, bytes]:
+    with replay.open(file) as log:
+        return {record.seq: record.SerializeToString() for record in log}
+
+
+@pytest.mark.parametrize("kind", ["cut", "flip", "remove", "overwrite"])
+def test_damaged_copies_give_what_is_left(
+    small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    damager = Damager(small_log, 1)
+    for _ in range(5):
+        check(tmp_path / "x.mcap", originals(small_log), kind, damager, capsys)
+
+
+@pytest.mark.slow
+def test_500_damaged_copies(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    damager = Damager(small_log, 7)
+    original = originals(small_log)
+    for number in range(500):
+        kind = ("cut", "flip", "remove", "overwrite")[number % 4]
+        check(tmp_path / "x.mcap", original, kind, damager, capsys)
+
+
+def test_an_empty_file_and_other_people_s_files_are_told_what_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.mcap"
+
+    def complaint() -> str:
+        assert main(["info", str(file)]) == 2
+        said = capsys.readouterr()
+        assert not said.out
+        return said.err
+
+    assert "No such file" in complaint()
+    file.write_bytes(b"")
+    assert "is empty" in complaint()
+    file.write_bytes(b"hello")
+    assert "is no MCAP file" in complaint()
+    with file.open("wb") as stream:
+        foreign(stream, "sensor_msgs/Image")
+    assert "no recording of PyCRAM" in complaint()
+    with file.open("wb") as stream:
+        foreign(stream, "pycram.log.v9.Mutation")
+    assert "another release" in complaint() or "can't read" in complaint()
+    file.unlink()
+    file.mkdir()
+    assert "directory" in complaint()
+
+
+def foreign(stream: object, schema: str) -> None:
+    writer = Writer(stream)
+    writer.start()
+    channel = writer.register_channel("/mutation", "protobuf", writer.register_schema(schema, "protobuf", b""))
+    writer.add_message(channel, 0, b"x", 0)
+    writer.finish()
+
+
+def test_what_a_state_can_t_know_is_said(small_log: Path, tmp_path: Path) -> None:
+    """A chunk of changes is lost: states behind it say so, until a keyframe tells all again."""
+    damager = Damager(small_log, 0)
+    start, end, steps = max(damager.chunks, key=lambda chunk: len(chunk[2]))
+    content = bytearray(damager.content)
+    content[(start + end) // 2] ^= 0xFF
+    file = tmp_path / "x.mcap"
+    file.write_bytes(content)
+    with replay.open(file) as log:
+        assert f"{steps[0]}-{steps[-1]}" in log.state_at(steps[-1] + 1).doubt
+        assert not log.state_at(steps[0] - 1).doubt
+        with pytest.raises(replay.Damaged, match=f"step {steps[1]}"):
+            _ = log[steps[1]]
