@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import struct
 from typing import TYPE_CHECKING
 
 import pytest
@@ -139,8 +140,6 @@ def test_one_byte_of_one_recorded_pose(run_log: Path, tmp_path: Path, command: s
 
 def flipped(number: float) -> float:
     """The number with its lowest bit turned."""
-    import struct  # noqa: PLC0415
-
     bits = struct.unpack("<Q", struct.pack("<d", number))[0] ^ 1
     turned: float = struct.unpack("<d", struct.pack("<Q", bits))[0]
     return turned
@@ -323,6 +322,14 @@ def test_worlds_from_before_the_recording_are_compared_as_far_as_can_be(tmp_path
     assert problem_of(rewritten(file, tmp_path / "x.mcap", tamper)).step == moves[-1]
 
 
+def fail_halfway(world: BulletWorld, bowls: list[Object]) -> None:
+    with span("plan", "fails"), par:
+        for bowl in bowls:
+            bowl.set_position([0, 1, 0.5])
+            world.simulate(0.05)
+        raise PlanFailure
+
+
 def test_real_time_branches_and_failures_are_made_again(tmp_path: Path) -> None:
     """What the clock and branches of a plan did is on record in the order in which it happened."""
     file = tmp_path / "run.mcap"
@@ -334,11 +341,8 @@ def test_real_time_branches_and_failures_are_made_again(tmp_path: Path) -> None:
         while world.sim_step < 24:
             bowls[0].set_position([0, 0, 0.3])
         world.set_realtime(False)
-        with pytest.raises(PlanFailure), span("plan", "fails"), par:
-            for bowl in bowls:
-                bowl.set_position([0, 1, 0.5])
-                world.simulate(0.05)
-            raise PlanFailure
+        with pytest.raises(PlanFailure):
+            fail_halfway(world, bowls)
     with replay.open(file) as log:
         verdict = verify(log)
     assert verdict.exact, verdict
@@ -427,11 +431,11 @@ def apart(a: float, b: float) -> float:
 
 
 def test_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(10):
+    for seed in range(4):
         check_random_plan(seed, tmp_path)
 
 
 @pytest.mark.slow
 def test_many_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(10, 200):
+    for seed in range(4, 200):
         check_random_plan(seed, tmp_path)
