@@ -81,9 +81,9 @@ class RandomPlan:
             self.witness.worlds.append(world)
         world.set_gravity([0, 0, -9.8])
         Object("floor", "environment", "plane.urdf", world=world)
-        if self.dice.random() < 0.5:
+        if self.dice.random() < 0.4:
             Object("kitchen", "environment", "kitchen.urdf", world=world)
-        if self.dice.random() < 0.08:
+        if self.dice.random() < 0.05:
             world.robot = Object("pr2", "robot", "pr2.urdf", [0.3, 0.6, 0], world=world)
         for _ in range(2):
             self.add(world)
