@@ -69,11 +69,14 @@ class RandomPlan:
         self.numbers = 0
 
     def run(self) -> None:
+        for world in self.go():
+            world.exit()
+
+    def go(self) -> list[BulletWorld]:
         worlds = [self.open(f"w{number}") for number in range(self.dice.choice((1, 1, 2)))]
         for _ in range(self.changes):
             self.change(self.dice.choice(worlds))
-        for world in worlds:
-            world.exit()
+        return worlds
 
     def open(self, name: str) -> BulletWorld:
         world = BulletWorld(name=name)
