@@ -32,11 +32,11 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
         all_records: in order; those that don't change worlds count as steps only.
         step: the step that the state is told to be of; by default that of the last record.
     """
-    worlds: dict[str, _World] = {}
+    worlds: dict[str, Making] = {}
     for record in all_records:
         step = max(step, record.seq)
         if isinstance(record, Mutation | Keyframe):
-            _take(worlds, record)
+            take(worlds, record)
     return State(step, {name: world.frozen() for name, world in worlds.items()})
 
 
@@ -53,7 +53,7 @@ def state_at(log: Log, step: int | str) -> State:
     """
     last = log.step(step)
     here = log.chunk_of(last)
-    worlds: dict[str, _World] = {}
+    worlds: dict[str, Making] = {}
     since = last
     for name, (changes, keyframes) in log.worlds.items():
         base = _base(log, name, keyframes, here, last)
@@ -65,7 +65,7 @@ def state_at(log: Log, step: int | str) -> State:
         for record in log.records_in(chunks, _OF_WORLDS, name):
             if start <= record.seq <= last:
                 try:
-                    _take(worlds, record)
+                    take(worlds, record)
                 except (ValueError, IndexError) as error:
                     raise Damaged(log.path, f"step {record.seq}", str(error)) from error
     doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= last)
@@ -90,7 +90,7 @@ def _base(log: Log, world: str, keyframes: Sequence[int], here: int, last: int) 
     return None
 
 
-class _World:
+class Making:
     """A world in the making."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
@@ -164,22 +164,27 @@ class _World:
             self.change(state)
 
 
-def _take(worlds: dict[str, _World], record: records.Record) -> None:
-    """Brings worlds from before a record to after it."""
+def take(worlds: dict[str, Making], record: records.Record) -> None:
+    """Brings worlds from before a record to after it.
+
+    Args:
+        worlds: by name; none before the first record.
+        record: any; those that don't change worlds are passed over.
+    """
     if isinstance(record, Keyframe):
         worlds[record.world] = _of_keyframe(record)
     elif isinstance(record, Mutation):
         command = record.WhichOneof("command")
         if command == "open_world":
             worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
-            worlds[record.world] = _World(record.world, record.open_world.mode)
-        world = worlds.setdefault(record.world, _World(record.world))
+            worlds[record.world] = Making(record.world, record.open_world.mode)
+        world = worlds.setdefault(record.world, Making(record.world))
         world.tell(sim_step=record.sim_step)
         _obey(world, record, command or "")
         world.take_effect(record.effect)
 
 
-def _obey(world: _World, record: Mutation, command: str) -> None:
+def _obey(world: Making, record: Mutation, command: str) -> None:
     """Makes true what a command says by itself, beside its effect on bodies."""
     if command == "load_body":
         world.load(record.load_body)
@@ -199,8 +204,8 @@ def _obey(world: _World, record: Mutation, command: str) -> None:
         world.tell(open=False, realtime=False, robot="")
 
 
-def _of_keyframe(frame: Keyframe) -> _World:
-    world = _World(frame.world, frame.mode)
+def _of_keyframe(frame: Keyframe) -> Making:
+    world = Making(frame.world, frame.mode)
     world.tell(
         sim_step=frame.sim_step,
         gravity=_vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),

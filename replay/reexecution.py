@@ -87,7 +87,7 @@ class Reexecution:
         if frame.world not in self.worlds:
             told = fold([frame]).worlds[frame.world]
             with aside():
-                self.worlds[frame.world] = rebuild(self._log, told, frame.seq, self._mode)
+                self.worlds[frame.world] = rebuild(self._log, told, self._mark, self._mode)
             self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, tell: bool = True) -> Mutation | None:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.log import Log
     from replay.state import Body, World
 
-__all__ = ["aside", "load", "open_world", "rebuild", "world_at"]
+__all__ = ["aside", "load", "open_world", "reading", "rebuild", "world_at"]
 
 
 def world_at(
@@ -60,7 +60,7 @@ def world_at(
 
             restored = executed_again(log, log.step(step), told.name, mode)
         else:
-            restored = rebuild(log, told, log.step(step), mode)
+            restored = rebuild(log, told, str(log.step(step)), mode)
     journal.introduce(restored)
     BulletWorld.current_bullet_world = restored
     return restored
@@ -82,7 +82,7 @@ def aside(log: Log, step: int | str, world: str | None = None) -> Iterator[Bulle
         NotRestored: none was open then, or records are lost.
     """
     told = _told(log, step, world)
-    with journal.aside(), rebuild(log, told, log.step(step)) as restored:
+    with journal.aside(), rebuild(log, told, str(log.step(step))) as restored:
         yield restored
 
 
@@ -100,21 +100,21 @@ def _told(log: Log, step: int | str, name: str | None) -> World:
     return world
 
 
-def rebuild(log: Log, told: World, step: int, mode: str = "DIRECT") -> BulletWorld:
+def rebuild(log: Log, told: World, mark: str, mode: str = "DIRECT") -> BulletWorld:
     """Builds a world from its state; call it aside.
 
     Args:
         log: whose attachments hold the models.
         told: the state.
-        step: for the name.
+        mark: follows the world's name.
         mode: "DIRECT" or "GUI".
     """
-    world = open_world(f"{told.name}@{step}", mode)
+    world = open_world(f"{told.name}@{mark}", mode)
     try:
         world.sim_step = told.sim_step
         world.set_gravity(told.gravity)
         for body in told.bodies.values():
-            put(load(log, body.loaded, world, body.color), _reading(body))
+            put(load(log, body.loaded, world, body.color), reading(body))
         for held in told.attachments.values():
             carrier, carried = world.get_object(held.carrier), world.get_object(held.body)
             pose = held.position, held.orientation
@@ -191,5 +191,10 @@ def _description(text: str) -> RobotDescription:
     return RobotDescription.parse(text, "the recording's robot description")
 
 
-def _reading(body: Body) -> Reading:
+def reading(body: Body) -> Reading:
+    """A body's state as the engine takes it.
+
+    Args:
+        body: the state.
+    """
     return Reading(body.pose, body.velocity, tuple(body.joints.values()), tuple(body.joint_velocities.values()))

@@ -1,7 +1,9 @@
-"""What many tests need: an empty world, a full scene, and a journal that keeps records in memory."""
+"""What many tests need: an empty world, a full scene, a journal that keeps records in memory, a screen."""
 
 from __future__ import annotations
 
+import os
+import subprocess
 from typing import TYPE_CHECKING
 
 import pytest
@@ -74,3 +76,18 @@ def scene(world: BulletWorld) -> BulletWorld:
     robot.set_position([0.65, 0.7, 0])
     world.simulate(0.25)
     return world
+
+
+@pytest.fixture
+def display() -> Iterator[str]:
+    """The name of a screen that is started for the test."""
+    reading, writing = os.pipe()
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
+    server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        number = told.readline().strip()  # it says so when it is ready
+    assert number, "Xvfb didn't start"
+    yield f":{number}"
+    server.terminate()
+    server.wait()

@@ -1,16 +1,10 @@
-"""The window, on a screen that the test starts itself."""
+"""The window, on a screen of its own."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
-
-import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -33,20 +27,6 @@ with BulletWorld("GUI") as again:
     again.simulate(0.1)
 print("ended")
 """
-
-
-@pytest.fixture
-def display() -> Iterator[str]:
-    reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
-    server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
-    os.close(writing)
-    with os.fdopen(reading) as told:
-        number = told.readline().strip()  # it says so when it is ready
-    assert number, "Xvfb didn't start"
-    yield f":{number}"
-    server.terminate()
-    server.wait()
 
 
 def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:

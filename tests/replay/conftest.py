@@ -1,4 +1,4 @@
-"""Recordings of the demos, made once, and a plan that does a bit of everything."""
+"""Recordings of the demos, made once."""
 
 from __future__ import annotations
 

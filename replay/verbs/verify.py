@@ -1,0 +1,129 @@
+"""``verify``: whether a recording agrees with itself, and its changes, made again, have the effects on record."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from typing import TYPE_CHECKING, Final
+
+from replay.cli import FAILED, FINE
+from replay.outlet import results_only
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator
+
+    from replay.deviation import Deviation
+    from replay.integrity import Problem
+    from replay.log import Log
+    from replay.plain import Plain
+    from replay.verify import Verdict
+
+_PERIOD: Final = 0.2  # s between words of progress
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes nothing more."""
+    parser.epilog = "Exit code 0: it is sound. 1: it isn't. 3: what there is of it is, but it is incomplete."
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the verdict."""
+    from replay.verify import verify  # noqa: PLC0415  --help needn't wait for the engine
+
+    start = time.perf_counter()
+    with results_only():
+        verdict = verify(log, _progress(len(log)) if sys.stderr.isatty() else None)
+    seconds = time.perf_counter() - start
+    if options.json:
+        print(json.dumps(_plain(verdict, seconds), ensure_ascii=False))
+    else:
+        for line in _lines(verdict, seconds):
+            print(line)
+    return FINE if verdict.sound else FAILED
+
+
+def _progress(steps: int) -> Callable[[int], None]:
+    said = time.monotonic()
+
+    def say(step: int) -> None:
+        nonlocal said
+        if step + 1 == steps:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() - said > _PERIOD:
+            said = time.monotonic()
+            print(f"\rstep {step} of {steps}", end="", file=sys.stderr, flush=True)
+
+    return say
+
+
+def _lines(verdict: Verdict, seconds: float) -> Iterator[str]:
+    problem = verdict.problem
+    if problem is not None:
+        yield from _told(problem)
+        return
+    tasks, keyframes = _count(verdict.tasks, "task"), _count(verdict.keyframes, "keyframe")
+    yield f"sound: {_count(verdict.steps, 'step')} without a gap, {tasks} balanced, {keyframes} as the records before"
+    yield f"       add up to, {_count(verdict.files, 'file')} as they were attached"
+    made = f"{_count(verdict.changes, 'change')} of {_count(verdict.worlds, 'world')}, made again in {seconds:.1f} s"
+    if verdict.exact:
+        yield f"exact: {made}, had the effects on record, bit for bit"
+    else:
+        largest = f"within {verdict.largest.size:.3g}" if verdict.largest else "bit for bit"
+        yield f"near:  {made}, had the effects on record {largest}"
+    if verdict.largest is not None:
+        yield f"       farthest: {verdict.largest}"
+    if verdict.environment:
+        same = "" if verdict.largest is None else "; not comparable bit for bit"
+        yield f"note:  the environment is another: {', '.join(verdict.environment)}{same}"
+    if verdict.late:
+        yield f"note:  {', '.join(verdict.late)} began before the recording: what physics did there isn't compared"
+
+
+def _told(problem: Problem) -> Iterator[str]:
+    where = "" if problem.step is None else f"step {problem.step}: "
+    yield f"not sound: {where}{problem.cause}"
+    if problem.deviation is not None:
+        yield f"  {problem.deviation}"
+    if problem.task:
+        yield f"  in {' > '.join(problem.task)}"
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _plain(verdict: Verdict, seconds: float) -> Plain:
+    problem = verdict.problem
+    told: dict[str, Plain] = {
+        "sound": verdict.sound,
+        "exact": verdict.exact,
+        "steps": verdict.steps,
+        "tasks": verdict.tasks,
+        "keyframes": verdict.keyframes,
+        "files": verdict.files,
+        "changes": verdict.changes,
+        "worlds": verdict.worlds,
+        "late": list(verdict.late),
+        "environment": list(verdict.environment),
+        "largest": _deviation(verdict.largest),
+        "seconds": seconds,
+        "problem": None,
+    }
+    if problem is not None:
+        told["problem"] = {
+            "step": problem.step,
+            "cause": problem.cause,
+            "deviation": _deviation(problem.deviation),
+            "task": list(problem.task),
+        }
+    return told
+
+
+def _deviation(deviation: Deviation | None) -> Plain:
+    if deviation is None:
+        return None
+    size = deviation.size if math.isfinite(deviation.size) else None
+    return {"field": deviation.field, "recorded": deviation.recorded, "found": deviation.found, "size": size}

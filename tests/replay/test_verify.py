@@ -1,0 +1,441 @@
+"""Verifying: sound recordings are, bit for bit; whatever was changed in one is found, where it is."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram import bullet_world_reasoning as btr
+from pycram import worlds
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from pycram.language import par
+from recorder import mcap_sink
+from recorder.asset import AssetFile
+from recorder.mcap_sink import McapSink
+from recorder.records import TOPICS, Keyframe, Mutation, Record, Run, Task
+from recorder.span import span
+from replay import verify as verifying
+from replay.cli import main
+from replay.verify import verify
+from tests.replay.plans import RandomPlan, Witness, everything
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+
+@pytest.fixture(autouse=True)
+def nothing_left() -> Iterator[None]:
+    yield
+    assert not worlds.opened()
+
+
+def rewritten(source: Path, target: Path, change: Callable[[Record], Record | None], **metadata: str) -> Path:
+    """A copy that is sound as a file, but in which records were changed, or left out where None is given."""
+    with replay.open(source) as log:
+        sink = McapSink(target, dict(log.metadata) | metadata)
+        for name, content in log.assets.items():
+            sink.attach(AssetFile(name.partition("/")[2], content))
+        for record in log.records():
+            kept = change(record)
+            if kept is not None:
+                sink.write(TOPICS[type(kept)], kept, kept.SerializeToString())
+        sink.close()
+    return target
+
+
+def problem_of(file: Path) -> verifying.Problem:
+    with replay.open(file) as log:
+        found = verify(log).problem
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan with tasks, two worlds in turn, a chain of attachments, a drawer, removal and re-adding, keyframes."""
+    file = tmp_path_factory.mktemp("verify") / "run.mcap"
+    with recorder.record(file), BulletWorld(name="kitchen") as world, BulletWorld(name="other") as other:
+        world.set_gravity([0, 0, -9.8])
+        other.set_gravity([0, 0, -1.6])
+        Object("floor", "environment", "plane.urdf", world=world)
+        kitchen = Object("kitchen", "environment", "kitchen.urdf", world=world)
+        spoon = Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72], world=world)
+        cup = Object("cup", "cup", "cup.stl", [1.3, 0.6, 1.0], world=world)
+        apple = Object("apple", "apple", "apple.stl", [1.3, 0.6, 1.1], world=world)
+        ball = Object("ball", "apple", "apple.stl", [0, 0, 3], world=other)
+        with span("plan", "tidy"), span("plan", "open the drawer"):
+            world.simulate(0.2)
+            other.simulate(0.3)
+            kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.3)
+            btr.supporting(kitchen, spoon)
+            other.simulate(0.1)
+            world.simulate(0.1)
+        kitchen.attach(cup, "sink_area_left_upper_drawer_main")
+        cup.attach(apple)
+        kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.1)
+        cup.set_position([1.2, 0.7, 1.2])
+        apple.get_AABB()
+        world.simulate(0.2)
+        spoon.remove()
+        Object("spoon", "spoon", "spoon.stl", [1.4, 0.5, 0.9], world=world, color=[1, 0, 0, 1])
+        for turn in range(110):  # past a keyframe
+            ball.set_position([0.01 * turn, 0, 2])
+        cup.detach(apple)
+        apple.set_color([0, 0, 1, 1])
+        world.simulate(0.1)
+        world.reset()
+        world.simulate(0.1)
+    return file
+
+
+def test_a_sound_recording_is_exact(run_log: Path) -> None:
+    with replay.open(run_log) as log:
+        verdict = verify(log)
+        changes = sum(1 for _ in log.records(Mutation))
+    assert verdict.exact, verdict
+    assert (verdict.steps, verdict.worlds, verdict.tasks) == (len(log), 2, 2)
+    assert verdict.keyframes >= 1
+    assert verdict.changes == changes
+
+
+@pytest.mark.slow
+def test_the_demos_are_exact(demo_log: Path, failed_log: Path) -> None:
+    for file in (demo_log, failed_log):
+        with replay.open(file) as log:
+            verdict = verify(log)
+        assert verdict.exact, verdict
+        assert verdict.steps == len(log)
+
+
+def effects(file: Path, kind: str) -> list[int]:
+    with replay.open(file) as log:
+        return [r.seq for r in log.records(Mutation) if r.WhichOneof("command") == kind and r.effect.bodies]
+
+
+@pytest.mark.parametrize("command", ["simulate", "move_body", "move_joints", "load_body"])
+def test_one_byte_of_one_recorded_pose(run_log: Path, tmp_path: Path, command: str) -> None:
+    """The last byte of one number of one pose, in a file with right sums: it is found, at that step."""
+    step = random.Random(command).choice(effects(run_log, command))
+
+    def tamper(record: Record) -> Record:
+        if record.seq == step and isinstance(record, Mutation):
+            numbers = next(b.position for b in record.effect.bodies if b.position)
+            numbers[1] = flipped(numbers[1])
+        return record
+
+    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", tamper))
+    assert found.step == step
+    assert found.deviation is not None
+    assert found.deviation.field.endswith(".position[1]")
+    assert 0 < found.deviation.size < 1e-12
+
+
+def flipped(number: float) -> float:
+    """The number with its lowest bit turned."""
+    bits = struct.unpack("<Q", struct.pack("<d", number))[0] ^ 1
+    turned: float = struct.unpack("<d", struct.pack("<Q", bits))[0]
+    return turned
+
+
+def tampered_sample(record: Record) -> int | None:
+    if isinstance(record, Mutation) and record.effect.samples and record.effect.samples[0].bodies[0].position:
+        record.effect.samples[0].bodies[0].position[2] += 1e-9
+        return record.seq
+    return None
+
+
+def tampered_attachment(record: Record) -> int | None:
+    if isinstance(record, Mutation) and record.effect.attached:
+        record.effect.attached[0].position[0] += 1e-9
+        return record.seq
+    return None
+
+
+def tampered_command(record: Record) -> int | None:
+    if isinstance(record, Mutation) and record.HasField("move_body"):
+        record.move_body.position[0] += 1e-3
+        return record.seq
+    return None
+
+
+def tampered_keyframe(record: Record) -> int | None:
+    if isinstance(record, Keyframe):
+        record.bodies[0].position[0] += 1e-9
+        return record.seq
+    return None
+
+
+def tampered_task(record: Record) -> int | None:
+    if isinstance(record, Task) and record.phase == Task.FINISHED:
+        record.task += 1000
+        return record.seq
+    return None
+
+
+def tampered_time(record: Record) -> int | None:
+    if isinstance(record, Mutation):
+        record.wall_time_ns -= 10**12
+        return record.seq
+    return None
+
+
+@pytest.mark.parametrize(
+    ("tamper", "told"),
+    [
+        (tampered_sample, "another effect"),
+        (tampered_attachment, "another effect"),
+        (tampered_command, "another effect"),
+        (tampered_keyframe, "isn't what the records before it add up to"),
+        (tampered_task, "isn't running"),
+        (tampered_time, "wall time"),
+    ],
+)
+def test_whatever_was_changed_is_found_there(
+    run_log: Path, tmp_path: Path, tamper: Callable[[Record], int | None], told: str
+) -> None:
+    steps: list[int] = []
+
+    def change(record: Record) -> Record:
+        if not steps:
+            step = tamper(record)
+            steps.extend([] if step is None else [step])
+        return record
+
+    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert told in found.cause
+    assert [found.step] == steps
+
+
+def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
+    def change(record: Record) -> Record:
+        if isinstance(record, Mutation) and record.HasField("move_joints") and record.task:
+            record.effect.bodies[0].joint_positions[0] += 1e-6
+        return record
+
+    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert found.task == ("tidy", "open the drawer")
+    assert found.deviation is not None
+    assert found.deviation.size == pytest.approx(1e-6)
+
+
+def test_a_removed_record_is_missed(run_log: Path, tmp_path: Path) -> None:
+    for step in (10, 60):
+        file = rewritten(run_log, tmp_path / f"{step}.mcap", lambda r, gone=step: None if r.seq == gone else r)
+        found = problem_of(file)
+        assert found.step == step
+        assert "not there" in found.cause
+        assert main(["verify", str(file)]) == 1
+
+
+def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: Path, tmp_path: Path) -> None:
+    ends: list[int] = []
+
+    def running_on(record: Record) -> Record | None:
+        if isinstance(record, Task) and record.phase == Task.FINISHED:
+            ends.append(record.seq)
+            return None
+        record.seq -= len(ends)
+        return record
+
+    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
+    assert "doesn't" in found.cause
+    cut = tmp_path / "cut.mcap"
+    content = run_log.read_bytes()
+    cut.write_bytes(content[: int(len(content) * 0.97)])
+    assert main(["verify", str(cut)]) == 3
+
+
+def test_a_file_that_was_exchanged_is_found(run_log: Path, tmp_path: Path) -> None:
+    target = tmp_path / "x.mcap"
+    content = bytearray(run_log.read_bytes())
+    at = content.index(b"<robot")
+    content[at + 40] ^= 1
+    target.write_bytes(content)
+    found = problem_of(target)
+    assert found.step is None
+    assert "damaged" in found.cause
+
+
+def test_on_another_machine_it_says_how_near_it_is(run_log: Path, tmp_path: Path) -> None:
+    """Where the engine isn't the same, the last bits say nothing; but what is far off is a problem still."""
+
+    def nudge(size: float) -> Callable[[Record], Record]:
+        def change(record: Record) -> Record:
+            if isinstance(record, Mutation) and record.HasField("simulate"):
+                for body in record.effect.bodies:
+                    if body.body == "ball" and body.position:
+                        body.position[0] += size
+            return record
+
+        return change
+
+    same = rewritten(run_log, tmp_path / "same.mcap", lambda record: record, pybullet="3.2.5")
+    with replay.open(same) as log:
+        verdict = verify(log)
+    assert verdict.exact
+    assert verdict.environment == (f"pybullet {mcap_sink.versions()['pybullet']} instead of 3.2.5",)
+    with replay.open(rewritten(run_log, tmp_path / "near.mcap", nudge(1e-5), pybullet="3.2.5")) as log:
+        verdict = verify(log)
+    assert verdict.sound
+    assert not verdict.exact
+    assert verdict.largest is not None
+    assert verdict.largest.size == pytest.approx(1e-5)
+    assert main(["verify", str(tmp_path / "near.mcap")]) == 0
+    found = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
+    assert "the environment is another" in found.cause
+
+
+def test_worlds_from_before_the_recording_are_compared_as_far_as_can_be(tmp_path: Path) -> None:
+    file = tmp_path / "late.mcap"
+    with BulletWorld(name="early") as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 0.2])
+        cup = Object("cup", "cup", "cup.stl", [0.02, 0, 0.4])
+        world.simulate(0.3)
+        with recorder.record(file):
+            world.simulate(0.3)
+            bowl.attach(cup)
+            bowl.set_position([1, 0, 1])
+            world.simulate(0.3)
+            cup.set_position([0, 0, 1])
+    with replay.open(file) as log:
+        verdict = verify(log)
+    assert verdict.sound, verdict
+    assert verdict.late == ("early",)
+    assert not verdict.exact
+    moves = effects(file, "move_body")
+
+    def tamper(record: Record) -> Record:
+        if record.seq == moves[-1] and isinstance(record, Mutation):
+            record.effect.bodies[0].position[0] += 1e-3
+        return record
+
+    assert problem_of(rewritten(file, tmp_path / "x.mcap", tamper)).step == moves[-1]
+
+
+def fail_halfway(world: BulletWorld, bowls: list[Object]) -> None:
+    with span("plan", "fails"), par:
+        for bowl in bowls:
+            bowl.set_position([0, 1, 0.5])
+            world.simulate(0.05)
+        raise PlanFailure
+
+
+def test_real_time_branches_and_failures_are_made_again(tmp_path: Path) -> None:
+    """What the clock and branches of a plan did is on record in the order in which it happened."""
+    file = tmp_path / "run.mcap"
+    with recorder.record(file), BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        bowls = [Object(f"bowl{i}", "bowl", "bowl.stl", [i, 0, 0.3]) for i in range(3)]
+        world.set_realtime(True)
+        while world.sim_step < 24:
+            bowls[0].set_position([0, 0, 0.3])
+        world.set_realtime(False)
+        with pytest.raises(PlanFailure):
+            fail_halfway(world, bowls)
+    with replay.open(file) as log:
+        verdict = verify(log)
+    assert verdict.exact, verdict
+
+
+def test_the_verb_prints_a_verdict(run_log: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", str(run_log)]) == 0
+    told = capfd.readouterr()
+    assert "bit for bit" in told.out
+    assert not told.err
+    assert main(["verify", str(run_log), "--json"]) == 0
+    verdict = json.loads(capfd.readouterr().out)
+    assert verdict["sound"]
+    assert verdict["exact"]
+    assert verdict["problem"] is None
+
+    def tamper(record: Record) -> Record:
+        if isinstance(record, Keyframe):
+            record.gravity[2] = -3
+        return record
+
+    wrong = rewritten(run_log, tmp_path / "x.mcap", tamper)
+    assert main(["verify", str(wrong)]) == 1
+    text = capfd.readouterr().out
+    assert text.startswith("not sound: step ")
+    assert ".gravity[2]: recorded -3.0, found -" in text
+    assert main(["verify", str(wrong), "--json"]) == 1
+    assert json.loads(capfd.readouterr().out)["problem"]["deviation"]["recorded"] == -3.0
+
+
+def check_random_plan(seed: int, folder: Path) -> None:
+    file = folder / f"{seed}.mcap"
+    witness = Witness()
+    with recorder.record(file) as recording:
+        recording.journal.add_sink(witness)
+        RandomPlan(seed, witness).run()
+    with replay.open(file) as log:
+        for step, seen in witness.seen.items():
+            state = log.state_at(step)
+            for name, live in seen.items():
+                assert_same(told_of(state.worlds[name]), live, f"plan {seed}, step {step}")
+        dice = random.Random(seed)
+        for step in dice.sample(sorted(step for step, seen in witness.seen.items() if seen), 2):
+            for name, live in witness.seen[step].items():
+                with log.world_at(step, name, exact=dice.random() < 0.5) as world:
+                    assert_same(everything(world), live, f"plan {seed}, world_at({step})")
+        verdict = verify(log)
+        assert verdict.exact, f"plan {seed}: {verdict}"
+        end = next(log.backwards())
+        assert isinstance(end, Run)
+
+
+def told_of(world: replay.World) -> dict[str, object]:
+    """A state in the form of what a live world is asked for."""
+    told: dict[str, object] = {}
+    for body in world.bodies.values():
+        numbers = [*body.position, *body.orientation, *body.velocity, *body.joints.values()]
+        told[body.name] = {
+            "type": body.type,
+            "numbers": [*numbers, *body.joint_velocities.values()],
+            "color": body.color or None,
+        }
+    for (carrier, body), held in world.attachments.items():
+        told[f"{carrier} holds {body}"] = {
+            "links": (held.carrier_link, held.body_link),
+            "numbers": [*held.position, *held.orientation],
+        }
+    return told | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
+
+
+def assert_same(found: dict[str, object], live: dict[str, object], where: str) -> None:
+    assert sorted(found) == sorted(live), where
+    for name, wanted in live.items():
+        told = found[name]
+        if isinstance(wanted, dict) and isinstance(told, dict):
+            assert {k: v for k, v in told.items() if k != "numbers"} == {
+                k: v for k, v in wanted.items() if k != "numbers"
+            }, f"{where}: {name}"
+            assert max(map(apart, told["numbers"], wanted["numbers"])) < 1e-9, f"{where}: {name}"
+        else:
+            assert told == wanted, f"{where}: {name}"
+
+
+def apart(a: float, b: float) -> float:
+    return abs(a - b)
+
+
+def test_random_plans_are_told_truly(tmp_path: Path) -> None:
+    for seed in range(4):
+        check_random_plan(seed, tmp_path)
+
+
+@pytest.mark.slow
+def test_many_random_plans_are_told_truly(tmp_path: Path) -> None:
+    for seed in range(4, 200):
+        check_random_plan(seed, tmp_path)
