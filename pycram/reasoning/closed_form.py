@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
 
+_ROUNDING: Final = 1e-9  # rad beyond a limit
 _MEET: Final = 1e-6  # m between axes that meet
 _STEPS: Final = 44  # turns of joint 1 that are tried for a pose
+_FINER: Final = 13  # turns of joint 1 that are tried around a miss
 _COARSE: Final = (8, 6, 4)  # turns of joints 1, 5 and 6 that are tried for a position
 
 
@@ -77,22 +79,50 @@ class ClosedForm:
             return None
         return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded)
 
-    def postures(self, position: Array, turn: Array | None, home: Array) -> tuple[Array, Flags]:
-        """Postures for a target.
+    def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
+        """Postures for targets.
 
         Args:
-            position: (3,) of the tool in the base link, m.
-            turn: (3, 3) its orientation; None if any will do.
+            positions: (m, 3) of the tool in the base link, m.
+            turns: (m, 3, 3) its orientations; None if any will do.
             home: (7,) a posture whose values are tried too, so that solutions near it are found.
 
         Returns:
-            Postures (n, 7) and whether each brings the tool there within the limits; the others are near misses, and
-            may be beyond limits.
+            Postures (m, n, 7) and their strains (m, n): 0 where they bring the tool there within the limits, else about
+            how many rad are missing or beyond limits.
         """
-        found, exact = self._at_position(position, home) if turn is None else self._at_pose(position, turn, home)
+        if turns is None:
+            return self._judged(len(positions), *self._at_positions(positions, home))
+        return self._judged(len(positions), *self._at_poses(positions, turns, self._tried(0, _STEPS, home)))
+
+    def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
+        """Looks between the values of joint 1 that :meth:`postures` tried.
+
+        Args:
+            position: (3,) of the tool in the base link, m.
+            turn: (3, 3) its orientation.
+            misses: (k, 7) postures near which a narrow range of solutions may be.
+
+        Returns:
+            Postures (n, 7) and their strains (n,).
+        """
+        step = (self.upper[0] - self.lower[0]) / (_STEPS - 1)
+        values = (misses[:, :1] + np.linspace(-step, step, _FINER)).ravel()
+        tried = np.unique(np.clip(values, self.lower[0], self.upper[0]))
+        (found,), (strain,) = self._judged(1, *self._at_poses(position[None], turn[None], tried))
+        return found, strain
+
+    def _judged(self, targets: int, ways: int, found: Array, strain: Array) -> tuple[Array, Array]:
+        """Groups by target what goes through all targets for one way to bend the arm, then for the next way."""
         found = self._wrapped(found)
-        inside = ((found >= self.lower - 1e-9) & (found <= self.upper + 1e-9)) | ~self.bounded
-        return found, exact & inside.all(axis=1)
+        beyond = np.maximum(np.maximum(self.lower - found, found - self.upper) - _ROUNDING, 0.0)
+        strain = strain + beyond @ self.bounded
+        each = targets, -1
+        shape = ways, targets, len(found) // (ways * targets)
+        return (
+            found.reshape(*shape, 7).transpose(1, 0, 2, 3).reshape(*each, 7),
+            strain.reshape(shape).transpose(1, 0, 2).reshape(each),
+        )
 
     def miss(self, position: Array, turn: Array | None) -> float:
         """How far the tool stays away from a target at least, whatever the posture, m; 0 where nothing is known.
@@ -117,55 +147,69 @@ class ClosedForm:
         long = float(reach.min() - far.max())
         return max(0.0, max(short, long) - spare - slack)
 
-    def _at_pose(self, position: Array, turn: Array, home: Array) -> tuple[Array, Flags]:
+    def _at_poses(self, positions: Array, turns: Array, tried: Array) -> tuple[int, Array, Array]:
+        """Number of ways to bend the arm, postures, and their strains, for given values of joint 1."""
         w = self.axes
-        rotation = turn @ self.tool[:3, :3].T
-        wrist = position + rotation @ (self.wrist - self.tool[:3, 3])
-        arm, exact = self._to_point(self._tried(0, _STEPS, home), self.wrist[:, None], wrist)
-        count = len(exact)
+        rotations = turns @ self.tool[:3, :3].T
+        wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
+        q1 = self._towards(wrists, tried)
+        rows = q1.shape[1]
+        arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
+        count = len(strain)
         # what the wrist has to turn: two columns of the rotation that is left when joints 1 to 4 are taken back
         across = _across(w[6])
-        left = np.repeat(rotation @ np.column_stack([w[6], across]), count, axis=1)
+        columns = np.repeat(rotations @ np.column_stack([w[6], across]), rows, axis=0)
+        left = np.concatenate([np.tile(columns[:, :, i].T, 4) for i in (0, 1)], axis=1)
         for joint, angle in enumerate(arm):
             left = subproblems.turned(w[joint], -np.tile(angle, 2), left)
-        q5, q6, possible = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])
+        q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])
         q5, q6 = q5.ravel(), q6.ravel()
         side = subproblems.turned(w[5], -q6, subproblems.turned(w[4], -q5, np.tile(left[:, count:], 2)))
         q7 = subproblems.angle_between(w[6], across[:, None], side)
-        return np.stack([*(np.tile(angle, 2) for angle in arm), q5, q6, q7], axis=1), np.tile(exact & possible, 2)
+        return 8, np.stack([*(np.tile(angle, 2) for angle in arm), q5, q6, q7], axis=1), np.tile(strain + short, 2)
 
-    def _at_position(self, position: Array, home: Array) -> tuple[Array, Flags]:
+    def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
         w = self.axes
-        spread = [self._tried(joint, steps, home) for joint, steps in zip((0, 4, 5), _COARSE, strict=True)]
-        q1, q5, q6 = (grid.ravel() for grid in np.meshgrid(*spread, indexing="ij"))
+        wrist = [self._tried(joint, steps, home) for joint, steps in zip((4, 5), _COARSE[1:], strict=True)]
+        q1 = self._towards(positions, self._tried(0, _COARSE[0], home))
+        q5, q6 = (np.tile(grid.ravel(), q1.size) for grid in np.meshgrid(*wrist, indexing="ij"))
+        q1 = np.repeat(q1.ravel(), len(q5) // q1.size)
         tool = (self.tool[:3, 3] - self.wrist)[:, None]
         for joint, angle in ((6, home[6:]), (5, q6), (4, q5)):
             tool = subproblems.turned(w[joint], angle, tool)
-        arm, exact = self._to_point(q1, self.wrist[:, None] + tool, position)
-        rest = (np.tile(values, len(exact) // len(q1)) for values in (q5, q6, np.full(len(q1), home[6])))
-        return np.stack([*arm, *rest], axis=1), exact
+        goals = np.repeat(positions.T, len(q1) // len(positions), axis=1)
+        arm, strain = self._to_point(q1, self.wrist[:, None] + tool, goals)
+        rest = (np.tile(values, len(strain) // len(q1)) for values in (q5, q6, np.full(len(q1), home[6])))
+        return 4, np.stack([*arm, *rest], axis=1), strain
 
-    def _to_point(self, q1: Array, point: Array, goal: Array) -> tuple[tuple[Array, Array, Array, Array], Flags]:
-        """Values of joints 1 to 4 that bring a point of the forearm at zero to a goal: four for each of joint 1."""
+    def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[tuple[Array, Array, Array, Array], Array]:
+        """Values of joints 1 to 4 that bring a point of the forearm at zero to goals: four for each of joint 1."""
         w = self.axes
         base = self.origins[0][:, None]
-        away = base + subproblems.turned(w[0], -q1, goal[:, None] - base) - self.shoulder[:, None]
+        away = base + subproblems.turned(w[0], -q1, goals - base) - self.shoulder[:, None]
         elbow_T = self.origins[3][:, None]
         start = point - elbow_T
-        q4, exact = subproblems.to_distance(
+        q4, strain = subproblems.to_distance(
             w[3], start, self.shoulder[:, None] - elbow_T, np.sqrt((away * away).sum(axis=0))
         )
         q4 = q4.ravel()
         start = start if start.shape[1] == 1 else np.tile(start, 2)
         bent = subproblems.turned(w[3], q4, start) + elbow_T - self.shoulder[:, None]
-        q2, q3, possible = subproblems.two_turns(w[1], w[2], bent, np.tile(away, 2))
-        return (np.tile(q1, 4), q2.ravel(), q3.ravel(), np.tile(q4, 2)), np.tile(np.tile(exact, 2) & possible, 2)
+        q2, q3, short = subproblems.two_turns(w[1], w[2], bent, np.tile(away, 2))
+        return (np.tile(q1, 4), q2.ravel(), q3.ravel(), np.tile(q4, 2)), np.tile(np.tile(strain, 2) + short, 2)
 
     def _tried(self, joint: int, steps: int, home: Array) -> Array:
         """Values of a joint all over its range, and the one that it has."""
         low, high = float(self.lower[joint]), float(self.upper[joint])
         spread = np.linspace(low, high, steps, endpoint=bool(self.bounded[joint]))
         return np.append(spread, np.clip(home[joint], low, high))
+
+    def _towards(self, points: Array, tried: Array) -> Array:
+        """Values (m, n) of joint 1 that are tried: also that which points straight at the target."""
+        base = self.origins[0][:, None]
+        straight = subproblems.angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
+        straight = np.clip(straight, self.lower[0], self.upper[0])
+        return np.column_stack([np.broadcast_to(tried, (len(points), len(tried))), straight])
 
     def _wrapped(self, postures: Array) -> Array:
         """The same angles, by full turns as near the middle of the joints' ranges as they can be."""

@@ -15,11 +15,12 @@ import numpy as np
 
 from pycram.reasoning import reach
 from pycram.reasoning.outline import Outline
+from pycram.reasoning.reach import Solver
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
@@ -66,6 +67,23 @@ class GraspPlan:
     reach: Reach | None
     obstacles: Mapping[Object, Mapping[str, object]] = field(default_factory=dict)
 
+    def cost(self, links: Collection[str] | None = None) -> tuple[int, int, float]:
+        """How much is in the way: furniture stays, other things can be moved first; little overlap is better.
+
+        Args:
+            links: the robot's links that count; all by default.
+
+        Returns:
+            Number of fixed objects, of others, and the sum of the depths in m.
+        """
+        hits = [
+            (other.fixed, float(str(info["depth"])))
+            for other, info in self.obstacles.items()
+            if links is None or _by(info, links)
+        ]
+        furniture = sum(fixed for fixed, _ in hits)
+        return furniture, len(hits) - furniture, sum(depth for _, depth in hits)
+
     def evidence(self) -> dict[str, object]:
         """As records carry it."""
         told: dict[str, object] = {"reached": self.grasp is not None}
@@ -74,6 +92,12 @@ class GraspPlan:
         if self.reach is not None:
             told |= self.reach.evidence()
         return told | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
+
+
+def _by(hit: Mapping[str, object] | None, links: Collection[str]) -> bool:
+    """Whether some of the robot's links touch what is hit."""
+    names = hit["links"] if hit else []
+    return isinstance(names, list) and any(name in links for name in names)
 
 
 def middle(body: Object) -> Vector:
@@ -184,36 +208,42 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         names: the sides that are allowed; all by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
+    solver = Solver(robot, link)
     if arm is None:
-        options: list[Grasp | None] = [None]
+        at = middle(body)
+        found = iter([(Grasp("any", at, (0.0, 0.0, 0.0, 1.0), 0.0), solver.postures(at, None))])
+        opened, hand = {}, {link}
     else:
-        options = list(candidates(body, robot, arm, names))
+        found = _reaches(list(candidates(body, robot, arm, names)), solver)
+        opened, hand = arm.gripper.positions("open"), {arm.gripper.palm, *arm.gripper.fingers}
     nearest: Reach | None = None
-    found: list[tuple[tuple[float, ...], GraspPlan]] = []
-    opened = arm.gripper.positions("open") if arm else {}
-    _, joints = reach.moving_joints(robot, link)
-    with Rehearsal(robot, [*joints, *opened], [] if arm else [body]) as rehearsal:
-        for grasp in options:
-            place = grasp or Grasp("any", middle(body), (0.0, 0.0, 0.0, 1.0), 0.0)
-            for option in reach.postures(robot, link, place.position, grasp.orientation if grasp else None):
-                if not option.reached(reach.THRESHOLD):
-                    if nearest is None or option.posture.position_error < nearest.posture.position_error:
-                        nearest = option
+    least: GraspPlan | None = None
+    rank: tuple[float, ...] = (math.inf,)
+    with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
+        for grasp, ways in found:
+            for way in ways:
+                if not way.reached(reach.THRESHOLD):
+                    if nearest is None or way.posture.position_error < nearest.posture.position_error:
+                        nearest = way
                     continue
-                rehearsal.take({**option.posture.positions, **opened})
-                if rehearsal.touches_itself():
-                    continue
+                rehearsal.take({**way.posture.positions, **opened})
                 touched = rehearsal.touched()
-                pushes = touched.pop(body, None) is not None  # the open hand would be in the object itself
-                plan = GraspPlan(place, option, touched)
-                if not touched and not pushes:
+                pushed = touched.pop(body, None)  # the open hand would be in the object itself
+                plan = GraspPlan(grasp, way, touched)
+                mine = (pushed is not None, *plan.cost())
+                if mine < rank and not rehearsal.touches_itself():
+                    least, rank = plan, mine
+                if rank <= (False, 0, 0, 0.0):
                     return plan
-                found.append(((pushes, *_cost(plan)), plan))
-    return min(found, key=lambda option: option[0])[1] if found else GraspPlan(None, nearest)
+                # the hand is where it is whatever the arm does: no other posture can be better than what it hits
+                if rank[:3] <= (_by(pushed, hand), *plan.cost(hand)[:2]):
+                    break
+    return least or GraspPlan(None, nearest)
 
 
-def _cost(plan: GraspPlan) -> tuple[int, int, float]:
-    """Furniture stays in the way, other things can be moved first; of the same, little overlap is better."""
-    furniture = sum(other.fixed for other in plan.obstacles)
-    depth = sum(float(str(info["depth"])) for info in plan.obstacles.values())
-    return furniture, len(plan.obstacles) - furniture, depth
+def _reaches(options: Sequence[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:
+    """Postures for grasps. Those that have to be searched for are at the edge of what the arm can: for need only."""
+    known = solver.at_once([(grasp.position, grasp.orientation) for grasp in options])
+    for grasp, ways in zip(options, known, strict=True):
+        if ways or not any(known):
+            yield grasp, ways or solver.postures(grasp.position, grasp.orientation)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 from pycram import checks
 from pycram.failures import UnknownName
@@ -19,11 +20,12 @@ from pycram.reasoning.kinematics import ArmKinematics, Posture
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Hashable, Mapping, Sequence
 
     from pycram.objects import Object
-    from recorder.geometry import Quaternion
+    from recorder.geometry import Pose, PoseLike, Quaternion
 
+_KEPT: Final = 16  # chains of a robot
 THRESHOLD: Final = 0.01  # m between tool and target that count as reached
 
 
@@ -119,17 +121,68 @@ def postures(
     Returns:
         At least one; if the first doesn't reach, none does.
     """
-    base, joints = moving_joints(robot, link)
-    now = robot.get_joint_positions()
-    if not joints:
+    solver = Solver(robot, link)
+    if not solver.joints:
         away = math.dist(robot.get_link_position(link), position)
         return [Reach(Posture({}, away, 0.0, away < THRESHOLD), link)]
-    solver = ArmKinematics(robot.urdf, base, link, joints, now)
-    world_T_base = robot.get_link_position_and_orientation(base)
-    base_T_world = geometry.invert(world_T_base)
-    target = geometry.transform(base_T_world, position)
-    turn = None if orientation is None else geometry.product(base_T_world[1], orientation)
-    arm = robot.description.arm_of(link) if robot.description else None
-    start = now if seed is None else seed
-    seeds = [start, *(arm.posture(name) for name in arm.poses)] if arm else [start]
-    return [Reach(posture, link) for posture in solver.solve_all(target, turn, seeds, thorough=thorough, quick=quick)]
+    return solver.postures(position, orientation, thorough=thorough, quick=quick, seed=seed)
+
+
+class Solver:
+    """Inverse kinematics of one link of a robot as it stands, for targets in the world.
+
+    Args:
+        robot: the robot.
+        link: an arm's tool frame, or any other of its links.
+        base: where the robot's base is taken to be; where it is by default.
+    """
+
+    def __init__(self, robot: Object, link: str, base: Pose | None = None) -> None:
+        root, self.joints = moving_joints(robot, link)
+        self._link = link
+        self._now = robot.get_joint_positions()
+        self._arm = robot.description.arm_of(link) if robot.description else None
+        self._kinematics = _kinematics(robot, root, link, self.joints, self._now)
+        root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
+        if base is not None:
+            root_T_base = geometry.multiply(root_T_world, robot.get_position_and_orientation())
+            root_T_world = geometry.multiply(root_T_base, geometry.invert(base))
+        self._root_T_world = root_T_world
+
+    def postures(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float] | None,
+        *,
+        thorough: bool = False,
+        quick: bool = False,
+        seed: Mapping[str, float] | None = None,
+    ) -> list[Reach]:
+        """See :func:`postures`."""
+        start = self._now if seed is None else seed
+        seeds = [start, *(self._arm.posture(name) for name in self._arm.poses)] if self._arm else [start]
+        target = geometry.transform(self._root_T_world, position)
+        turn = None if orientation is None else geometry.product(self._root_T_world[1], orientation)
+        found = self._kinematics.solve_all(target, turn, seeds, thorough=thorough, quick=quick)
+        return [Reach(posture, self._link) for posture in found]
+
+    def at_once(self, poses: Sequence[PoseLike]) -> list[list[Reach]]:
+        """Postures for many poses in the world that are found without searching; an empty list says nothing."""
+        targets = [geometry.multiply(self._root_T_world, pose) for pose in poses]
+        found = self._kinematics.at_once(targets, self._now)
+        return [[Reach(posture, self._link) for posture in each] for each in found]
+
+
+_made: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()
+
+
+def _kinematics(robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float]) -> ArmKinematics:
+    """A chain's arithmetic, which is kept: making it takes as long as solving it."""
+    others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
+    key = (link, *(now[name] for name in others))
+    mine = _made.setdefault(robot, {})
+    if key not in mine:
+        if len(mine) >= _KEPT:
+            mine.clear()
+        mine[key] = ArmKinematics(robot.urdf, root, link, joints, now)
+    return mine[key]

@@ -69,6 +69,8 @@ class Rehearsal:
         self._bodies = bodies
         self._names: dict[int, dict[int, str]] = {}
         self._base = base
+        self._depth = _arm_depths(robot, self._joints)
+        self._near: list[tuple[Object, Body, str, int, int]] = []
 
     def __enter__(self) -> Self:
         if self._base is not None:
@@ -86,10 +88,17 @@ class Rehearsal:
         Args:
             positions: joint values in rad or m by name; the others stay.
         """
-        self._engine.pose_joints(self._body, positions)
+        engine = self._engine
+        engine.pose_joints(self._body, positions)
         for _, body, link, pose in self._held:
-            self._engine.set_pose(body, geometry.multiply(self._engine.link_pose(self._body, link), pose))
-        self._engine.refresh()
+            engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
+        engine.refresh()
+        self._near = [
+            (mover, body, link, number, index)
+            for mover, body, links in self._movers
+            for link in links
+            for number, index in engine.near(*engine.box(body, link))
+        ]
 
     def touched(self) -> dict[Object, dict[str, object]]:
         """What it touches in the posture that it has taken.
@@ -100,41 +109,32 @@ class Rehearsal:
             of others too.
         """
         found: dict[Object, list[Touch]] = {}
-        for mover, body, links in self._movers:
-            for link in links:
-                for number, index in self._engine.near(*self._engine.box(body, link)):
-                    other = self._obstacles.get(number)
-                    if other is None:
-                        continue
-                    obstacle = self._bodies[other.name]
-                    touches = self._engine.link_touches(body, link, obstacle, link_b=self._name(obstacle, index))
-                    real = [
-                        touch
-                        for touch in touches
-                        if touch.distance <= -DEPTH
-                        and not (mover.is_robot and other.is_environment and _carries_wheels(touch))
-                    ]
-                    if real:
-                        found.setdefault(other, []).extend(real)
+        for mover, body, link, number, index in self._near:
+            other = self._obstacles.get(number)
+            if other is None:
+                continue
+            obstacle = self._bodies[other.name]
+            standing = mover.is_robot and other.is_environment
+            for touch in self._engine.link_touches(body, link, obstacle, link_b=self._name(obstacle, index)):
+                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch)):
+                    found.setdefault(other, []).append(touch)
         told = {other: _told(touches) for other, touches in found.items()}
         return dict(sorted(told.items(), key=lambda item: (-float(str(item[1]["depth"])), item[0].name)))
 
     def touches_itself(self) -> list[tuple[str, str]]:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
-        depth = _arm_depths(self._robot, self._joints)
         found = []
-        for link in self._movers[0][2]:
-            for number, index in self._engine.near(*self._engine.box(self._body, link)):
-                if number != self._body.id:
-                    continue
-                other = self._name(self._body, index)
-                if other in self._moving and other <= link:
-                    continue  # seen from the other side
-                if abs(depth[link] - depth[other]) <= _BESIDE:
-                    continue
-                touches = self._engine.link_touches(self._body, link, self._body, link_b=other)
-                if any(touch.distance <= -_OWN_DEPTH for touch in touches):
-                    found.append((link, other))
+        for mover, _, link, number, index in self._near:
+            if mover is not self._robot or number != self._body.id:
+                continue
+            other = self._name(self._body, index)
+            if other in self._moving and other <= link:
+                continue  # seen from the other side
+            if abs(self._depth[link] - self._depth[other]) <= _BESIDE:
+                continue
+            touches = self._engine.link_touches(self._body, link, self._body, link_b=other)
+            if any(touch.distance <= -_OWN_DEPTH for touch in touches):
+                found.append((link, other))
         return found
 
     def _name(self, body: Body, index: int) -> str:

@@ -2,8 +2,8 @@
 
 Arms whose axes meet in shoulder and wrist are solved by a chain of these (Murray, Li, Sastry: A Mathematical
 Introduction to Robotic Manipulation, 1994, section 3.3.2). Points and vectors are the columns of arrays (3, n) or
-(3, 1); axes are unit vectors (3,); angles are (n,) in rad. Where no angle does it, the nearest is given and said to be
-no solution.
+(3, 1); axes are unit vectors (3,); angles are (n,) in rad. Where no angle does it, the nearest is given, with a strain:
+about how many rad are missing, 0 for solutions.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
-_SLACK: Final = 1e-9  # of a cosine or a squared length: rounding, no miss
+_SLACK: Final = 1e-9  # of a cosine: rounding, no miss
 
 
 def turned(axis: Array, angle: Array, vector: Array) -> Array:
@@ -54,7 +53,7 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
     return result
 
 
-def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Flags]:
+def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
     """Subproblem 2: angles about two axes through the origin, which aren't parallel, that bring a vector to another.
 
     Args:
@@ -64,7 +63,7 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
         end: the vector after.
 
     Returns:
-        Angles (2, n) about the outer and about the inner axis, of both solutions; and whether they are solutions (n,).
+        Angles (2, n) about the outer and about the inner axis, of both solutions, and their strain (n,).
     """
     between = float(first @ second)
     square = 1.0 - between * between
@@ -77,14 +76,15 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     way = np.concatenate([middle + aside, middle - aside], axis=1)
     inner = angle_between(second, _twice(start), way)
     outer = -angle_between(first, _twice(end), way)
-    return outer.reshape(2, -1), inner.reshape(2, -1), rest >= -_SLACK
+    short = -rest / np.maximum((end * end).sum(axis=0), 1e-12)
+    return outer.reshape(2, -1), inner.reshape(2, -1), np.sqrt(np.maximum(short - _SLACK, 0.0))
 
 
 def _twice(vectors: Array) -> Array:
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 
-def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple[Array, Flags]:
+def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple[Array, Array]:
     """Subproblem 3: the angle about an axis through the origin that brings a point to a distance from another.
 
     Args:
@@ -94,7 +94,7 @@ def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple
         distance: wanted between them, (n,), m.
 
     Returns:
-        Angles (2, n) of both solutions, and whether they are solutions (n,).
+        Angles (2, n) of both solutions, and their strain (n,).
     """
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)
@@ -105,4 +105,5 @@ def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple
         2.0 * np.sqrt(lengths[0] * lengths[1]), 1e-12
     )
     aside = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return np.stack([straight + aside, straight - aside]), np.abs(cosine) <= 1.0 + _SLACK
+    strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _SLACK, 0.0))
+    return np.stack([straight + aside, straight - aside]), strain
