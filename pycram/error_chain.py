@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -30,6 +30,19 @@ def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
             last.__context__ = other
             last.__suppress_context__ = False
     return error
+
+
+def raise_unchanged(error: BaseException) -> NoReturn:
+    """Raises an error with the context that it has, also while another one is being handled.
+
+    Args:
+        error: the error.
+    """
+    context = error.__context__
+    try:
+        raise error
+    finally:
+        error.__context__ = context
 
 
 def _leads_to(error: BaseException, known: set[int]) -> bool:
