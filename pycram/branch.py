@@ -7,9 +7,10 @@ type matters (``isinstance``, ``is``), :func:`unwrap` gives the result.
 
 from __future__ import annotations
 
+import operator
 import threading
 from contextvars import copy_context
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.cancellation import checkpoint, wait
 from pycram.failures import UsageError
@@ -234,6 +235,24 @@ class Handle:
 
     def __ge__(self, other: object) -> bool:
         return bool(self._branch.result() >= unwrap(other))
+
+
+def _operation(name: str) -> Callable[..., Result]:
+    function = getattr(operator, name.replace("__r", "__", 1) if name in _REFLECTED else name)
+
+    def operate(self: Handle, *others: object) -> Result:
+        values = [self.result(), *(unwrap(other) for other in others)]
+        return function(*(reversed(values) if name in _REFLECTED else values))
+
+    operate.__name__ = name
+    return operate
+
+
+_BINARY: Final = ("add", "sub", "mul", "matmul", "truediv", "floordiv", "mod", "pow", "and", "or", "xor")
+_REFLECTED: Final = frozenset(f"__r{name}__" for name in _BINARY)
+
+for _name in (*(f"__{name}__" for name in _BINARY), *_REFLECTED, "__neg__", "__pos__", "__abs__", "__index__"):
+    setattr(Handle, _name, _operation(_name))
 
 
 def is_handle(value: object) -> bool:

@@ -38,21 +38,25 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     """
     if not callable(action):
         raise BadArgument("action", action, "a function")
+    first: BaseException | None = None
     with hosted(None):
         try:
             yield
-        except BaseException as error:
-            try:
-                _clean(action, args, kwargs)
-            except BaseException as second:  # noqa: BLE001  one of both is raised
-                bug = isinstance(error, PlanFailure) and not isinstance(second, PlanFailure)
-                first = bug or isinstance(error, (Cancelled, Retry))
-                raise_unchanged(chained(second, [error]) if first else chained(error, [second]))
-            raise
-        else:
-            _clean(action, args, kwargs)
+        except BaseException as error:  # noqa: BLE001  raised below
+            first = error
+        try:
+            with shielded(), span("cleanup", qualified_name(action)) as task:
+                task.result = action(*args, **kwargs)
+        except BaseException as second:
+            if first is None:
+                raise
+            first = _together(first, second)
+    if first is not None:
+        raise_unchanged(first)
 
 
-def _clean(action: Callable[..., Any], args: tuple[object, ...], kwargs: dict[str, object]) -> None:
-    with shielded(), hosted(None), span("cleanup", qualified_name(action)) as task:
-        task.result = action(*args, **kwargs)
+def _together(error: BaseException, cleaning: BaseException) -> BaseException:
+    bug = isinstance(error, PlanFailure) and not isinstance(cleaning, PlanFailure)
+    if bug or isinstance(error, (Cancelled, Retry)):
+        return chained(cleaning, [error])
+    return chained(error, [cleaning])

@@ -350,9 +350,6 @@ class BranchesFailed(PlanFailure):
         told = "; ".join(f"{type(failure).__name__}: {failure}" for failure in self.failures)
         return f"{self.block} failed: {told}"
 
-    def __reduce__(self) -> tuple[object, ...]:
-        return BranchesFailed, (self.block, self.failures)
-
 
 class Tracebacks(PycramError):
     """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all.

@@ -264,7 +264,7 @@ class Attempt:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         handled = error
-        changed: Parameters = {}
+        changed: Parameters | None = None
         if isinstance(error, Retry) and error.attempt is self:
             handled, changed = error.error or error, error.changed
         if self._span is not None:
@@ -299,13 +299,13 @@ class _Attempts:
         with self._span.entered(), hosted(None):
             yield
 
-    def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters) -> bool:
+    def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
         """Takes the end of an attempt.
 
         Args:
             error: what came out of its body.
             handled: what it failed with; another one than ``error`` where the body said ``retry``.
-            changed: parameters that the next attempt is to have.
+            changed: parameters that the next attempt is to have; None if the body didn't say ``retry``.
 
         Returns:
             Whether there is to be another one; else the error goes on.
@@ -313,8 +313,7 @@ class _Attempts:
         Raises:
             PlanFailure: the last failure, when the retries are used up.
         """
-        said = handled is not error
-        if handled is None or not (said or self._handling.handles(handled)):
+        if handled is None or (changed is None and not self._handling.handles(handled)):
             self._finish(error)
             return False
         last = RetriesUsedUp(self._handling.retries) if isinstance(handled, Retry) else handled
@@ -322,12 +321,12 @@ class _Attempts:
         if self._number <= self._handling.retries:
             try:
                 with self.entered():
-                    recovered = {} if said else self._handling.recover(last)
+                    changed = self._handling.recover(last) if changed is None else changed
             except BaseException as wrong:  # noqa: BLE001  raised below
                 final = chained(wrong, [final])
             else:
                 self._failures.append(last)
-                self._parameters = {**self._parameters, **recovered, **changed}
+                self._parameters = {**self._parameters, **changed}
                 return True
         self._finish(final)
         if final is not error:

@@ -61,8 +61,8 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
         outer = current_scope()
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}):
             try:
-                checkpoint()
                 with hosted(None), entered(scope):
+                    checkpoint()
                     yield
             except Cancelled as stopped:
                 if scope.overdue and not (outer is not None and outer.cancelled):

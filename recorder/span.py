@@ -126,7 +126,7 @@ class Span:
         if recorded:
             record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result)
-        if error is not None:
+        if record.status == Task.FAILED and error is not None:
             record.failure.CopyFrom(failure(error, trace=recorded))
         try:
             self._emit(record)
