@@ -1,35 +1,27 @@
-"""Branches: one action of a concurrent block, in a thread of its own; and handles, which stand for their results.
+"""Branches: the actions of a block; and handles, which stand for their results.
 
-A handle is what a plan gets at once for an action that still runs. It can be used as the result itself: looking at its
-attributes, comparing, printing or iterating waits for the branch to end and then works on the result. Where the type
-matters (``isinstance``, ``is``), :func:`unwrap` gives the result.
+A handle is what a plan gets at once for an action that may still run. It can be used as the result itself: looking at
+its attributes, comparing, printing or iterating waits for the branch to end and then works on the result. Where the
+type matters (``isinstance``, ``is``), :func:`unwrap` gives the result.
 """
 
 from __future__ import annotations
 
-import contextvars
+import operator
 import threading
-from enum import Enum
-from typing import TYPE_CHECKING, Any, TypeAlias
+from contextvars import copy_context
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from pycram.cancellation import Cancelled, checkpoint, wait
+from pycram.cancellation import checkpoint, wait
 from pycram.failures import UsageError
+from recorder.span import plan_line
+from recorder.tasks import State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 #: What an action of the plan gives: whatever its process module or function returns.
 Result: TypeAlias = Any
-
-
-class State(Enum):
-    """How far a block or branch is, or how it ended."""
-
-    CREATED = "created"
-    RUNNING = "running"
-    SUCCEEDED = "succeeded"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
 
 
 class NoResult(UsageError):
@@ -45,34 +37,45 @@ class NoResult(UsageError):
 
 
 class Branch:
-    """One action, in its own thread, in a copy of the context in which it was made.
+    """One action of a block, and what came of it.
+
+    It runs in a copy of the context in which it was asked for, in whatever thread the block gives it.
 
     Attributes:
         name: what people call it; its thread's name too.
+        action: what it does; its result is the branch's.
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
+        context: where it was asked for.
+        source: file and line of the plan that asked for it.
     """
 
     def __init__(
-        self, name: str, action: Callable[[], Result], *, ordered: bool = False, ended: Callable[[Branch], None]
+        self,
+        name: str,
+        action: Callable[[], Result],
+        *,
+        ordered: bool = False,
+        dropped: Callable[[], None] = lambda: None,
     ) -> None:
-        """Makes a branch; :meth:`start` lets it run.
+        """Makes a branch that doesn't run yet.
 
         Args:
             name: what people call it.
-            action: what it does; its result is the branch's.
+            action: what it does.
             ordered: see above.
-            ended: called in the branch's thread when its outcome is known; must not raise.
+            dropped: called once if it is never begun; must not raise.
         """
         self.name = name
+        self.action = action
         self.ordered = ordered
-        self._action = action
-        self._ended = ended
+        self.context = copy_context()
+        self.source = plan_line()
+        self._dropped = dropped
+        self._begun = False
         self._changed = threading.Condition()
         self._state = State.CREATED
         self._result: Result = None
         self._error: BaseException | None = None
-        self._context = contextvars.copy_context()
-        self._thread = threading.Thread(target=self._context.run, args=(self._run,), name=name)
 
     @property
     def state(self) -> State:
@@ -86,26 +89,32 @@ class Branch:
 
     @property
     def error(self) -> BaseException | None:
-        """What it raised; None while it runs and when it succeeded."""
+        """What it raised; None while it runs, when it succeeded and when it was cancelled."""
         return self._error
 
-    def start(self) -> None:
-        """Lets it run.
+    def begin(self) -> Result:
+        """Does its action.
 
-        Raises:
-            RuntimeError: the system gives no more threads.
+        Returns:
+            What that returned.
         """
+        self._begun = True
         self._state = State.RUNNING
-        try:
-            self._thread.start()
-        except RuntimeError as error:
-            self._settle(State.FAILED, None, error)
-            raise
+        return unwrap(self.action())
 
-    def join(self) -> None:
-        """Waits until its thread has ended."""
-        if self._thread.ident is not None:
-            self._thread.join()
+    def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
+        """Says what came of it, once.
+
+        Args:
+            state: how it ended.
+            result: what its action returned.
+            error: what its action raised.
+        """
+        if not self._begun:
+            self._dropped()
+        with self._changed:
+            self._state, self._result, self._error = state, result, error
+            self._changed.notify_all()
 
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.
@@ -131,30 +140,15 @@ class Branch:
             raise self._error
         return self._result
 
-    def _run(self) -> None:
-        try:
-            result = unwrap(self._action())
-        except Cancelled as error:
-            self._settle(State.CANCELLED, None, error)
-        except BaseException as error:  # noqa: BLE001  the block raises it in the thread that opened it
-            self._settle(State.FAILED, None, error)
-        else:
-            self._settle(State.SUCCEEDED, result, None)
-
-    def _settle(self, state: State, result: Result, error: BaseException | None) -> None:
-        with self._changed:
-            self._state, self._result, self._error = state, result, error
-            self._changed.notify_all()
-        self._ended(self)
-
     def __repr__(self) -> str:
-        return f"Branch({self.name!r}, {self._state.value})"
+        return f"Branch({self.name!r}, {self._state.word})"
 
 
 class Handle:
     """Stands for the result of a branch; everything that is done with it is done with the result, once it is there.
 
-    Its own is only :meth:`result`. When the branch failed, using the handle raises what the branch raised.
+    Its own is only :meth:`result`. When the branch failed, using the handle raises what the branch raised. What it is
+    the result of tells :func:`branch_of`.
     """
 
     __slots__ = ("__weakref__", "_branch")
@@ -241,6 +235,24 @@ class Handle:
 
     def __ge__(self, other: object) -> bool:
         return bool(self._branch.result() >= unwrap(other))
+
+
+def _operation(name: str) -> Callable[..., Result]:
+    function = getattr(operator, name.replace("__r", "__", 1) if name in _REFLECTED else name)
+
+    def operate(self: Handle, *others: object) -> Result:
+        values = [self.result(), *(unwrap(other) for other in others)]
+        return function(*(reversed(values) if name in _REFLECTED else values))
+
+    operate.__name__ = name
+    return operate
+
+
+_BINARY: Final = ("add", "sub", "mul", "matmul", "truediv", "floordiv", "mod", "pow", "and", "or", "xor")
+_REFLECTED: Final = frozenset(f"__r{name}__" for name in _BINARY)
+
+for _name in (*(f"__{name}__" for name in _BINARY), *_REFLECTED, "__neg__", "__pos__", "__abs__", "__index__"):
+    setattr(Handle, _name, _operation(_name))
 
 
 def is_handle(value: object) -> bool:

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
 from pycram import attachments, checks, worlds
+from pycram.cancellation import whole
 from pycram.engine import STEPS_PER_SECOND, Engine
 from pycram.event import Event
 from pycram.failures import BadArgument, NoWorld, UnknownName
@@ -69,6 +70,7 @@ class BulletWorld(metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
+        self.alarms: set[Callable[[], None]] = set()  # called, without a lock, when simulated time has passed
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
@@ -299,6 +301,7 @@ class BulletWorld(metaclass=CurrentWorld):
             environment = {body: self.engine.joints(body.handle)[0] for body in self.objects if body.is_environment}
             self._step(steps, change)
             change.touch(*self.objects)
+            change.events.append(self._ring)
             for body, before in environment.items():
                 after = self.engine.joints(body.handle)[0]
                 if any(not math.isclose(a, b, abs_tol=_MOVED) for a, b in zip(before, after, strict=True)):
@@ -323,6 +326,15 @@ class BulletWorld(metaclass=CurrentWorld):
                 if sample is not None:
                     change.samples.append(sample)
         change.command.simulate.steps = done
+
+    def _ring(self) -> Callable[[], None]:
+        alarms = tuple(self.alarms)
+
+        def ring() -> None:
+            for alarm in alarms:
+                alarm()
+
+        return ring
 
     def reset(self) -> None:
         """Puts every object back to where it was loaded, with its joints; attachments end, time and colours stay."""
@@ -364,6 +376,7 @@ class BulletWorld(metaclass=CurrentWorld):
             raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)
 
+    @whole()
     def exit(self) -> None:
         """Ends the world at once, its window and its threads; a second call does nothing.
 

@@ -1,8 +1,9 @@
 """Cancellation: a block that is decided tells its other branches to stop, and they stop where that is safe.
 
-A scope is a stretch of the plan that can be cancelled; scopes nest as the blocks of the plan do. Nothing is
-interrupted: a cancelled branch stops by itself at its next checkpoint (before an action, or in a wait), where the world
-is consistent, by a :class:`~recorder.span.Cancelled` that rises through it.
+A scope is a stretch of the plan that can be cancelled, or that has a deadline; scopes nest as the blocks of the plan
+do. Nothing is interrupted: a cancelled branch stops by itself at its next checkpoint, where the world is consistent, by
+a :class:`~recorder.span.Cancelled` that rises through it. Checkpoints are: before a motion, in a wait, and before a
+change of a world, except within a motion, which is done as a whole.
 """
 
 from __future__ import annotations
@@ -19,7 +20,17 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
-__all__ = ["Cancelled", "Scope", "checkpoint", "current_scope", "entered", "shielded", "wait"]
+__all__ = [
+    "Cancelled",
+    "Scope",
+    "before_change",
+    "checkpoint",
+    "current_scope",
+    "entered",
+    "shielded",
+    "wait",
+    "whole",
+]
 
 
 class Scope:
@@ -27,15 +38,21 @@ class Scope:
 
     Attributes:
         lineage: this scope, the one around it, and so on outwards.
+        deadlines: what is left until their deadlines, of those that have one; see the constructor.
     """
 
-    def __init__(self, parent: Scope | None = None) -> None:
+    def __init__(self, parent: Scope | None = None, remaining: Callable[[], float] | None = None) -> None:
         """Makes a scope.
 
         Args:
             parent: the scope around it; when that is cancelled, this is too.
+            remaining: how many seconds by the clock there are at least until its deadline, 0 when it has passed;
+                None for no deadline.
         """
         self.lineage: tuple[Scope, ...] = (self, *(parent.lineage if parent is not None else ()))
+        around = parent.deadlines if parent is not None else ()
+        self.deadlines: tuple[Callable[[], float], ...] = around if remaining is None else (remaining, *around)
+        self._remaining = remaining
         self._lock = threading.Lock()
         self._told = threading.Event()
         self._waiting: list[threading.Condition] = []
@@ -46,13 +63,30 @@ class Scope:
         return self._told.is_set()
 
     @property
+    def overdue(self) -> bool:
+        """Whether the deadline of this very scope has passed."""
+        return self._remaining is not None and self._remaining() <= 0
+
+    @property
     def cancelled(self) -> bool:
-        """Whether it, or a scope around it, has been told to stop."""
-        return any(scope.told for scope in self.lineage)
+        """Whether it, or a scope around it, has been told to stop or is overdue."""
+        for scope in self.lineage:
+            if scope.told:
+                return True
+        return any(remaining() <= 0 for remaining in self.deadlines)
+
+    def remaining(self) -> float | None:
+        """Seconds by the clock for which a wait in it may sleep at most; None for as long as it likes."""
+        shortest = min((remaining() for remaining in self.deadlines), default=None)
+        return None if shortest is None or shortest > threading.TIMEOUT_MAX else shortest
 
     def cancel(self) -> None:
         """Tells it to stop, and wakes whatever waits in it."""
         self._told.set()
+        self.wake()
+
+    def wake(self) -> None:
+        """Lets whatever waits in it look again whether it is to stop."""
         with self._lock:
             waiting = list(self._waiting)
         for condition in waiting:
@@ -105,6 +139,29 @@ def shielded() -> AbstractContextManager[None]:
     return entered(None)
 
 
+_whole: ContextVar[bool] = ContextVar("pycram_whole", default=False)
+
+
+@contextmanager
+def whole() -> Iterator[None]:
+    """Runs its block so that changes of a world in it are no checkpoints: what is begun is done."""
+    token = _whole.set(True)
+    try:
+        yield
+    finally:
+        _whole.reset(token)
+
+
+def before_change() -> None:
+    """Called before a world is changed: a checkpoint, unless the change is part of a :func:`whole`.
+
+    Raises:
+        Cancelled: the branch has been told to stop.
+    """
+    if not _whole.get():
+        checkpoint()
+
+
 def checkpoint() -> None:
     """A place where a cancelled branch may stop.
 
@@ -144,7 +201,9 @@ def wait(condition: threading.Condition, predicate: Callable[[], bool], timeout:
                 remaining = None if end is None else end - time.monotonic()
                 if remaining is not None and remaining <= 0:
                     return False
-                condition.wait(remaining)
+                deadline = scope.remaining()
+                times = [one for one in (remaining, deadline) if one is not None]
+                condition.wait(min(times, default=None))
             return True
     finally:
         for one in scope.lineage:

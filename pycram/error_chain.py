@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,19 +26,41 @@ def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
         while (earlier := last.__cause__ or last.__context__) is not None and id(earlier) not in known:
             last = earlier
             known.add(id(last))
-        if id(other) not in known and not _leads_to(other, known):
+        if id(other) not in known and _freed(other, known):
             last.__context__ = other
             last.__suppress_context__ = False
     return error
 
 
-def _leads_to(error: BaseException, known: set[int]) -> bool:
-    """Whether hanging this error behind the known ones would close a circle."""
+def raise_unchanged(error: BaseException) -> NoReturn:
+    """Raises an error with the context that it has, also while another one is being handled.
+
+    Args:
+        error: the error.
+    """
+    context = error.__context__
+    try:
+        raise error
+    finally:
+        error.__context__ = context
+
+
+def _freed(error: BaseException, known: set[int]) -> bool:
+    """Parts an error from the known ones if it only came while they were handled; whether it is parted from them now.
+
+    Hanging it behind them would close a circle otherwise.
+    """
     seen: set[int] = set()
-    earlier: BaseException | None = error
-    while earlier is not None and id(earlier) not in seen:
+    later = error
+    while id(later) not in seen:
+        seen.add(id(later))
+        earlier = later.__cause__ or later.__context__
+        if earlier is None:
+            break
         if id(earlier) in known:
-            return True
-        seen.add(id(earlier))
-        earlier = earlier.__cause__ or earlier.__context__
-    return False
+            if later.__cause__ is not None:
+                return False
+            later.__context__ = None
+            break
+        later = earlier
+    return True

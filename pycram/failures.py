@@ -8,10 +8,12 @@ should catch it. Every error keeps its data as attributes, which the recording s
 from __future__ import annotations
 
 import difflib
+import functools
+import traceback
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
 
@@ -335,14 +337,90 @@ class AccessFailed(PlanFailure):
 
 
 class BranchesFailed(PlanFailure):
-    """Branches of a concurrent block failed.
+    """A block of the plan language failed: one failure that carries those of all its branches.
+
+    It can be caught as what they are: where all of them are ``Unreachable``, ``except Unreachable`` catches it, and it
+    has the fields of the first of them; where they differ, as what they have in common, ``PlanFailure`` at last. So who
+    catches it by a type has handled all that went wrong, and no failure of another type vanishes beside it.
 
     Attributes:
-        failures: what each of them raised.
+        block: what the block is: "par", "try_all", ...
+        failures: what its branches and its body raised, in order.
     """
 
-    def __init__(self, block: str, failures: Sequence[BaseException]) -> None:
-        told = "; ".join(f"{type(failure).__name__}: {failure}" for failure in failures)
-        super().__init__(f"{block}: {len(failures)} of its branches failed: {told}")
+    block: str
+    failures: tuple[PlanFailure, ...]
+
+    def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
+        """Makes an instance that is also of the types that all failures have in common."""
+        failures = tuple(failures)
+        if cls is BranchesFailed:
+            kind = _together(tuple(type(leaf) for leaf in _leaves(failures)))
+            return super().__new__(kind, block, failures)
+        return super().__new__(cls, block, failures)
+
+    def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
+        members = tuple(failures)
+        if len(type(self).__bases__) > 1:
+            self.__dict__.update(vars(next(_leaves(members))))
         self.block = block
-        self.failures = list(failures)
+        self.failures = members
+        self.__cause__ = members[0] if len(members) == 1 else Tracebacks(members)
+
+    @property
+    def leaves(self) -> tuple[PlanFailure, ...]:
+        """What went wrong in the end: its failures, and in place of failed blocks among them theirs."""
+        return tuple(_leaves(self.failures))
+
+    @property
+    def data(self) -> Mapping[str, object]:
+        """Its fields by name; of its failures type, message and fields."""
+        told = [{"type": type(one).__name__, "message": str(one), "data": one.data} for one in self.failures]
+        return {**super().data, "failures": told}
+
+    def __str__(self) -> str:
+        told = "; ".join(f"{type(failure).__name__}: {failure}" for failure in self.failures)
+        return f"{self.block} failed: {told}"
+
+
+class Tracebacks(PycramError):
+    """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all.
+
+    Attributes:
+        failures: the failures.
+    """
+
+    def __init__(self, failures: Sequence[BaseException]) -> None:
+        super().__init__(failures)
+        self.failures = tuple(failures)
+
+    def __str__(self) -> str:
+        lines = []
+        for number, failure in enumerate(self.failures, 1):
+            lines.append(f"{number} of {len(self.failures)}")
+            lines += ["  | " + line for line in "".join(traceback.format_exception(failure)).splitlines()]
+        return "\n".join(lines)
+
+
+def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
+    for failure in failures:
+        if isinstance(failure, BranchesFailed):
+            yield from _leaves(failure.failures)
+        else:
+            yield failure
+
+
+@functools.lru_cache(maxsize=256)
+def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
+    """BranchesFailed, combined with what all of some types have in common beyond PlanFailure."""
+    common: list[type] = []
+    for kind in kinds[0].__mro__ if kinds else ():
+        shared = issubclass(kind, PlanFailure) and kind is not PlanFailure and all(issubclass(k, kind) for k in kinds)
+        if shared and not any(issubclass(known, kind) for known in common):
+            common.append(kind)
+    if not common:
+        return BranchesFailed
+    try:
+        return type("BranchesFailed", (BranchesFailed, *common), {"__module__": __name__})
+    except TypeError:  # types that can't be combined
+        return BranchesFailed

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
+from pycram.cancellation import before_change
 from pycram.failures import ChangeRefused, WorldClosed
 from pycram.world_lock import WorldLock
 from recorder import journal, records
@@ -195,9 +196,12 @@ class Funnel:
             WorldClosed: the world has ended.
             ChangeRefused: a reasoning query runs in this world.
             RecordingError: the record can't be kept.
+            Cancelled: the branch of the plan that asks for it has been told to stop.
         """
         with self.lock, Uninterrupted() as hold:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
+            if self.lock.depth == 1:  # what is made of several changes is done as a whole
+                before_change()
             change = Change(command, hold)
             yield change
             for name in change.removed:

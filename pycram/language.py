@@ -1,225 +1,157 @@
 """The plan language (thesis 3.5.3, table 3.4): what runs at the same time, and what becomes of failures.
 
-``par`` runs its branches side by side and fails if any of them fails::
+=============== ========== ============================================ ===============================================
+block           branches   is decided by                                fails with
+=============== ========== ============================================ ===============================================
+``par``         at once    nothing: all run to their end                the failures of all that failed
+``pursue``      at once    the first that ends, well or badly           the failure of that one
+``try_all``     at once    the first that succeeds                      the failures of all, when all have failed
+``seq``         in order   the first that fails                         the failure of that one
+``try_in_order`` in order  the first that succeeds                      the failures of all, when all have failed
+=============== ========== ============================================ ===============================================
 
-    with par as s:
-        ProcessModule.perform(parking)
-        ProcessModule.perform(moving)
-        s(function, argument)
+Each can be written in four ways::
 
-Each ``perform`` and each ``s(...)`` is one branch in a thread of its own and gives a handle that serves as its result.
-The block ends when all its threads have ended. Branches that need the same part of the robot queue in the order in
-which they are asked for (:mod:`pycram.claims`).
+    with par as s:                       # or par()
+        ProcessModule.perform(parking)   # a branch
+        s(function, argument)            # another one
+        with seq:                        # a third one, in which things happen in order
+            ProcessModule.perform(moving)
+            ProcessModule.perform(looking)
+
+    with par(failures) as s:             # failures go into a list; s.state tells whether there were any
+        ...
+
+    par(function, other)                 # the results, as a list
+
+Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
+gives a handle that serves as its result (:mod:`pycram.branch`). A block that is decided tells its other branches to
+stop: they do so at their next action or wait, and the block ends when all its threads have. An empty block succeeds.
+
+A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are.
+Branches that need the same part of the robot queue in the order in which they are asked for (:mod:`pycram.claims`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, overload
 
-from pycram.branch import Branch, Handle, State
-from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
-from pycram.error_chain import chained
-from pycram.event import qualified_name
-from pycram.failures import BadArgument, BranchesFailed, PlanFailure
-from recorder.span import span
+from pycram.blocks import Block, OpenBlock, Rule, current_block
+from pycram.cleanup import finally_
+from pycram.failures import BadArgument
+from pycram.nested_blocks import nested
+from pycram.retries import failure_handling, retry
+from pycram.timeouts import timeout
+from recorder.tasks import State
 
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from typing_extensions import Self
-
-    from recorder.span import Span
-
-__all__ = ["State", "par"]
+__all__ = [
+    "State",
+    "failure_handling",
+    "finally_",
+    "par",
+    "pursue",
+    "retry",
+    "seq",
+    "timeout",
+    "try_all",
+    "try_in_order",
+]
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 
-_block: ContextVar[Block | None] = ContextVar("pycram_block", default=None)
 
+class Opening:
+    """Opens a block when a ``with`` statement begins; may be used again, in other threads and within itself."""
 
-def current_block() -> Block | None:
-    """The block whose body is being run here; None inside of a branch, where things happen one after the other."""
-    return _block.get()
+    _open: ContextVar[tuple[OpenBlock, ...]] = ContextVar("pycram_openings", default=())
 
-
-class Block:
-    """A concurrent block while it is open.
-
-    Attributes:
-        name: "par".
-        state: how far it is, or how it ended.
-        branches: its branches in the order in which they were asked for.
-    """
-
-    def __init__(self, name: str, failures: list[BaseException] | None = None) -> None:
-        """Makes a block.
+    def __init__(self, rule: Rule, failures: list[BaseException] | None = None) -> None:
+        """Makes an opening.
 
         Args:
-            name: what it is called in the task tree.
+            rule: what kind of block.
             failures: where failures of its branches go; None to raise them.
         """
-        self.name = name
-        self.state = State.CREATED
-        self.branches: list[Branch] = []
+        self._rule = rule
         self._failures = failures
-        self._scope = Scope(current_scope())
-        self._exits = ExitStack()
-        self._span: Span | None = None
 
-    def __call__(self, action: Action, *args: object, **kwargs: object) -> Handle:
-        """Starts a branch.
-
-        Args:
-            action: a function.
-            args: its arguments.
-            kwargs: its named arguments.
-
-        Returns:
-            A handle that serves as its result.
-
-        Raises:
-            BadArgument: it can't be called.
-        """
-        if not callable(action):
-            raise BadArgument("action", action, "a function to run as a branch")
-        return self.start(qualified_name(action), lambda: action(*args, **kwargs))
-
-    def start(self, name: str, action: Action, *, ordered: bool = False) -> Handle:
-        """Starts a branch.
-
-        Args:
-            name: what it is called.
-            action: what it does.
-            ordered: whether it waits only for what was asked for before it.
-        """
-
-        def run() -> Result:
-            _block.set(None)  # this is the branch's own context
-            with span("branch", name) as task:
-                checkpoint()
-                task.result = result = action()
-                return result
-
-        branch = Branch(f"{self.name}-{len(self.branches) + 1} {name}", run, ordered=ordered, ended=lambda _: None)
-        self.branches.append(branch)
-        branch.start()
-        return Handle(branch)
-
-    def __enter__(self) -> Self:
-        checkpoint()
-        self.state = State.RUNNING
-        self._span = self._exits.enter_context(span("block", self.name))
-        self._exits.enter_context(entered(self._scope))
-        token = _block.set(self)
-        self._exits.callback(lambda: _block.reset(token))
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            raised = self._decide(error)
-        except BaseException as stopped:  # Ctrl-C while waiting
-            self._leave(stopped)
-            raise
-        self._leave(raised)
-        if raised is not None and raised is not error:
-            raise raised
-
-    def _leave(self, error: BaseException | None) -> None:
-        """Closes the block's node of the task tree with how it ended."""
-        if error is None:
-            self._exits.close()
-            return
-        try:
-            self._exits.__exit__(type(error), error, error.__traceback__)
-        except BaseException as same:
-            if same is not error:
-                raise
-
-    def _decide(self, error: BaseException | None) -> BaseException | None:
-        if error is not None and not isinstance(error, Exception):
-            self._scope.cancel()  # Ctrl-C, or the block around was decided: nothing new is begun
-        try:
-            self._join()
-        except BaseException:
-            self._scope.cancel()
-            self._join()
-            self.state = State.FAILED
-            raise
-        errors = [branch.error for branch in self.branches if branch.error is not None]
-        errors = [one for one in errors if not isinstance(one, Cancelled)]
-        if error is not None:
-            self.state = State.CANCELLED if isinstance(error, Cancelled) else State.FAILED
-            return chained(error, errors)
-        if not errors:
-            self.state = State.SUCCEEDED
-            return None
-        self.state = State.FAILED
-        bugs = [one for one in errors if not isinstance(one, PlanFailure)]
-        if bugs:  # the program is wrong: that has to come out as it is
-            return chained(bugs[0], [one for one in errors if one is not bugs[0]])
-        if self._failures is not None:
-            self._failures.extend(errors)
-            return None
-        failed = BranchesFailed(self.name, errors)
-        failed.__cause__ = errors[0]
-        return failed
-
-    def _join(self) -> None:
-        for branch in self.branches:
-            branch.join()
-
-
-class _Par:
-    """``par`` itself: opens a block with or without parentheses, or runs functions."""
-
-    _open: ContextVar[tuple[Block, ...]] = ContextVar("pycram_par_blocks", default=())
-
-    def __call__(self, *branches: Action | list[BaseException]) -> Block | list[Result]:
-        """Opens a block, or runs functions side by side.
-
-        Args:
-            branches: nothing; one list, which gets the failures of the block's branches; or functions.
-
-        Returns:
-            The block to use with ``with``; or the functions' results, in order.
-
-        Raises:
-            BadArgument: something else.
-            BranchesFailed: a function failed.
-        """
-        if not branches:
-            return Block("par")
-        if len(branches) == 1 and isinstance(branches[0], list):
-            return Block("par", branches[0])
-        for branch in branches:
-            if not callable(branch):
-                raise BadArgument("branch", branch, "a function, or one list for failures")
-        with Block("par") as block:
-            handles = [block(cast("Action", branch)) for branch in branches]
-        return [handle.result() for handle in handles]
-
-    def __enter__(self) -> Block:
-        block = Block("par")
+    def __enter__(self) -> OpenBlock:
+        host = current_block()
+        block = Block(self._rule, self._failures) if host is None else nested(host, self._rule, self._failures)
         block.__enter__()
         self._open.set((*self._open.get(), block))
         return block
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    ) -> bool:
         *outer, block = self._open.get()
         self._open.set(tuple(outer))
-        block.__exit__(kind, error, trace)
+        return block.__exit__(kind, error, trace)
+
+
+class Kind(Opening):
+    """One of the five words: opens a block with or without parentheses, or runs functions."""
+
+    @overload
+    def __call__(self) -> Opening: ...
+    @overload
+    def __call__(self, failures: list[BaseException], /) -> Opening: ...
+    @overload
+    def __call__(self, *branches: Action) -> Result: ...
+    def __call__(self, *branches: Action | list[BaseException]) -> Result:
+        """Opens a block, or runs functions as its branches.
+
+        Args:
+            branches: nothing; one list, which gets the failures of the block's branches; or functions.
+
+        Returns:
+            What to use with ``with``; or the functions' results as a list, of ``pursue``, ``try_all`` and
+            ``try_in_order`` the result of the one that decided it; in the body of a block a handle for that.
+
+        Raises:
+            BadArgument: something else.
+            BranchesFailed: the block failed.
+        """
+        if not branches:
+            return Opening(self._rule)
+        if len(branches) == 1 and isinstance(branches[0], list):
+            return Opening(self._rule, branches[0])
+        actions = [branch for branch in branches if callable(branch)]
+        if len(actions) != len(branches):
+            wrong = next(branch for branch in branches if not callable(branch))
+            raise BadArgument("branch", wrong, "a function, or one list for failures")
+        host = current_block()
+        return self._run(actions) if host is None else host.start(self._rule.name, lambda: self._run(actions))
+
+    def _run(self, actions: list[Action]) -> Result:
+        with Block(self._rule) as block:
+            handles = [block(action) for action in actions]
+        if self._rule.takes_one:
+            return block.decider.result() if block.decider is not None else None
+        return [handle.result() for handle in handles]
 
     def __repr__(self) -> str:
-        return "par"
+        return self._rule.name
 
 
-par = _Par()
-"""Runs branches side by side; fails if any fails (thesis, table 3.4)."""
+par: Final = Kind(Rule("par", concurrent=True, decided_by=frozenset()))
+"""Runs branches side by side to their ends; fails if any fails."""
+
+pursue: Final = Kind(Rule("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
+"""Runs branches side by side; the first that ends decides, the others are cancelled."""
+
+try_all: Final = Kind(Rule("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
+"""Runs branches side by side; the first that succeeds decides, the others are cancelled."""
+
+seq: Final = Kind(Rule("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
+"""Runs branches in order up to the first that fails."""
+
+try_in_order: Final = Kind(Rule("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
+"""Runs branches in order up to the first that succeeds."""

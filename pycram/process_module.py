@@ -12,12 +12,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from pycram import language
-from pycram.cancellation import checkpoint
+from pycram.blocks import current_block
+from pycram.branch import unwrap
+from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
-from pycram.designator import Designator, DesignatorError, MotionDesignator
+from pycram.designator import Designator, DesignatorError, MotionDesignator, unfinished
 from pycram.failures import NoWorld, UsageError
 from pycram.resolvers import Resolvers
 from recorder.span import span
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
     from pycram.claims import Ticket
     from pycram.objects import Object
+    from recorder.span import Span
 
 Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
@@ -37,12 +40,32 @@ SIMULATED = "simulated"
 _MODULE = Claims(moves=frozenset({"module"}))
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default=SIMULATED)
-_queue: ContextVar[ResourceQueue | None] = ContextVar("pycram_queue", default=None)
 _registered: dict[tuple[str, str], Modules] = {}
 _of_world: weakref.WeakKeyDictionary[BulletWorld, tuple[ResourceQueue, dict[str, Modules]]] = (
     weakref.WeakKeyDictionary()
 )
 _lock = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """Where motions of one level queue: those of the plan, or those that one motion is made of.
+
+    A motion waits on its own level only, first for its claims and then for its module, and holds both until it ends. So
+    whatever motions are made of, none waits for one that waits for it.
+
+    Attributes:
+        queue: for parts of the robot.
+        around: the level of the motion that they are part of; None for that of the plan.
+        modules: for process modules.
+    """
+
+    queue: ResourceQueue
+    around: _Level | None = None
+    modules: dict[ProcessModule, ResourceQueue] = field(default_factory=dict)
+
+
+_level: ContextVar[_Level | None] = ContextVar("pycram_level", default=None)
 
 
 class NoProcessModule(UsageError):
@@ -121,9 +144,12 @@ class ProcessModule(ABC):
         Args:
             designator: what to do.
         """
-        with self._arrivals.arrive(_MODULE).granted():
+        level = _level.get()
+        around = level.around if level is not None else None
+        arrivals = self._arrivals if around is None else around.modules.setdefault(self, ResourceQueue())
+        with arrivals.arrive(_MODULE).granted():
             checkpoint()
-            with span("process-module", type(self).__name__, designator.reference()) as task:
+            with span("process-module", type(self).__name__, designator.reference()) as task, whole():
                 task.solution = designator.reference()
                 task.result = result = self._execute(designator)
                 return result
@@ -136,7 +162,8 @@ class ProcessModule(ABC):
             designator: what to do.
 
         Returns:
-            What its process module returns; in the body of a ``par`` block a handle that serves as that.
+            What its process module returns; in the body of a block that runs side by side, or tries in order, a handle
+            that serves as that.
 
         Raises:
             DesignatorError: it isn't a designator, or can't be resolved.
@@ -145,22 +172,19 @@ class ProcessModule(ABC):
         """
         if not isinstance(designator, Designator):
             raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
-        claims = designator.claims() if isinstance(designator, MotionDesignator) else Claims()
-        name = str(dict(designator.description).get("type", type(designator).__name__))
-        ticket = _current_queue().arrive(claims, name)
-        block = language.current_block()
+        motion = _Motion(designator, _level.get() or _Level(_state(_world())[0]))
+        block = current_block()
         if block is None:
-            return _perform(designator, name, claims, ticket)
+            return motion.perform()
+        # its place in the queue is taken here if nothing but earlier ones can then keep it waiting
+        ordered = block.prompt and not unfinished(designator)
+        if ordered:
+            motion.arrive()
         try:
-            return block.start(name, lambda: _perform(designator, name, claims, ticket), ordered=True)
+            return block.start(motion.name, motion.perform, ordered=ordered, dropped=motion.leave)
         except BaseException:
-            ticket.leave()
+            motion.leave()
             raise
-
-
-def _current_queue() -> ResourceQueue:
-    inner = _queue.get()
-    return inner if inner is not None else _state(_world())[0]
 
 
 def _world() -> BulletWorld:
@@ -177,18 +201,51 @@ def _state(world: BulletWorld) -> tuple[ResourceQueue, dict[str, Modules]]:
         return _of_world.setdefault(world, (ResourceQueue(), {}))
 
 
-def _perform(designator: Designator, name: str, claims: Claims, ticket: Ticket) -> Result:
-    slots = {key: value for key, value in designator.description if key != "type"}
-    with span("motion", name, slots) as task, ticket.granted():
-        checkpoint()
-        task.solution = designator.reference()
-        module = choose(designator)
-        token = _queue.set(ResourceQueue(claims))
+class _Motion:
+    """A designator that is to be carried out."""
+
+    def __init__(self, designator: Designator, level: _Level) -> None:
+        self.name = str(dict(designator.description).get("type", type(designator).__name__))
+        self._designator = designator
+        self._level = level
+        self._claims = designator.claims() if isinstance(designator, MotionDesignator) else Claims()
+        self._ticket: Ticket | None = None
+
+    def arrive(self) -> Ticket:
+        """Takes its place among those that wait for parts of the robot."""
+        self._ticket = self._level.queue.arrive(self._claims, self.name)
+        return self._ticket
+
+    def leave(self) -> None:
+        """Gives its place up, if it has one."""
+        if self._ticket is not None:
+            self._ticket.leave()
+
+    def perform(self) -> Result:
+        """Waits for its turn and carries it out."""
+        slots = {key: value for key, value in self._designator.description if key != "type"}
         try:
-            task.result = result = module.execute(designator)
+            with span("motion", self.name, slots) as task:
+                ticket = self._ticket
+                if ticket is None:
+                    for _, value in self._designator.description:
+                        unwrap(value)  # waits for what may wait itself, while it keeps nobody waiting
+                    ticket = self.arrive()
+                task.result = result = self._carry_out(task, ticket)
+                return result
         finally:
-            _queue.reset(token)
-        return result
+            self.leave()
+
+    def _carry_out(self, task: Span, ticket: Ticket) -> Result:
+        with ticket.granted():
+            checkpoint()
+            task.solution = self._designator.reference()
+            module = choose(self._designator)
+            token = _level.set(_Level(ResourceQueue(self._claims), self._level))
+            try:
+                return module.execute(self._designator)
+            finally:
+                _level.reset(token)
 
 
 def choose(designator: Designator) -> ProcessModule:

@@ -26,6 +26,11 @@ class WorldLock:
         self._depth = 0
         self._owed: list[Callable[[], None]] = []
 
+    @property
+    def depth(self) -> int:
+        """How often its holder has taken it."""
+        return self._depth
+
     def owe(self, calls: Iterable[Callable[[], None]]) -> None:
         """Leaves calls to be made when the lock is free; for its holder.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pycram import checks
 from pycram.failures import BadArgument, NoWorld, WorldClosed
 from pycram.objects import Object
+from recorder import journal
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
@@ -58,6 +59,7 @@ def enter(world: BulletWorld) -> None:
         if world.closed:
             raise WorldClosed(world.name, "become current")
         _open = (*(other for other in _open if other is not world), world)
+        journal.put_forward(world)
 
 
 def leave(name: str) -> None:

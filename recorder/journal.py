@@ -45,6 +45,7 @@ class Source(Protocol):
     """A world as the journal sees it: something that can tell its whole state."""
 
     name: str
+    sim_step: int
 
     def record_keyframe(self, journal: Journal) -> None:
         """Appends the whole state to the given journal, assets included."""
@@ -144,6 +145,7 @@ _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
 _openings = itertools.count()
+_opened = 0
 _aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
 
 
@@ -227,6 +229,20 @@ def introduce(source: Source) -> None:
         source.record_keyframe(journal)
 
 
+def put_forward(source: Source) -> None:
+    """Makes a registered world the current one.
+
+    Args:
+        source: the world.
+    """
+    with _registry:
+        before = [number for number, other in _sources.items() if other is source]
+        if before:  # one that was opened aside stays unknown
+            _sources[next(_openings)] = source
+        for number in before:
+            del _sources[number]
+
+
 def unregister(source: Source) -> None:
     """Forgets a world that has ended.
 
@@ -238,6 +254,17 @@ def unregister(source: Source) -> None:
             del _sources[number]
 
 
+def now() -> tuple[str, int]:
+    """The world that is current, the one last registered or put forward, and its simulated steps; "", 0 if none is."""
+    source = next(reversed(list(_sources.values())), None)
+    return (source.name, source.sim_step) if source is not None else ("", 0)
+
+
+def openings() -> int:
+    """How many journals have been opened so far."""
+    return _opened
+
+
 def open_journal(journal: Journal) -> None:
     """From now on everything is appended to this journal; worlds that exist already give a keyframe first.
 
@@ -247,8 +274,9 @@ def open_journal(journal: Journal) -> None:
     Raises:
         RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
     """
-    global _open  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
+    global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
+        _opened += 1
         sources = list(_sources.values())
         journal.expect(source.name for source in sources)
         _open = (*_open, journal)

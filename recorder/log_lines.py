@@ -29,7 +29,8 @@ def line_of(record: Record) -> Log | None:
     if isinstance(record, Keyframe):
         return None
     text, level = text_of(record)
-    line = Log(level=level, message=text, name=record.world or "plan")
+    name = "plan" if isinstance(record, (Run, Task)) else record.world or "plan"
+    line = Log(level=level, message=text, name=name)
     line.timestamp.seconds, line.timestamp.nanos = divmod(record.wall_time_ns, _NS)
     return line
 
@@ -67,6 +68,8 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name = f"{record.kind} {record.name}"
+    if record.phase == Task.ASKED:
+        return f"{name} asked for", Log.DEBUG
     if record.phase == Task.STARTED:
         return f"{name}({_values(record.parameters)})", Log.INFO
     took = f"{record.duration_ns / _MS:.1f} ms"

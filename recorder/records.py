@@ -201,11 +201,12 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
 
 
-def failure(error: BaseException) -> Failure:
+def failure(error: BaseException, *, trace: bool = True) -> Failure:
     """An exception as a record carries it.
 
     Args:
         error: what was raised; its fields are its ``data`` mapping where it has one.
+        trace: whether with its traceback, which takes the most time.
 
     Returns:
         Type, message, data and traceback.
@@ -215,5 +216,5 @@ def failure(error: BaseException) -> Failure:
         type=type(error).__qualname__,
         message=str(error),
         data=arguments(data) if isinstance(data, Mapping) else [],
-        traceback="".join(traceback.format_exception(error)),
+        traceback="".join(traceback.format_exception(error)) if trace else "",
     )

@@ -1,8 +1,11 @@
 """Which task is running: spans, one per node of the task tree.
 
-A span is opened around each designator execution, process module and language block. The current one is carried by the
-context, so that records made inside know their cause. A plain thread starts with an empty context: whoever starts a
-thread for a task runs it with ``contextvars.copy_context().run``.
+A span is opened around each designator execution, process module, language block, branch and attempt. The current one
+is carried by the context, so that records made inside know their cause. A plain thread starts with an empty context:
+whoever starts a thread for a task runs it with ``contextvars.copy_context().run``.
+
+Every span makes its records, whether anybody records or not: they are what the tree of the running plan
+(:func:`tree`) is folded from. Without a recording they hold no results and no tracebacks.
 """
 
 from __future__ import annotations
@@ -13,14 +16,19 @@ import time
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder import journal
 from recorder.records import Task, arguments, failure, to_json
+from recorder.tasks import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+#: A plan may run for days: its tree keeps so many tasks (about 1 kB each), the latest.
+KEPT: Final = 20_000
 
 _ids = itertools.count(1)
 _current: ContextVar[Span | None] = ContextVar("pycram_span", default=None)
@@ -36,27 +44,146 @@ class Cancelled(BaseException):
     """
 
 
+class _Plan:
+    """The tasks of this process: of the latest recording, or since the start where nothing is recorded."""
+
+    def __init__(self) -> None:
+        self.tree = Tree(KEPT)
+        self._openings = 0
+
+    def begin(self) -> None:
+        """Lets go of what came before the latest recording."""
+        if self._openings != journal.openings():
+            self._openings = journal.openings()
+            self.tree.forget()
+
+
+_plan = _Plan()
+
+
+def tree() -> Tree:
+    """The tasks of this process, which grow as it runs.
+
+    Returns:
+        Those since the latest recording began; where nothing is recorded, all. The last 20,000.
+    """
+    return _plan.tree
+
+
 @dataclass(slots=True)
 class Span:
-    """A running task.
+    """A task in the making.
 
     Attributes:
-        id: unique in this process, from 1.
-        parent: id of the task that it is part of, 0 for none.
-        kind: plan, motion, process-module, par, branch, ...
+        kind: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
         name: what people call it.
+        parent: id of the task that it is part of, 0 for none.
         parameters: as given.
+        attempt: which attempt it is, from 1; 0 if it is none.
+        source: file and line of the plan that asked for it; None to look for it here.
+        id: unique in this process, from 1.
         solution: as resolved; set while it runs.
         result: what it returned; set while it runs.
     """
 
     kind: str
     name: str
-    parent: int
+    parent: int = field(default_factory=journal.task_id.get)
     parameters: Mapping[str, object] = field(default_factory=dict)
+    attempt: int = 0
+    source: tuple[str, int] | None = None
     id: int = field(default_factory=lambda: next(_ids))
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
+    _start: int = 0
+
+    def ask(self) -> None:
+        """Says that it is going to run, for what is asked for in one thread and runs in another."""
+        self._say(Task.ASKED, Task.CREATED)
+
+    def start(self) -> None:
+        """Says that it begins."""
+        self._start = time.perf_counter_ns()
+        self._say(Task.STARTED, Task.RUNNING)
+
+    def finish(self, error: BaseException | None = None) -> None:
+        """Says that it ended.
+
+        Args:
+            error: what it failed with, or was cancelled by; None if it succeeded.
+        """
+        ended = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
+        record = Task(
+            phase=Task.FINISHED,
+            status=Task.SUCCEEDED if error is None else ended,
+            parent=self.parent,
+            kind=self.kind,
+            name=self.name,
+            attempt=self.attempt,
+            duration_ns=time.perf_counter_ns() - self._start if self._start else 0,
+        )
+        recorded = journal.recording()
+        if recorded:
+            record.solution.extend(arguments(self.solution))
+            record.result_json = to_json(self.result)
+        if record.status == Task.FAILED and error is not None:
+            record.failure.CopyFrom(failure(error, trace=recorded))
+        try:
+            self._emit(record)
+        except OSError:
+            if error is None:  # a failing disk must not hide why the task failed
+                raise
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Runs its block as this task: what happens inside is its part."""
+        token = _current.set(self)
+        id_token = journal.task_id.set(self.id)
+        try:
+            yield
+        finally:
+            _current.reset(token)
+            journal.task_id.reset(id_token)
+
+    @contextmanager
+    def running(self) -> Iterator[None]:
+        """Runs its block as this task, from its start to its end, however it ends."""
+        with self.entered():
+            try:
+                self.start()
+                yield
+            except BaseException as error:
+                self.finish(error)
+                raise
+            else:
+                self.finish()
+
+    def _say(self, phase: Task.Phase, status: Task.Status) -> None:
+        file, line = plan_line() if self.source is None else self.source
+        self._emit(
+            Task(
+                phase=phase,
+                status=status,
+                parent=self.parent,
+                kind=self.kind,
+                name=self.name,
+                parameters=arguments(self.parameters),
+                source_file=file,
+                source_line=line,
+                attempt=self.attempt,
+            )
+        )
+
+    def _emit(self, record: Task) -> None:
+        if not self.parent and record.phase != Task.FINISHED:
+            _plan.begin()
+        world, sim_step = journal.now()
+        try:
+            journal.emit(record, world=world, sim_step=sim_step, task=self.id)
+        finally:
+            if not record.wall_time_ns:  # no journal numbered it
+                record.wall_time_ns = time.time_ns()
+            _plan.tree.apply(record)
 
 
 def current() -> Span | None:
@@ -73,8 +200,7 @@ def plan_line() -> tuple[str, int]:
     frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: 100 times slower
     while frame is not None:
         package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        demo = Path(frame.f_code.co_filename).parent.name == "demos"
-        if package not in _MACHINERY or demo:
+        if package not in _MACHINERY or _is_demo(frame.f_code.co_filename):
             return frame.f_code.co_filename, frame.f_lineno
         if frame.f_back is None:
             break
@@ -82,9 +208,14 @@ def plan_line() -> tuple[str, int]:
     return "", 0
 
 
+@lru_cache(maxsize=256)
+def _is_demo(file: str) -> bool:
+    return Path(file).parent.name == "demos"
+
+
 @contextmanager
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Iterator[Span]:
-    """Runs its block as a task: recorded when it starts and, however it ends, when it ends.
+    """Runs its block as a task: on record when it starts and, however it ends, when it ends.
 
     Args:
         kind: kind of the node.
@@ -94,53 +225,6 @@ def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -
     Yields:
         The span; set ``solution`` and ``result`` on it.
     """
-    task = Span(kind, name, journal.task_id.get(), parameters or {})
-    token = _current.set(task)
-    id_token = journal.task_id.set(task.id)
-    start = time.perf_counter_ns()
-    try:
-        if journal.recording():
-            file, line = plan_line()
-            journal.emit(
-                Task(
-                    phase=Task.STARTED,
-                    status=Task.RUNNING,
-                    parent=task.parent,
-                    kind=kind,
-                    name=name,
-                    parameters=arguments(task.parameters),
-                    source_file=file,
-                    source_line=line,
-                ),
-            )
+    task = Span(kind, name, parameters=parameters or {})
+    with task.running():
         yield task
-    except BaseException as error:
-        status = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
-        _finish(task, status, start, error)
-        raise
-    else:
-        _finish(task, Task.SUCCEEDED, start)
-    finally:
-        _current.reset(token)
-        journal.task_id.reset(id_token)
-
-
-def _finish(task: Span, status: Task.Status, start: int, error: BaseException | None = None) -> None:
-    if not journal.recording():
-        return
-    record = Task(
-        phase=Task.FINISHED,
-        status=status,
-        parent=task.parent,
-        kind=task.kind,
-        name=task.name,
-        solution=arguments(task.solution),
-        result_json=to_json(task.result),
-        failure=failure(error) if error is not None else None,
-        duration_ns=time.perf_counter_ns() - start,
-    )
-    try:
-        journal.emit(record)
-    except OSError:
-        if error is None:  # a failing disk must not hide why the task failed
-            raise

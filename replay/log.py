@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
     from recorder.records import Record
     from replay.state import State
+    from replay.tree import Tree
 
 __all__ = ["KINDS", "Log", "open_log"]
 
@@ -229,6 +230,12 @@ class Log:
         return world_at(self, step, world, exact=exact)
 
     # --- whole or not ----------------------------------------------------------------------------------------------
+
+    def tree(self) -> Tree:
+        """The task tree: what was part of what, how each ended; the classes that ``pycram.tasks`` has too."""
+        from replay.tree import tree  # noqa: PLC0415  reading records doesn't need it
+
+        return tree(self)
 
     def check(self) -> str:
         """Reads everything once.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import Task
 from replay.plain import plain_record
 from replay.steps import HINT
-from replay.tree import Node, tree
+from replay.tree import Node, State, tree
 
 if TYPE_CHECKING:
     import argparse
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from replay.log import Log
     from replay.tree import Tree
 
-_MARKS: Final = {Task.SUCCEEDED: "+", Task.FAILED: "X", Task.CANCELLED: "-", Task.RUNNING: "?"}
+_MARKS: Final[dict[int, str]] = {Task.SUCCEEDED: "+", Task.FAILED: "X", Task.CANCELLED: "-", Task.RUNNING: "?"}
 _ALIKE: Final = 6  # so many siblings alike are told one by one
 _WIDTH: Final = 100  # characters of parameters
 
@@ -58,7 +58,7 @@ def facts(found: Tree) -> list[dict[str, object]]:
             "kind": node.started.kind,
             "name": node.started.name,
             "path": node.path,
-            "status": Task.Status.Name(node.status).lower(),
+            "status": node.status.word,
             "steps": [node.started.seq, node.finished.seq if node.finished else None],
             "seconds": node.finished.duration_ns / 1e9 if node.finished else None,
             "parameters": plain_record(node.started).get("parameters", {}),
@@ -105,7 +105,7 @@ def _folded(nodes: list[Node], *, whole: bool) -> list[Node | str]:
         end = at
         while end < len(nodes) and _looks(nodes[end]) == _looks(nodes[at]):
             end += 1
-        if not whole and end - at > _ALIKE and nodes[at].status == Task.SUCCEEDED:
+        if not whole and end - at > _ALIKE and nodes[at].status is State.SUCCEEDED:
             took = sum(node.finished.duration_ns for node in nodes[at + 2 : end - 1] if node.finished) / 1e6
             name = nodes[at].started.name
             shown += [*nodes[at : at + 2], f"... {end - at - 3} more {name} succeeded  [{took:.1f} ms]", nodes[end - 1]]

@@ -1,0 +1,414 @@
+"""Blocks: what they have in common, and what makes ``par`` another thing than ``pursue``.
+
+The whole difference between the five blocks is their :class:`Rule`: whether branches run side by side, and which end of
+a branch decides the block. A block that is decided cancels its other branches; it ends when all its threads have ended,
+and as its deciding branch did. One that nothing decided failed if any of its branches did.
+
+A plan failure in the body ends the body and is one of the block's failures. What is asked for when the block is decided
+isn't run: its handle says so. A usage error, in a branch or in the body, ends any block and comes out as it is: it is
+never collected, retried or outvoted.
+"""
+
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from pycram.branch import Branch, Handle, Result
+from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
+from pycram.error_chain import chained, raise_unchanged
+from pycram.event import qualified_name
+from pycram.failures import BadArgument, BranchesFailed, PlanFailure, UsageError
+from recorder.span import Span, plan_line
+from recorder.tasks import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+
+class BlockClosed(UsageError):
+    """A branch was asked of a block that has ended.
+
+    Attributes:
+        block: what the block is.
+        branch: what was asked for.
+    """
+
+    def __init__(self, block: str, branch: str) -> None:
+        super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
+        self.block = block
+        self.branch = branch
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What makes one kind of block another than the others.
+
+    Attributes:
+        name: what it is called.
+        concurrent: whether its branches run side by side.
+        decided_by: a branch that ends so decides the block.
+    """
+
+    name: str
+    concurrent: bool
+    decided_by: frozenset[State]
+
+    @property
+    def stops_at_failure(self) -> bool:
+        """Whether a failure of one is the failure of all, at once."""
+        return State.FAILED in self.decided_by
+
+    @property
+    def takes_one(self) -> bool:
+        """Whether one success is enough."""
+        return State.SUCCEEDED in self.decided_by
+
+
+class Host(Protocol):
+    """A block as it is seen by what happens in its body."""
+
+    @property
+    def prompt(self) -> bool:
+        """Whether an action begins at once, whatever was asked for before it."""
+
+    def start(
+        self, name: str, action: Callable[[], Result], *, ordered: bool = False, dropped: Callable[[], None] = ...
+    ) -> Handle:
+        """Asks for a branch; see :meth:`OpenBlock.start`."""
+
+
+_host: ContextVar[Host | None] = ContextVar("pycram_block", default=None)
+
+
+def current_block() -> Host | None:
+    """The block whose branches are the actions here; None where actions happen one after the other and raise."""
+    return _host.get()
+
+
+@contextmanager
+def hosted(host: Host | None) -> Iterator[None]:
+    """Makes actions in its block branches of a block.
+
+    Args:
+        host: the block; None lets actions happen one after the other.
+    """
+    token = _host.set(host)
+    try:
+        yield
+    finally:
+        _host.reset(token)
+
+
+class OpenBlock:
+    """What the plan has of a block: ``s`` in ``with par as s``.
+
+    Attributes:
+        rule: what kind of block it is.
+        branches: its branches, in the order in which they were asked for.
+    """
+
+    def __init__(self, rule: Rule) -> None:
+        """Makes a block.
+
+        Args:
+            rule: what kind.
+        """
+        self.rule = rule
+        self.branches: list[Branch] = []
+
+    @property
+    def name(self) -> str:
+        """What it is: "par", ..."""
+        return self.rule.name
+
+    @property
+    def state(self) -> State:
+        """How far it is, or how it ended."""
+        raise NotImplementedError
+
+    @property
+    def failures(self) -> tuple[PlanFailure, ...]:
+        """The failures of its branches and of its body so far."""
+        raise NotImplementedError
+
+    @property
+    def prompt(self) -> bool:
+        """Whether an action begins at once, whatever was asked for before it."""
+        raise NotImplementedError
+
+    def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Handle:
+        """Asks for a branch.
+
+        Args:
+            action: a function.
+            args: its arguments.
+            kwargs: its named arguments.
+
+        Returns:
+            A handle that serves as its result.
+
+        Raises:
+            BadArgument: it can't be called.
+            BlockClosed: the block has ended.
+            PlanFailure: the function failed, in a ``seq`` block.
+        """
+        if not callable(action):
+            raise BadArgument("action", action, "a function to run as a branch")
+        return self.start(qualified_name(action), lambda: action(*args, **kwargs))
+
+    def start(
+        self,
+        name: str,
+        action: Callable[[], Result],
+        *,
+        ordered: bool = False,
+        dropped: Callable[[], None] = lambda: None,
+    ) -> Handle:
+        """Asks for a branch.
+
+        Args:
+            name: what it is called.
+            action: what it does.
+            ordered: whether it waits only for what was asked for before it.
+            dropped: called once if it is never begun.
+
+        Returns:
+            A handle that serves as its result.
+        """
+        branch = Branch(name, action, ordered=ordered, dropped=dropped)
+        self.take(branch)
+        return Handle(branch)
+
+    def take(self, branch: Branch) -> None:
+        """Runs a branch, now or later, here or in another thread.
+
+        Args:
+            branch: one that has not begun.
+        """
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        raise NotImplementedError
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        raise NotImplementedError
+
+
+class Block(OpenBlock):
+    """A block that runs its branches itself.
+
+    Attributes:
+        scope: in which its body and its branches run; told to stop when the block is decided.
+        decider: the branch that decided it; None as long as none has.
+    """
+
+    def __init__(self, rule: Rule, failures: list[BaseException] | None = None) -> None:
+        """Makes a block.
+
+        Args:
+            rule: what kind.
+            failures: where its failures go; None to raise them.
+        """
+        super().__init__(rule)
+        self._collected = failures
+        self._outer = current_scope()
+        self.scope = Scope(self._outer)
+        self.decider: Branch | None = None
+        self._lock = threading.Lock()
+        self._state = State.CREATED
+        self._threads: list[threading.Thread] = []
+        self._body_failure: PlanFailure | None = None
+        self._exits = ExitStack()
+        self._source = plan_line()  # a block may be opened in another thread than it stands in
+        self._span: Span
+
+    @property
+    def state(self) -> State:
+        """How far it is, or how it ended."""
+        return self._state
+
+    @property
+    def prompt(self) -> bool:
+        """Whether an action begins at once, whatever was asked for before it."""
+        return self.rule.concurrent
+
+    @property
+    def failures(self) -> tuple[PlanFailure, ...]:
+        """The failures of its branches and of its body so far."""
+        errors = [branch.error for branch in list(self.branches)]
+        if not any(error is self._body_failure for error in errors):
+            errors.append(self._body_failure)
+        return tuple(error for error in errors if isinstance(error, PlanFailure))
+
+    # --- branches ---------------------------------------------------------------------------------------------------
+
+    def take(self, branch: Branch) -> None:
+        """Runs a branch: in a thread of its own or, in a sequential block, here.
+
+        Args:
+            branch: one that has not begun; dropped if the block is decided.
+
+        Raises:
+            BlockClosed: the block has ended.
+            PlanFailure: it failed, where that ends the body.
+        """
+        span = Span("branch", branch.name, self._span.id, source=branch.source)
+        with self._lock:
+            closed = self._state is not State.RUNNING
+            if not closed:
+                self.branches.append(branch)
+        if closed:
+            branch.settle(State.CANCELLED)
+            raise BlockClosed(self.name, branch.name)
+        span.ask()
+        if self.decider is not None or self.scope.cancelled:
+            span.finish(Cancelled())
+            branch.settle(State.CANCELLED)
+        elif self.rule.concurrent:
+            self._begin(branch, span)
+        else:
+            branch.context.run(self._run, branch, span)
+            error = branch.error
+            if error is not None and (self.rule.stops_at_failure or not isinstance(error, PlanFailure)):
+                raise error
+        if self._outer is not None and self._outer.cancelled:
+            raise Cancelled
+
+    def _begin(self, branch: Branch, span: Span) -> None:
+        name = f"{self.name}-{len(self._threads) + 1} {branch.name}"
+        thread = threading.Thread(target=branch.context.run, args=(self._run, branch, span), name=name)
+        try:
+            with self._lock:
+                self._threads.append(thread)  # first: one that is interrupted while it starts is waited for too
+                thread.start()
+        except RuntimeError as error:  # the system gives no more threads
+            span.finish(error)
+            self._settle(branch, State.FAILED, error=error)
+
+    def _run(self, branch: Branch, span: Span) -> None:
+        """Runs a branch in this thread; its errors are its own."""
+        result: Result = None
+        try:
+            with hosted(None), entered(self.scope), span.running():
+                checkpoint()
+                span.result = result = branch.begin()
+        except Cancelled:
+            self._settle(branch, State.CANCELLED)
+        except BaseException as error:  # noqa: BLE001  the block raises it in the thread that opened it
+            self._settle(branch, State.FAILED, error=error)
+        else:
+            self._settle(branch, State.SUCCEEDED, result)
+
+    def _settle(self, branch: Branch, state: State, result: Result = None, error: BaseException | None = None) -> None:
+        with self._lock:
+            decides = self.decider is None and state in self.rule.decided_by
+            if decides:
+                self.decider = branch
+        branch.settle(state, result, error)
+        if decides or (error is not None and not isinstance(error, PlanFailure)):
+            self.scope.cancel()
+
+    def report(self, branch: Branch, state: State, error: BaseException | None = None) -> None:
+        """Takes what became of a branch that was run by its own means.
+
+        Args:
+            branch: the branch.
+            state: how it ended.
+            error: what it raised.
+        """
+        with self._lock:
+            self.branches.append(branch)
+        self._settle(branch, state, error=error)
+
+    # --- from its beginning to its end --------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        checkpoint()
+        self._span = Span("block", self.name, source=self._source)
+        self._exits.enter_context(self._span.running())
+        self._exits.enter_context(entered(self.scope))
+        alone = self.rule.stops_at_failure and not self.rule.concurrent  # what fails in there raises by itself
+        self._exits.enter_context(hosted(None if alone else self))
+        self._state = State.RUNNING
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        try:
+            raised = self._close(error)
+        except BaseException as stopped:  # Ctrl-C while waiting
+            self._state = State.FAILED
+            self._leave(stopped)
+            raise
+        self._leave(raised)
+        if raised is not None and raised is not error:
+            raise_unchanged(raised)
+        return raised is None
+
+    def _close(self, error: BaseException | None) -> BaseException | None:
+        """Waits for the branches, says how the block ended, and gives what is to be raised."""
+        if isinstance(error, PlanFailure):
+            self._body_failure = error
+        if error is not None and (self.rule.decided_by or not isinstance(error, PlanFailure)):
+            self.scope.cancel()  # only the branches of a par block go on when its body failed
+        try:
+            self._join()
+        except BaseException:
+            self.scope.cancel()
+            self._join()
+            raise
+        failures = self.failures
+        wrong = [error, *(branch.error for branch in self.branches)]
+        bugs = [one for one in wrong if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
+        if bugs:  # the program is wrong, or the user wants out
+            self._state = State.FAILED
+            return chained(bugs[0], [*bugs[1:], *failures])
+        if self.decider is None and self._body_failure is None:
+            cancelled = [branch for branch in self.branches if branch.state is State.CANCELLED]
+            if error is not None or cancelled:  # told to stop by a block around it
+                self._state = State.CANCELLED
+                return chained(error or Cancelled(), failures)
+        if self._collected is not None:
+            self._collected.extend(failures)
+        succeeded = not failures if self.decider is None else self.decider.state is State.SUCCEEDED
+        self._state = State.SUCCEEDED if succeeded and self._body_failure is None else State.FAILED
+        if self._state is State.SUCCEEDED or self._collected is not None:
+            return None
+        return BranchesFailed(self.name, failures)
+
+    def _join(self) -> None:
+        joined = 0
+        while True:
+            while joined < len(self._threads):
+                if self._threads[joined].ident is not None:
+                    self._threads[joined].join()
+                joined += 1
+            with self._lock:  # a branch may have asked for another one
+                if joined == len(self._threads):
+                    self._state = State.CANCELLED  # closed; what it really is comes next
+                    return
+
+    def _leave(self, error: BaseException | None) -> None:
+        """Ends the block's node of the task tree as the block ended."""
+        if error is None and self._state is State.FAILED:
+            error = BranchesFailed(self.name, self.failures)  # collected instead of raised; the tree tells it
+        if error is None:
+            self._exits.close()
+            return
+        trace = error.__traceback__
+        try:
+            self._exits.__exit__(type(error), error, trace)
+        except BaseException as same:
+            if same is not error:
+                raise
+        error.__traceback__ = trace

@@ -1,0 +1,62 @@
+"""Cleaning up: what a plan does at the end of a stretch, however that ended, also when it was cancelled.
+
+Python's own ``finally`` runs too when a branch is cancelled, but the motions in it are stopped like all others. What is
+done here is shielded from that.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from pycram.blocks import hosted
+from pycram.cancellation import Cancelled, shielded
+from pycram.error_chain import chained, raise_unchanged
+from pycram.event import qualified_name
+from pycram.failures import BadArgument, PlanFailure
+from pycram.retries import Retry
+from recorder.span import span
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+
+@contextmanager
+def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
+    """Does something when its block has ended, however it did. In the block actions happen one after the other.
+
+    When both the block and the cleaning up fail, the block's failure is raised with the other in its context; but a
+    failure goes before being cancelled, and a usage error before both.
+
+    Args:
+        action: what to do.
+        args: its arguments.
+        kwargs: its named arguments.
+
+    Raises:
+        BadArgument: it can't be called.
+    """
+    if not callable(action):
+        raise BadArgument("action", action, "a function")
+    first: BaseException | None = None
+    with hosted(None):
+        try:
+            yield
+        except BaseException as error:  # noqa: BLE001  raised below
+            first = error
+        try:
+            with shielded(), span("cleanup", qualified_name(action)) as task:
+                task.result = action(*args, **kwargs)
+        except BaseException as second:
+            if first is None:
+                raise
+            first = _together(first, second)
+    if first is not None:
+        raise_unchanged(first)
+
+
+def _together(error: BaseException, cleaning: BaseException) -> BaseException:
+    bug = isinstance(error, PlanFailure) and not isinstance(cleaning, PlanFailure)
+    if bug or isinstance(error, (Cancelled, Retry)):
+        return chained(cleaning, [error])
+    return chained(error, [cleaning])

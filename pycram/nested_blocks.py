@@ -1,0 +1,188 @@
+"""Blocks in the bodies of others, where they count as one branch each.
+
+- In ``try_in_order`` a block is one of the things to try: it runs where it stands, and its failure is kept for the
+  outer block, which goes on with what follows.
+- In a concurrent block it is to run beside its siblings, but a ``with`` statement runs where it stands. So its body is
+  only *read* there: what it asks for is done by the block itself, in a thread of its own, while the statements after it
+  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from pycram.blocks import Block, OpenBlock, hosted
+from pycram.branch import Branch
+from pycram.cancellation import Cancelled, current_scope, entered, wait
+from pycram.failures import PlanFailure
+from recorder.tasks import State
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from pycram.blocks import Host, Rule
+
+
+def nested(host: Host, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:
+    """A block that is to be opened in the body of another one.
+
+    Args:
+        host: the block around it.
+        rule: what kind it is.
+        failures: where its failures go; None to raise them.
+    """
+    if isinstance(host, Block) and not host.rule.concurrent:
+        return Alternative(rule, failures, host)
+    return Deferred(rule, failures, host)
+
+
+class Alternative(Block):
+    """A block in the body of ``try_in_order``: its plan failures don't end that body."""
+
+    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: Block) -> None:
+        super().__init__(rule, failures)
+        self._around = host
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        branch = Branch(self.name, lambda: None)
+        try:
+            swallowed = super().__exit__(kind, error, trace)
+        except PlanFailure as failure:
+            self._around.report(branch, State.FAILED, failure)
+            return True
+        except BaseException as raised:
+            self._tell(branch, raised)
+            raise
+        if swallowed:
+            self._around.report(branch, State.SUCCEEDED)
+        else:
+            self._tell(branch, error)
+        return swallowed
+
+    def _tell(self, branch: Branch, error: BaseException | None) -> None:
+        cancelled = isinstance(error, Cancelled)
+        self._around.report(branch, State.CANCELLED if cancelled else State.FAILED, None if cancelled else error)
+
+
+class Deferred(OpenBlock):
+    """A block in the body of a concurrent one: read here, done there."""
+
+    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: Host) -> None:
+        super().__init__(rule)
+        self._around = host
+        self._outer = current_scope()
+        self._block = Block(rule, failures)
+        self._asked = _Asked()
+        self._exits = ExitStack()
+
+    @property
+    def state(self) -> State:
+        """How far it is, or how it ended."""
+        return self._block.state
+
+    @property
+    def prompt(self) -> bool:
+        """Never: it may be the turn of what was asked for before."""
+        return False
+
+    @property
+    def failures(self) -> tuple[PlanFailure, ...]:
+        """The failures of its branches and of its body so far."""
+        return self._block.failures
+
+    def take(self, branch: Branch) -> None:
+        """Has a branch done when it is its turn.
+
+        Args:
+            branch: one that has not begun; dropped if the block is decided.
+        """
+        self.branches.append(branch)
+        self._asked.put(branch)
+
+    def _work(self) -> None:
+        """Does what the body asks for."""
+        try:
+            with self._block as block:
+                for branch in self._asked:
+                    block.take(branch)
+        finally:
+            self._asked.close()
+
+    def __enter__(self) -> Self:
+        self._around.start(self.name, self._work, dropped=self._asked.close)
+        self._exits.enter_context(entered(self._block.scope))
+        self._exits.enter_context(hosted(self))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        self._exits.close()
+        self._asked.end(error)
+        if isinstance(error, Cancelled):  # by its own block, which is decided: the outer body goes on
+            return self._outer is None or not self._outer.cancelled
+        return error is None or isinstance(error, PlanFailure)
+
+
+class _Asked:
+    """What a body asks for, in order, until it ends."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._branches: deque[Branch] = deque()
+        self._ended = False
+        self._error: BaseException | None = None
+        self._closed = False
+
+    def put(self, branch: Branch) -> None:
+        """Adds a branch; drops it if nobody is going to do it any more."""
+        with self._changed:
+            if not self._closed:
+                self._branches.append(branch)
+                self._changed.notify_all()
+                return
+        branch.settle(State.CANCELLED)
+
+    def end(self, error: BaseException | None) -> None:
+        """The body has ended.
+
+        Args:
+            error: what it raised.
+        """
+        with self._changed:
+            self._ended = True
+            self._error = error
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Nothing more will be done; drops what has not been."""
+        with self._changed:
+            self._closed = True
+            left = list(self._branches)
+            self._branches.clear()
+        for branch in left:
+            branch.settle(State.CANCELLED)
+
+    def __iter__(self) -> Iterator[Branch]:
+        """The branches as they come.
+
+        Raises:
+            BaseException: what the body raised.
+        """
+        while True:
+            wait(self._changed, lambda: bool(self._branches) or self._ended)
+            with self._changed:
+                if not self._branches:
+                    break
+                branch = self._branches.popleft()
+            yield branch
+        if self._error is not None and isinstance(self._error, Exception):
+            raise self._error

@@ -1,0 +1,710 @@
+"""The blocks of the plan language: who decides them, what becomes of the others, of failures and of results.
+
+Timing is controlled by gates, never by the clock: a branch that waits at a gate goes on when the test opens it, or stops
+when it is cancelled.
+"""
+
+# ruff: noqa: PT012  the blocks under test have bodies
+from __future__ import annotations
+
+import faulthandler
+import threading
+import traceback
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import tasks
+from pycram.blocks import BlockClosed
+from pycram.branch import NoResult, branch_of
+from pycram.cancellation import Cancelled, checkpoint, wait
+from pycram.failures import (
+    BadArgument,
+    BranchesFailed,
+    InCollision,
+    LookingFailed,
+    PlanFailure,
+    Unreachable,
+    UsageError,
+)
+from pycram.language import State, failure_handling, finally_, par, pursue, retry, seq, timeout, try_all, try_in_order
+from pycram.timeouts import TimedOut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
+S, F, C = State.SUCCEEDED, State.FAILED, State.CANCELLED
+
+
+class Gate:
+    """Something to wait for; who is cancelled waits no more."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.is_open = False
+
+    def open(self) -> None:
+        with self.changed:
+            self.is_open = True
+            self.changed.notify_all()
+
+    def pass_through(self, timeout: float | None = None) -> bool:
+        return wait(self.changed, lambda: self.is_open, timeout)
+
+
+def fails() -> None:
+    raise Unreachable("left", [1, 2, 3], 0.2)
+
+
+def fails_to_look() -> None:
+    raise LookingFailed([1, 2, 3], 0.2)
+
+
+def succeeds(value: object = 1) -> object:
+    return value
+
+
+def is_wrong() -> None:
+    raise BadArgument("x", 1, "2")
+
+
+def has_a_bug() -> None:
+    raise ZeroDivisionError
+
+
+@pytest.fixture(autouse=True)
+def _watched() -> Iterator[None]:
+    """Nothing hangs, no thread outlives its block, and nothing runs on in the task tree."""
+    faulthandler.dump_traceback_later(60, exit=True)
+    before = threading.active_count()
+    yield
+    faulthandler.cancel_dump_traceback_later()
+    assert threading.active_count() == before
+    assert all(node.finished for _, node in tasks.tree().walk())
+
+
+# --- the table: who decides -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "block", "second"),
+    [("par", S, S), ("pursue", S, C), ("try_all", S, C), ("seq", S, S), ("try_in_order", S, C)],
+)
+def test_when_the_first_succeeds(name: str, block: State, second: State) -> None:
+    gate = Gate()
+    with KINDS[name] as s:
+        s(lambda: gate.open() if second is S else None)
+        s(gate.pass_through)
+    assert s.state is block
+    assert [branch.state for branch in s.branches] == [S, second]
+
+
+@pytest.mark.parametrize(
+    ("name", "block", "second"),
+    [("par", F, S), ("pursue", F, C), ("try_all", S, S), ("seq", F, None), ("try_in_order", S, S)],
+)
+def test_when_the_first_fails(name: str, block: State, second: State | None) -> None:
+    gate = Gate()
+
+    def first() -> None:
+        if second is S:
+            gate.open()
+        fails()
+
+    failures: list[BaseException] = []
+    with KINDS[name](failures) as s:
+        s(first)
+        s(gate.pass_through)
+    assert s.state is block
+    assert [branch.state for branch in s.branches] == [F, *([second] if second else [])]
+    assert [type(failure) for failure in failures] == [Unreachable]  # also those of a block that succeeded
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_when_all_succeed(name: str) -> None:
+    with KINDS[name] as s:
+        handle = s(succeeds, 5)
+    assert s.state is S
+    assert handle == 5
+    assert not s.failures
+    assert KINDS[name](lambda: 1, lambda: 1) in (1, [1, 1])
+
+
+@pytest.mark.parametrize(
+    ("name", "count"), [("par", 2), ("pursue", 1), ("try_all", 2), ("seq", 1), ("try_in_order", 2)]
+)
+def test_when_all_fail(name: str, count: int) -> None:
+    gate = Gate()
+    both = count == 2
+    with pytest.raises(BranchesFailed, match=f"^{name} failed: Unreachable") as raised, KINDS[name] as s:
+        s(fails)
+        s(fails_to_look if both else gate.pass_through)
+    assert s.state is F
+    assert [type(one) for one in raised.value.failures] == [Unreachable, LookingFailed][:count]
+    assert raised.value.failures == s.failures
+    with pytest.raises(BranchesFailed):
+        KINDS[name](fails, fails)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_empty_blocks_succeed(name: str) -> None:
+    with KINDS[name]() as s:
+        assert s.state is State.RUNNING
+    assert s.state is S
+    with KINDS[name]:
+        pass
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("bug", [is_wrong, has_a_bug])
+def test_bugs_come_out_of_every_block_as_they_are(name: str, bug: Callable[[], None]) -> None:
+    kind = BadArgument if bug is is_wrong else ZeroDivisionError
+    gate = Gate()
+    failures: list[BaseException] = []
+    with pytest.raises(kind) as raised, KINDS[name](failures) as s:
+        s(fails) if name in ("par", "try_all", "try_in_order") else None
+        s(bug)
+        s(gate.pass_through)  # nobody opens it: a bug ends the others
+    assert type(raised.value) is kind
+    assert not failures
+    with pytest.raises(kind), KINDS[name](failures):
+        bug()  # in the body
+    with pytest.raises(kind):
+        KINDS[name](bug)
+
+
+@pytest.mark.parametrize("outer", KINDS)
+@pytest.mark.parametrize("inner", KINDS)
+def test_every_block_in_every_other(outer: str, inner: str) -> None:
+    done = []
+    with KINDS[outer] as s:
+        with KINDS[inner] as t:
+            handle = t(succeeds, 7)
+        with KINDS[inner] as u:  # try_in_order doesn't come here
+            done.append("body")
+            u(done.append, 8)
+        s(done.append, 9) if outer in ("par", "seq") else None
+    assert s.state is S
+    if outer == "try_in_order":
+        assert not done
+    if outer in ("par", "seq"):
+        assert handle == 7
+        assert (t.state, u.state) == (S, S)
+        assert sorted(done[1:]) == [8, 9]
+    with pytest.raises(Unreachable), KINDS[outer] as s:
+        with KINDS[inner]:
+            fails()
+        if outer != "pursue":
+            KINDS[inner](fails)
+    assert s.state is F
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_block_that_is_told_to_stop_by_the_one_around_it(name: str) -> None:
+    """It stops at its next wait or action, and what is behind it isn't run."""
+    gate, inside = Gate(), Gate()
+    reached = []
+
+    def stops() -> None:
+        inside.open()
+        gate.pass_through()
+        reached.append("never")
+
+    def inner() -> None:
+        with KINDS[name] as s:
+            reached.append(s)
+            s(stops)
+            s(stops)
+        reached.append("behind")
+
+    with pursue as outer:
+        outer(inner)
+        outer(inside.pass_through)
+    assert [branch.state for branch in outer.branches] == [C, S]
+    (s,) = reached
+    assert s.state is C
+    assert {branch.state for branch in s.branches} == {C}
+    assert len(s.branches) == (2 if s.rule.concurrent else 1)
+
+
+# --- blocks within blocks ---------------------------------------------------------------------------------------------
+
+
+def test_blocks_in_a_concurrent_body_run_beside_each_other_and_in_order_inside() -> None:
+    meeting = threading.Barrier(3, timeout=20)
+    order: list[str] = []
+    with par as s:
+        for name in "ab":
+            with seq as t:
+                t(order.append, name + "1")
+                t(meeting.wait)
+                t(order.append, name + "2")
+        s(meeting.wait)
+    assert s.state is S
+    for name in "ab":
+        assert order.index(name + "1") < order.index(name + "2")
+    assert {*order[:2]} == {"a1", "b1"}
+
+
+def test_a_block_in_a_sequence_in_a_concurrent_body_waits_for_its_turn() -> None:
+    gate = Gate()
+    order: list[object] = []
+    with par as s:
+        with seq as t:
+            t(gate.pass_through)
+            with par as u:
+                u(order.append, 2)
+            t(order.append, 3)
+        s(lambda: (order.append(1), gate.open()))
+    assert order == [1, 2, 3]
+    assert (s.state, t.state, u.state) == (S, S, S)
+
+
+def test_a_sequence_in_a_concurrent_body_stops_at_its_first_failure() -> None:
+    done: list[int] = []
+    with pytest.raises(Unreachable), par as s:
+        with seq as t:
+            t(fails)
+            late = t(done.append, 1)
+        s(done.append, 2)
+    assert done == [2]
+    assert t.state is F
+    assert branch_of(late).state is C
+    with pytest.raises(NoResult):
+        late.result()
+
+
+def test_who_looks_at_a_handle_in_the_body_waits_for_it_or_leaves_the_body() -> None:
+    done = []
+    with par as s:
+        with seq as t:
+            first = t(succeeds, 3)
+            done.append(first + 0 if isinstance(first, int) else None)
+        with pursue as u:
+            gate = Gate()
+            slow = u(gate.pass_through)
+            u(succeeds)
+            slow.result()  # is cancelled, and with it the rest of this body, not of the body around it
+            done.append("never")
+        s(done.append, "after")
+    assert sorted(map(str, done)) == ["3", "after"]
+    assert (s.state, t.state, u.state) == (S, S, S)
+
+
+def test_functions_in_a_body_are_branches() -> None:
+    meeting = threading.Barrier(2, timeout=20)
+    with par:
+        results = par(meeting.wait, lambda: 3)
+        other = try_in_order(fails, meeting.wait)
+    assert results[1] == 3
+    assert {results[0], other.result()} == {0, 1}
+
+
+def test_trying_in_order_goes_on_after_a_failed_block_or_body() -> None:
+    tried = []
+    with try_in_order as s:
+        with seq as t:
+            t(tried.append, 1)
+            fails()
+        with par as u:
+            u(tried.append, 2)
+            u(fails)
+        with seq as v:
+            v(tried.append, 3)
+        with seq:
+            tried.append("never")
+    assert tried in ([1, 2, 3], [1, 2, 3])
+    assert [x.state for x in (s, t, u, v)] == [S, F, F, S]
+    assert [failure.block for failure in s.failures] == ["seq", "par"]
+
+
+# --- failures ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_failed_block_can_be_caught_as_what_all_its_failures_are() -> None:
+    with pytest.raises(Unreachable) as one:
+        par(fails, lambda: 1)
+    assert isinstance(one.value, BranchesFailed)
+    assert (one.value.arm, one.value.distance) == ("left", 0.2)
+    assert one.value.__cause__ is one.value.failures[0]
+    with pytest.raises(Unreachable):
+        par(fails, lambda: par(fails, fails))
+    with pytest.raises(BranchesFailed) as two:
+        par(fails, fails_to_look)
+    assert not isinstance(two.value, (Unreachable, LookingFailed))
+    text = "".join(traceback.format_exception(two.value))
+    for part in ("1 of 2", "in fails", "in fails_to_look", "can't reach", "can't look"):
+        assert part in text
+    told = two.value.data["failures"]
+    assert [failure["type"] for failure in told] == ["Unreachable", "LookingFailed"]
+    assert told[0]["data"]["arm"] == "left"
+
+
+def test_failures_of_all_levels_are_told() -> None:
+    with pytest.raises(BranchesFailed) as raised, par as s:
+        s(fails)
+        with seq as t:
+            t(succeeds)
+            t(fails_to_look)
+        raise InCollision([0, 0, 0], [0, 0, 0, 1], ["kitchen"])
+    assert [type(one) for one in raised.value.leaves] == [Unreachable, LookingFailed, InCollision]
+    assert all(word in str(raised.value) for word in ("can't reach", "can't look", "kitchen"))
+
+
+def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others() -> None:
+    gate = Gate()
+    with pytest.raises(Unreachable), par as s:
+        s(gate.pass_through)
+        s(gate.open)
+        fails()
+    assert [branch.state for branch in s.branches] == [S, S]
+    gate = Gate()
+    with pytest.raises(Unreachable), pursue as s:
+        s(gate.pass_through)
+        fails()
+    assert [branch.state for branch in s.branches] == [C]
+
+
+def test_interrupting_the_body_stops_the_branches() -> None:
+    gate = Gate()
+    for kind in (par, pursue, try_all):
+        with pytest.raises(KeyboardInterrupt), kind as s:
+            s(gate.pass_through)
+            raise KeyboardInterrupt
+        assert s.branches[0].state is C
+
+
+def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
+    gate = Gate()
+    swallowed = []
+
+    def stubborn() -> None:
+        try:
+            gate.pass_through()
+        except Exception as error:  # noqa: BLE001
+            swallowed.append(error)
+
+    with pursue as s:
+        s(stubborn)
+        s(succeeds)
+    assert not swallowed
+    assert s.branches[0].state is C
+
+
+# --- handles ----------------------------------------------------------------------------------------------------------
+
+
+def test_handles_are_their_results() -> None:
+    gate = Gate()
+    with par as s:
+        handle = s(lambda: gate.pass_through() and [3, 1, 2])
+        gate.open()
+        assert sorted(handle) == [1, 2, 3]
+    assert handle == [3, 1, 2]
+    assert isinstance(handle, list)
+    assert handle + [0] == [3, 1, 2, 0]  # noqa: RUF005  the handle's own operator
+    with par as s:
+        number = s(succeeds, 7)
+    assert (number + 1, 10 - number, -number, number % 4, range(9)[number]) == (8, 3, -7, 3, 7)
+    with suppress(PlanFailure), par as s:
+        failed = s(fails)
+    with pytest.raises(Unreachable):
+        failed.arm  # noqa: B018
+    with pursue as s:
+        stopped = s(Gate().pass_through)
+        s(succeeds)
+    with pytest.raises(NoResult, match="was cancelled"):
+        bool(stopped)
+
+
+def test_a_branch_may_ask_for_others_until_the_block_has_ended() -> None:
+    done = []
+    with par as s:
+        s(lambda: s(lambda: s(done.append, 1)))
+    assert done == [1]
+    assert len(s.branches) == 3
+    with pytest.raises(BlockClosed):
+        s(succeeds)
+    with pytest.raises(BadArgument):
+        par(1)
+    with pytest.raises(BadArgument), par as s:
+        s("not a function")
+
+
+def test_the_five_words_may_be_used_again_in_threads_and_within_themselves() -> None:
+    def deep(levels: int) -> int:
+        if not levels:
+            return 1
+        with par as s:
+            parts = [s(deep, levels - 1) for _ in range(2)]
+        return sum(part.result() for part in parts)
+
+    assert deep(4) == 16
+    opening = par()
+    with opening as s, opening as t:
+        assert s is not t
+    assert repr(par) == "par"
+
+
+# --- trying again -----------------------------------------------------------------------------------------------------
+
+
+def test_five_retries_are_six_runs_and_then_the_last_failure_with_the_earlier_ones() -> None:
+    runs = []
+
+    def run() -> None:
+        runs.append(1)
+        raise Unreachable("left", [len(runs), 0, 0])
+
+    with pytest.raises(Unreachable) as raised:
+        for attempt in failure_handling(5):
+            with attempt:
+                run()
+    assert len(runs) == 6
+    assert raised.value.target[0] == 6
+    text = "".join(traceback.format_exception(raised.value))
+    assert all(f"[{number}.000" in text for number in range(1, 7))
+    node = tasks.tree().find(kind="failure-handling")[-1]
+    assert [part.attempt for part in node.attempts] == [1, 2, 3, 4, 5, 6]
+    assert {part.status for part in node.attempts} == {F}
+    assert [part.failure.type for part in node.attempts] == ["Unreachable"] * 6
+    assert node.status is F
+
+
+def test_retry_as_the_original_says_it() -> None:
+    seen = []
+    for attempt in failure_handling(5, arm="left"):
+        with attempt:
+            try:
+                seen.append((attempt.number, attempt["arm"]))
+                if attempt["arm"] == "left":
+                    fails()
+            except Unreachable:
+                retry(arm="right")
+    assert seen == [(1, "left"), (2, "right")]
+    node = tasks.tree().find(kind="failure-handling")[-1]
+    assert [part.status for part in node.attempts] == [F, S]
+    assert [part.parameters for part in node.attempts] == [{"arm": "left"}, {"arm": "right"}]
+    runs = []
+    with pytest.raises(Unreachable):
+        for attempt in failure_handling(2):
+            with attempt:
+                runs.append(1)
+                try:
+                    fails()
+                except Unreachable:
+                    retry()
+    assert len(runs) == 3
+    with pytest.raises(PlanFailure, match="all 1 retries"):
+        for attempt in failure_handling(1):
+            with attempt:
+                retry()
+    with pytest.raises(UsageError, match="belongs into"):
+        retry()
+
+
+def test_retry_in_a_branch_reaches_its_attempt() -> None:
+    runs = []
+
+    def branch() -> None:
+        runs.append(1)
+        if len(runs) < 3:
+            retry()
+
+    for attempt in failure_handling(5):
+        with attempt, par as s:
+            s(branch)
+            s(succeeds)
+    assert len(runs) == 3
+
+
+def test_recoveries_by_the_type_of_failure() -> None:
+    recovered = []
+
+    def step_back(failure: InCollision) -> None:
+        recovered.append(failure.bodies)
+
+    def other_arm(failure: Unreachable) -> dict[str, object]:
+        return {"arm": {"left": "right"}[failure.arm]}
+
+    handling = failure_handling(3).on(Unreachable, other_arm).on(InCollision, step_back)
+
+    def act(arm: str = "left") -> str:
+        if not recovered:
+            raise InCollision([0, 0, 0], [0, 0, 0, 1], ["table"])
+        if arm == "left":
+            par(fails, fails)  # a failed block of that type is of that type
+        return arm
+
+    assert handling.run(act) == "right"
+    assert recovered == [["table"]]
+    recovered.clear()
+    assert handling(act)() == "right"  # as a decorator, and a second time
+    with pytest.raises(KeyError):  # what a recovery raises comes out
+        handling.run(lambda **_: (_ for _ in ()).throw(Unreachable("both", [0, 0, 0])))
+    with pytest.raises(BadArgument, match="result of the recovery"):
+        failure_handling(1).on(PlanFailure, lambda _: 3).run(fails)
+
+
+def test_only_the_named_failures_and_never_bugs_are_tried_again() -> None:
+    runs = []
+
+    def run(action: Callable[[], None]) -> None:
+        runs.append(1)
+        action()
+
+    with pytest.raises(LookingFailed):
+        failure_handling(5, Unreachable).run(run, fails_to_look)
+    with pytest.raises(BadArgument):
+        failure_handling(5).run(run, is_wrong)
+    with pytest.raises(BadArgument):
+        for attempt in failure_handling(5):
+            with attempt:
+                try:
+                    run(is_wrong)
+                except UsageError:
+                    retry()
+    assert len(runs) == 3
+    for wrong in (-1, True, 1.5):
+        with pytest.raises(BadArgument):
+            failure_handling(wrong)
+    with pytest.raises(BadArgument):
+        failure_handling(1, ValueError)
+
+
+def test_what_python_cannot_run_again_says_so() -> None:
+    with pytest.raises(UsageError, match="for attempt in failure_handling"), failure_handling(5):
+        pass
+    with pytest.raises(UsageError, match="has to be `with attempt:`"):
+        for _ in failure_handling(5):
+            pass
+
+
+def test_leaving_the_loop_ends_the_handling() -> None:
+    for attempt in failure_handling(5):
+        with attempt:
+            fails()
+        if attempt.number == 2:
+            break
+    node = tasks.tree().find(kind="failure-handling")[-1]
+    assert len(node.attempts) == 2
+    assert node.status is F
+    assert tasks.current() is None
+
+
+def test_attempts_in_a_concurrent_body_see_their_failures() -> None:
+    runs = []
+
+    def run() -> None:
+        runs.append(1)
+        if len(runs) < 3:
+            fails()
+
+    with par as s:
+        for attempt in failure_handling(5):
+            with attempt:
+                par(run)
+        s(failure_handling(5).run, run)
+    assert len(runs) == 4
+
+
+# --- time -------------------------------------------------------------------------------------------------------------
+
+
+def test_what_takes_too_long_times_out_at_its_next_wait() -> None:
+    gate = Gate()
+    with pytest.raises(TimedOut, match=r"within 0\.02 s") as raised, timeout(0.02):
+        gate.pass_through()
+    assert (raised.value.seconds, raised.value.clock) == (0.02, "wall")
+    with pytest.raises(TimedOut), timeout(0.02), par as s:
+        s(gate.pass_through)
+        s(par, gate.pass_through, gate.pass_through)
+    assert [branch.state for branch in s.branches] == [C, C]
+    with timeout(60):
+        succeeds()
+    with pytest.raises(TimedOut), timeout(0):
+        pass
+    with pytest.raises(TimedOut), timeout(60), timeout(0.02):
+        gate.pass_through()
+    with pytest.raises(TimedOut, match=r"0\.02"), timeout(0.02), timeout(60):
+        gate.pass_through()
+    runs = []
+    with pytest.raises(TimedOut):
+        for attempt in failure_handling(2):
+            with attempt, timeout(0):
+                runs.append(1)
+    assert not runs
+    for wrong in (-1, "soon", float("nan")):
+        with pytest.raises(BadArgument), timeout(wrong):
+            pass
+
+
+def test_waiting_with_a_timeout_of_its_own_goes_on_in_a_longer_one() -> None:
+    with timeout(60):
+        assert Gate().pass_through(0.01) is False
+
+
+# --- at the end -------------------------------------------------------------------------------------------------------
+
+
+def test_cleaning_up_happens_always_and_is_not_cancelled() -> None:
+    gate, done = Gate(), []
+
+    def clean(value: object) -> None:
+        checkpoint()  # would stop a cancelled branch
+        with par as s:
+            s(done.append, value)
+
+    def slow() -> None:
+        with finally_(clean, "cancelled"):
+            gate.pass_through()
+
+    with pursue as s:
+        s(slow)
+        s(succeeds)
+    assert s.branches[0].state is C
+    with finally_(clean, "succeeded"):
+        pass
+    with pytest.raises(Unreachable), finally_(clean, "failed"):
+        fails()
+    assert done == ["cancelled", "succeeded", "failed"]
+    with pytest.raises(BadArgument), finally_(3):
+        pass
+
+
+def test_failures_of_cleaning_up_are_not_lost() -> None:
+    with pytest.raises(Unreachable), finally_(fails):
+        pass
+    with pytest.raises(LookingFailed) as raised, finally_(fails):
+        fails_to_look()
+    assert "can't reach" in "".join(traceback.format_exception(raised.value))
+    with pytest.raises(BadArgument), finally_(is_wrong):
+        fails()
+
+    def slow() -> None:
+        with finally_(fails):
+            Gate().pass_through()
+
+    with pursue as s:
+        s(slow)
+        s(succeeds)
+    assert s.branches[0].state is F
+    assert [type(one) for one in s.failures] == [Unreachable]
+
+
+def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
+    seen = []
+
+    def branch() -> None:
+        try:
+            Gate().pass_through()
+        except Cancelled:
+            seen.append(1)
+            raise
+
+    with pursue as s:
+        s(branch)
+        s(lambda: None)
+    assert seen in ([1], [])  # it may have been cancelled before it began

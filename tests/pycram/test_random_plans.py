@@ -1,0 +1,208 @@
+"""Random plans: nested blocks, motions that want the same parts of the robot, failures, retries, timeouts, cancellation.
+
+Whatever they do, they end, leave no thread, and their log tells all of it.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import random
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram import tasks
+from pycram.blocks import OpenBlock
+from pycram.bullet_world import BulletWorld, Object
+from pycram.cancellation import wait
+from pycram.claims import Claims
+from pycram.designator import MotionDesignator
+from pycram.failures import LookingFailed, PlanFailure, Unreachable
+from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
+from pycram.process_module import ProcessModule
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+KINDS = (par, par, pursue, try_all, seq, seq, try_in_order)
+PARTS = ("base", "head", "left-arm", "right-arm", "left-gripper", "right-gripper")
+BODIES = ("cup", "bowl", "plate")
+
+
+class Juggling(MotionDesignator):
+    """A motion that needs what it says."""
+
+    def claims(self) -> Claims:
+        return Claims(frozenset(dict(self.description)["moves"]), frozenset(dict(self.description)["at-rest"]))
+
+    def reference(self) -> dict[str, object]:
+        return dict(self.description)
+
+
+class Juggler(ProcessModule):
+    """Moves an object, and may be made of other motions; one that runs already is an error of its own."""
+
+    def _execute(self, designator: Juggling) -> object:
+        solution = designator.reference()
+        for action in solution["parts"]:
+            action()
+        return solution["body"]
+
+
+class Plan:
+    """A plan made of dice."""
+
+    def __init__(self, seed: int, world: BulletWorld, jugglers: list[Juggler]) -> None:
+        self.dice = random.Random(seed)
+        self.world = world
+        self.jugglers = jugglers
+        self.nobody = threading.Condition()
+
+    def make(self, depth: int, moves: tuple[str, ...] = PARTS) -> Callable[[], object]:  # noqa: PLR0911  one for each sort
+        """A part of the plan; all dice are cast here, before anything runs."""
+        dice = self.dice
+        what = dice.random()
+        if depth <= 0 or what < 0.10:
+            return self.move()
+        if what < 0.17:
+            return self.fail(dice.choice((Unreachable("left", [1, 2, 3]), LookingFailed([1, 2, 3], 0.1))))
+        if what < 0.20:
+            return lambda: wait(self.nobody, lambda: False, 0.002)
+        if what < 0.48:
+            return self.motion(depth, moves)
+        if what < 0.54:
+            part, retries = self.make(depth - 1, moves), dice.randrange(3)
+            return lambda: failure_handling(retries).run(part)
+        if what < 0.59:
+            part, limit = self.make(depth - 1, moves), dice.choice((0, 0.001, 60))
+            return lambda: self.within(timeout(limit), part)
+        if what < 0.64:
+            part, cleaning = self.make(depth - 1, moves), self.move()
+            return lambda: self.within(finally_(cleaning), part)
+        return self.block(depth, moves)
+
+    def within(self, context: object, part: Callable[[], object]) -> None:
+        with context:
+            part()
+
+    def fail(self, failure: PlanFailure) -> Callable[[], object]:
+        def fail() -> None:
+            raise type(failure)(*([failure.arm] if hasattr(failure, "arm") else []), failure.target, 0.1)
+
+        return fail
+
+    def move(self) -> Callable[[], object]:
+        body, place = self.dice.choice(BODIES), [self.dice.uniform(-9, 9) for _ in range(3)]
+        return lambda: self.world.get_object(body).set_position(place)
+
+    def motion(self, depth: int, allowed: tuple[str, ...]) -> Callable[[], object]:
+        """A motion; the motions that it is made of want no more than it has."""
+        dice = self.dice
+        wanted = tuple(part for part in allowed if dice.random() < 0.4)
+        moves = tuple(part for part in wanted if dice.random() < 0.7)
+        rest = tuple(part for part in wanted if part not in moves)
+        parts = [self.move()]
+        if depth > 1 and dice.random() < 0.4:
+            parts.append(self.block(depth - 2, moves))
+        if dice.random() < 0.2:
+            parts.append(self.fail(Unreachable("left", [1, 2, 3])))
+        slots = {"type": "juggle", "moves": moves, "at-rest": rest, "parts": parts, "body": dice.choice(BODIES)}
+        juggler = dice.choice(self.jugglers)
+
+        def perform() -> object:
+            return ProcessModule.perform(Juggling([*slots.items(), ("juggler", juggler)]))
+
+        return perform
+
+    def block(self, depth: int, allowed: tuple[str, ...]) -> Callable[[], object]:
+        """A block with actions of all sorts in its body."""
+        dice = self.dice
+        kind = dice.choice(KINDS)
+        parts = [self.make(depth - 1, allowed) for _ in range(dice.choice((0, 1, 2, 3, 3, 4)))]
+        ways = [dice.randrange(3) for _ in parts]
+        collected: list[BaseException] | None = [] if dice.random() < 0.3 else None
+        if dice.random() < 0.15:
+            return lambda: kind(*parts) if parts else None
+
+        def run() -> object:
+            with kind(collected) if collected is not None else kind as s:
+                handles = []
+                for part, way in zip(parts, ways, strict=True):
+                    if way == 0:
+                        handles.append(s(part))
+                    elif way == 1:
+                        part()  # a motion or a block in the body, or plain Python
+                    else:
+                        with seq as t:
+                            t(part)
+                if handles and ways[0] == 1:
+                    handles[0].result()  # looks at a result in the body
+            assert isinstance(s, OpenBlock)
+            return None
+
+        return run
+
+
+def run(plans: int, first: int, file: Path) -> None:
+    """Runs plans in a world of their own, recorded, and compares."""
+    outcomes = {"succeeded": 0, "failed": 0}
+    with recorder.record(file), BulletWorld() as world:
+        for body in BODIES:
+            Object(body, body, f"{body}.stl", [0, 0, 5])
+        jugglers = [Juggler() for _ in range(3)]
+        chooser = ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("juggler"))
+        threads = threading.active_count()
+        with chooser:
+            for seed in range(first, first + plans):
+                made = Plan(seed, world, jugglers)
+                beside = [made.block(4, PARTS) for _ in range(3)]
+                try:
+                    par(*beside)
+                except PlanFailure:
+                    outcomes["failed"] += 1
+                else:
+                    outcomes["succeeded"] += 1
+                assert threading.active_count() == threads, seed
+                assert tasks.current() is None
+        found = tasks.tree()
+        assert all(node.finished is not None for node in found.nodes.values())
+        poses = {body.name: body.get_position_and_orientation() for body in world.objects}
+    with replay.open(file) as log:
+        told = log.tree()
+        assert told == found
+        assert len(told) == len(found) > plans
+        last = [step for step, record in enumerate(log) if type(record).__name__ == "Mutation"][-2]
+        state = log.state_at(last).worlds[world.name]
+        for name, (position, orientation) in poses.items():
+            assert list(state.bodies[name].position) == position
+            assert list(state.bodies[name].orientation) == orientation
+    assert outcomes["failed"] > plans / 20
+    assert outcomes["succeeded"] > plans / 20
+    statuses = {node.status for node in found.nodes.values()}
+    assert statuses == {State.SUCCEEDED, State.FAILED, State.CANCELLED}
+    for node in found.nodes.values():
+        for child in node.children:
+            assert child.parent is node
+            assert child.end.wall_ns <= node.end.wall_ns
+            assert child.created.wall_ns >= node.start.wall_ns
+
+
+@pytest.fixture(autouse=True)
+def _watched() -> None:
+    faulthandler.dump_traceback_later(200, exit=True)
+    yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+def test_random_plans(tmp_path: Path) -> None:
+    run(30, 0, tmp_path / "plans.mcap")
+
+
+@pytest.mark.slow
+def test_a_thousand_random_plans(tmp_path: Path) -> None:
+    for batch in range(10):
+        run(100, 1000 + 100 * batch, tmp_path / f"{batch}.mcap")
