@@ -4,8 +4,7 @@ PyBullet refuses broken files without saying why, or loads them without a shape.
 What it gets is canonical: a URDF whose meshes are named ``<sha256>/<file name>``, in a store that holds these files
 under these names. The same store can be laid out again from a recording's attachments on another machine.
 
-Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning. Axes get unit
-length: PyBullet takes a longer one for a longer way.
+Axes get unit length: PyBullet takes a longer one for a longer way.
 """
 
 from __future__ import annotations
@@ -20,9 +19,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pycram import mesh
+from pycram import links, mesh
 from pycram.failures import AssetError, BadArgument
 from recorder.asset import AssetFile
+from recorder.interrupts import Uninterrupted
 from recorder.urdf import Urdf
 from recorder.urdf_joint import UrdfError
 
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _MESH_TYPE, _URDF_TYPE = "model/mesh", "application/xml"
-_FRAME_MASS = 1e-3  # kg, of links that are only frames
-_FRAME_INERTIA = 1e-6  # kg m^2
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +111,11 @@ def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
     """
     file = find(path)
     kind = file.suffix.lower()
-    if kind == ".urdf":
-        return _canonical(file, _read(file), file.stem)
-    if kind in _MESH_SUFFIXES:
-        return _canonical(file, mesh.as_urdf(file, color, _keep_mesh, _decompose), file.stem)
+    with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
+        if kind == ".urdf":
+            return _canonical(file, _read(file), file.stem)
+        if kind in _MESH_SUFFIXES:
+            return _canonical(file, mesh.as_urdf(file, color, _keep_mesh, _decompose), file.stem)
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
@@ -199,7 +198,7 @@ def _canonical(source: Path, text: str, stem: str) -> Model:
         for texture in material.findall("texture"):
             material.remove(texture)  # the software renderer shows plain colours
     for link in root.iter("link"):
-        _give_inertia(link)
+        links.give_inertia(link)
     try:
         _normalize_axes(root, Urdf.parse(ET.tostring(root, encoding="unicode")))
         content = ET.tostring(root, encoding="unicode")
@@ -218,6 +217,10 @@ def _check_links(source: Path, root: ET.Element) -> None:
     names = [link.get("name", "") for link in root.iter("link")]
     if not names:
         raise AssetError(source, "has no links")
+    if not root.get("name", "").strip():
+        raise AssetError(source, "its <robot> has no name")
+    for link in root.iter("link"):
+        links.check(source, link)
 
 
 def _find_mesh(source: Path, name: str) -> Path:
@@ -252,21 +255,3 @@ def _normalize_axes(root: ET.Element, tree: Urdf) -> None:
         name = joint.get("name", "")
         if axis is not None and tree.joints[name].movable:
             axis.set("xyz", " ".join(map(repr, tree.joints[name].axis)))
-
-
-def _give_inertia(link: ET.Element) -> None:
-    if link.find("inertial") is not None:
-        return
-    boxes = [mesh.box_of(collision) for collision in link.findall("collision")]
-    sizes = [size for size in boxes if size is not None]
-    if link.find("collision") is not None and sizes:
-        # a solid of household density in place of the kilogram that PyBullet would assume
-        mass = sum(mesh.DENSITY * x * y * z for x, y, z in sizes)
-        x, y, z = max(sizes, key=lambda size: size[0] * size[1] * size[2])
-        moments = [mass / 12 * (b * b + c * c) for b, c in ((y, z), (x, z), (x, y))]
-    else:
-        mass, moments = _FRAME_MASS, [_FRAME_INERTIA] * 3
-    inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "mass", value=repr(mass))
-    tensor = {"ixy": "0", "ixz": "0", "iyz": "0"} | dict(zip(("ixx", "iyy", "izz"), map(repr, moments), strict=True))
-    ET.SubElement(inertial, "inertia", attrib=tensor)

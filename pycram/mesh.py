@@ -19,12 +19,13 @@ import trimesh
 from pycram import toml
 from pycram.checks import number
 from pycram.failures import AssetError
+from pycram.links import DENSITY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-DENSITY: Final = 700.0  # kg/m^3, of things in a household that nothing more is known of
+_FARTHEST: Final = 1e4  # m; what is larger was not measured in metres
 _CONVEX_SHARE: Final = 0.9  # of its hull's volume: less is concave
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 _STL_HEADER: Final = 84
@@ -82,6 +83,8 @@ def parse(file: Path) -> trimesh.Trimesh:
         raise AssetError(file, "has no faces")
     if not np.isfinite(loaded.vertices).all():
         raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(loaded.vertices).max() > _FARTHEST:
+        raise AssetError(file, f"has vertices more than {_FARTHEST:g} m away from its origin")
     loaded.merge_vertices()
     return loaded
 
@@ -160,12 +163,15 @@ def as_urdf(
         AssetError: the mesh or a file beside it is broken.
     """
     shape = parse(file)
+    spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
+    if len(spread) < 3 or spread[2] <= 1e-9 * spread[0]:
+        raise AssetError(file, "is flat: it encloses no volume")
     robot = ET.Element("robot", name=file.stem)
     link = ET.SubElement(robot, "link", name=file.stem)
     entry = _entry(file)
     if "friction" in entry:
         ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
-    _add_inertia(link, shape, _mass(shape, entry), file)
+    _add_inertia(link, shape, _mass(shape, entry))
     for name, content, rgba in _visuals(file, color, entry):
         visual = ET.SubElement(link, "visual")
         ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=keep(name, content))
@@ -226,33 +232,11 @@ def _mass(shape: trimesh.Trimesh, entry: Mapping[str, object]) -> float:
     return float(max(abs(solid.volume) * DENSITY, 1e-3))
 
 
-def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, mass: float, file: Path) -> None:
+def _add_inertia(link: ET.Element, shape: trimesh.Trimesh, mass: float) -> None:
     solid = shape if shape.is_watertight and shape.volume > 0 else shape.convex_hull
-    if not np.isfinite(solid.volume) or solid.volume <= 0:
-        raise AssetError(file, "is flat: it encloses no volume")
     tensor = solid.moment_inertia * (mass / solid.volume)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in solid.center_mass), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(mass))
     moments = {f"i{'xyz'[i]}{'xyz'[j]}": repr(float(tensor[i, j])) for i in range(3) for j in range(i, 3)}
     ET.SubElement(inertial, "inertia", attrib=moments)
-
-
-def box_of(collision: ET.Element) -> tuple[float, float, float] | None:
-    """Extents in m of a primitive shape of a URDF; None for meshes.
-
-    Args:
-        collision: a ``<collision>`` or ``<visual>`` element.
-    """
-    geometry = collision.find("geometry")
-    for shape in geometry if geometry is not None else ():
-        if shape.tag == "box":
-            x, y, z = (float(part) for part in shape.get("size", "").split())
-            return x, y, z
-        if shape.tag == "sphere":
-            d = 2 * float(shape.get("radius", "0"))
-            return d, d, d
-        if shape.tag in ("cylinder", "capsule"):
-            d = 2 * float(shape.get("radius", "0"))
-            return d, d, float(shape.get("length", "0"))
-    return None
