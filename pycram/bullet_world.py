@@ -11,11 +11,11 @@ import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
-from pycram import attachments, checks, worlds
+from pycram import attachments, cargo, checks, worlds
 from pycram.cancellation import whole
 from pycram.engine import STEPS_PER_SECOND, Engine
 from pycram.event import Event
-from pycram.failures import BadArgument, NoWorld, UnknownName
+from pycram.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.funnel import Funnel, Reading, read
 from pycram.gui import check_display
 from pycram.objects import Object
@@ -65,6 +65,7 @@ class BulletWorld(metaclass=CurrentWorld):
         self.sim_step = 0
         self.gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.closed = False
+        self._ending = False
         self.funnel = Funnel(self)
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
@@ -295,6 +296,7 @@ class BulletWorld(metaclass=CurrentWorld):
 
         Raises:
             BadArgument: not a whole number from 0 up.
+            WorldClosed: another thread has ended the world meanwhile.
         """
         steps = checks.count("steps", steps)
         with self.funnel.change(records.Mutation(simulate=records.Simulate(steps=steps))) as change:
@@ -306,15 +308,20 @@ class BulletWorld(metaclass=CurrentWorld):
                 after = self.engine.joints(body.handle)[0]
                 if any(not math.isclose(a, b, abs_tol=_MOVED) for a, b in zip(before, after, strict=True)):
                     change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
+        if self._ending and change.command.simulate.steps < steps:
+            raise WorldClosed(self.name, "simulate on")
 
     def _step(self, steps: int, change: Change) -> None:
-        """Steps in stretches; an interrupt ends it after one, and what was done until then is the change."""
+        """Steps in stretches; an interrupt or the world's end ends it after one, and what was done is the change."""
         recording = journal.recording()
         last: dict[str, Reading] = {body.name: read(body) for body in self.objects} if recording else {}
         done = 0
-        while done < steps and not change.hold.noted:
+        while done < steps and not (change.hold.noted or self._ending):
             stretch = min(_SAMPLE_STEPS - self.sim_step % _SAMPLE_STEPS, steps - done)
             self.engine.step(stretch)
+            for body in self.objects:
+                if body.fixed:  # what hangs on it in chains has given way a little: solvers do
+                    cargo.follow(body, change)
             self.sim_step += stretch
             done += stretch
             if done == steps:  # the end itself is the effect
@@ -383,6 +390,7 @@ class BulletWorld(metaclass=CurrentWorld):
         Raises:
             Exception: the first error of what :meth:`at_exit` was given or of handlers in real time; all has ended.
         """
+        self._ending = True  # a simulation that runs in another thread makes way
         with self.lock:
             if self.closed:
                 return

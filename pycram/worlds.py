@@ -1,13 +1,16 @@
 """The open worlds of this process, and which of them is current.
 
-The one that was opened last is current; when it ends, the one before it is current again. Names are unique among open
-worlds, since records know worlds by their names.
+The one that was opened last is current; when it ends, the one before it is current again. A thread that opens a world
+or makes one current does so for itself and its branches, so that threads with a world each don't take each other's; and
+for all that have not chosen. Names are unique among open worlds, since records know worlds by their names.
 """
 
 from __future__ import annotations
 
 import itertools
 import threading
+import weakref
+from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from pycram import checks
@@ -22,6 +25,7 @@ _lock = threading.Lock()
 _numbers = itertools.count(1)
 _names: set[str] = set()
 _open: tuple[BulletWorld, ...] = ()
+_chosen: ContextVar[weakref.ref[BulletWorld] | None] = ContextVar("pycram_world", default=None)
 
 
 def take_name(name: str | None) -> str:
@@ -59,7 +63,8 @@ def enter(world: BulletWorld) -> None:
         if world.closed:
             raise WorldClosed(world.name, "become current")
         _open = (*(other for other in _open if other is not world), world)
-        journal.put_forward(world)
+    _chosen.set(weakref.ref(world))
+    journal.put_forward(world)
 
 
 def leave(name: str) -> None:
@@ -79,13 +84,22 @@ def opened() -> tuple[BulletWorld, ...]:
     return _open
 
 
+def current() -> BulletWorld | None:
+    """The world that is current here; None if none is open."""
+    chosen = _chosen.get()
+    world = chosen() if chosen is not None else None
+    if world is not None and not world.closed:
+        return world
+    return _open[-1] if _open else None
+
+
 class CurrentWorld(type):
     """Makes the current world and its robot readable and settable on the class, as in the thesis' listings."""
 
     @property
     def current_bullet_world(cls) -> BulletWorld | None:
         """The default world of all that needs one: the one opened last that is still open."""
-        return _open[-1] if _open else None
+        return current()
 
     @current_bullet_world.setter
     def current_bullet_world(cls, world: BulletWorld) -> None:
@@ -96,13 +110,14 @@ class CurrentWorld(type):
     @property
     def robot(cls) -> Object | None:
         """The robot of the current world."""
-        return _open[-1].robot if _open else None
+        world = current()
+        return world.robot if world is not None else None
 
     @robot.setter
     def robot(cls, robot: Object | None) -> None:
         if robot is not None and not isinstance(robot, Object):
             raise BadArgument("robot", robot, 'an object of type "robot"')
-        world = robot.world if robot is not None else _open[-1] if _open else None
+        world = robot.world if robot is not None else current()
         if world is None:
             raise NoWorld
         world.set_robot(robot)

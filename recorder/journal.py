@@ -146,6 +146,7 @@ _open: tuple[Journal, ...] = ()
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
 _openings = itertools.count()
 _opened = 0
+_forward: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_forward", default=None)
 _aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
 
 
@@ -230,7 +231,7 @@ def introduce(source: Source) -> None:
 
 
 def put_forward(source: Source) -> None:
-    """Makes a registered world the current one.
+    """Makes a registered world the current one: in this context, and wherever no other was put forward.
 
     Args:
         source: the world.
@@ -239,6 +240,7 @@ def put_forward(source: Source) -> None:
         before = [number for number, other in _sources.items() if other is source]
         if before:  # one that was opened aside stays unknown
             _sources[next(_openings)] = source
+            _forward.set(weakref.ref(source))
         for number in before:
             del _sources[number]
 
@@ -255,8 +257,12 @@ def unregister(source: Source) -> None:
 
 
 def now() -> tuple[str, int]:
-    """The world that is current, the one last registered or put forward, and its simulated steps; "", 0 if none is."""
-    source = next(reversed(list(_sources.values())), None)
+    """The world that is current in this context and its simulated steps; "", 0 if none is."""
+    sources = list(_sources.values())
+    chosen = _forward.get()
+    source = chosen() if chosen is not None else None
+    if source is None or all(other is not source for other in sources):
+        source = sources[-1] if sources else None
     return (source.name, source.sim_step) if source is not None else ("", 0)
 
 

@@ -115,3 +115,20 @@ def test_a_branch_s_handle_stands_for_its_object(scene: BulletWorld) -> None:
     assert milk.carrier is robot
     robot.detach(milk)
     assert milk.carrier is None
+
+
+def test_a_chain_that_hangs_out_far_stays_together_in_simulation(scene: BulletWorld) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    x, y, z = robot.get_link_position("l_gripper_tool_frame")
+    milk.set_position([x + 0.05, y, z])
+    cup = Object("cup", "cup", "cup.stl", [x + 0.05, y, z + 0.2])
+    plate = Object("plate", "plate", "plate.stl", [x + 0.05, y + 0.3, z + 0.2])
+    robot.attach(milk, "l_gripper_tool_frame")
+    milk.attach(cup)
+    cup.attach(plate)
+    before = [relative(robot, "l_gripper_tool_frame", body) for body in (milk, cup, plate)]
+    scene.simulate(1.0)
+    for body, (position, orientation) in zip((milk, cup, plate), before, strict=True):
+        now = relative(robot, "l_gripper_tool_frame", body)
+        assert math.dist(now[0], position) < 1e-3, body
+        assert geometry.angle(now[1], orientation) < math.radians(0.1), body

@@ -7,6 +7,7 @@ import math
 import os
 import queue
 import threading
+from typing import TYPE_CHECKING
 
 import psutil
 import pytest
@@ -14,8 +15,13 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
+from pycram.language import par
 from pycram.process_module import ProcessModule
 from pycram.reasoning.query import asking
+from recorder.records import Task
+
+if TYPE_CHECKING:
+    from tests.conftest import MemorySink
 
 
 def poses(world: BulletWorld) -> dict[str, object]:
@@ -331,3 +337,74 @@ def test_200_worlds_leave_nothing_behind() -> None:
     assert threading.active_count() == threads
     assert process.num_threads() <= threads + 4
     assert process.memory_info().rss - memory < 20e6
+
+
+def furnished(name: str) -> BulletWorld:
+    made = BulletWorld(name=name)
+    made.robot = Object("pr2", "robot", "pr2.urdf")
+    return made
+
+
+def move(x: float, y: float) -> None:
+    ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", [x, y, 0])]))
+
+
+def test_threads_that_chose_a_world_move_the_robot_of_that_world() -> None:
+    worlds = [furnished("east"), furnished("west")]
+    goals = {"east": 5.0, "west": -5.0}
+    together = threading.Barrier(2)
+
+    def plan(mine: BulletWorld) -> None:
+        BulletWorld.current_bullet_world = mine
+        for step in range(10):
+            together.wait(20)
+            move(goals[mine.name], step * 0.1)
+
+    threads = [threading.Thread(target=plan, args=(mine,)) for mine in worlds]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for mine in worlds:
+        assert mine.robot is not None
+        assert mine.robot.get_position() == [goals[mine.name], 0.9, 0.0]
+        mine.exit()
+
+
+def test_branches_act_in_the_world_that_was_current_when_they_were_asked_for(sink: MemorySink) -> None:
+    here, there = furnished("here"), furnished("there")
+    BulletWorld.current_bullet_world = here
+    with par:
+        ProcessModule.perform(MotionDesignator({"type": "move-arm-joints", "left-arm": "park", "right-arm": "park"}))
+        move(3, 3)
+        BulletWorld.current_bullet_world = there
+    assert here.robot is not None
+    assert there.robot is not None
+    assert here.robot.get_position() == [3, 3, 0]
+    assert there.robot.get_position() == [0, 0, 0]
+    motions = [task for task in sink.of(Task) if task.kind == "motion"]
+    assert {task.world for task in motions} == {"here"}
+    here.exit()
+    there.exit()
+
+
+def test_leaving_a_world_while_time_runs_in_another_thread_is_quick(world: BulletWorld) -> None:
+    Object("cup", "cup", "cup.stl", [0, 0, 5])
+    ends: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            world.simulate(86400.0)
+        except WorldClosed as error:
+            ends.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    waiting = threading.Event()
+    while thread.is_alive() and not world.sim_step:
+        waiting.wait(0.001)
+    world.exit()
+    thread.join(20)
+    assert not thread.is_alive()
+    assert len(ends) == 1
+    assert 0 < world.sim_step < 86400 * 240
