@@ -16,7 +16,7 @@ import replay
 from recorder import journal
 from recorder.records import Event, MoveBody, Mutation, Task
 from recorder.span import span
-from replay.cli import VERBS
+from replay.cli import VERBS, main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -209,8 +209,6 @@ def test_a_reader_that_has_seen_enough_is_no_error(small_log: Path, verb: str) -
     "verb", ["info", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why", "blame milk --at 5"]
 )
 def test_json_is_one_document(small_log: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
-    from replay.cli import main
-
     name, *rest = verb.split()
     assert main([name, str(small_log), *rest, "--json"]) == 0
     said = capsys.readouterr()
@@ -231,8 +229,6 @@ def test_json_is_one_document(small_log: Path, capsys: pytest.CaptureFixture[str
     ],
 )
 def test_wrong_usage_is_2_and_is_explained(small_log: Path, capsys: pytest.CaptureFixture[str], wrong: str) -> None:
-    from replay.cli import main
-
     assert main(wrong.format(log=small_log).split()) == 2
     said = capsys.readouterr()
     assert not said.out
@@ -241,8 +237,6 @@ def test_wrong_usage_is_2_and_is_explained(small_log: Path, capsys: pytest.Captu
 
 
 def test_every_verb_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    from replay.cli import main
-
     for verb in VERBS:
         assert main([verb, "--help"]) == 0
         assert "LOG" in capsys.readouterr().out
