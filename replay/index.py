@@ -223,11 +223,12 @@ class Index:
             opcode, length = _LENGTH.unpack(self._file.read(HEADER))
             place = Place(at + HEADER, length)
             if opcode == Opcode.DATA_END and length == 4:
-                self._data_end = at
-                self.closed = True
-                self.whole = self._ends_well(place, size)
                 self._learn_from_summary(place.offset + place.length, size)
-                at = size
+                self.closed = self._has_end(size)
+                if self.closed:
+                    self._data_end = at
+                    self.whole = self._ends_well(at, size)
+                    at = size
                 break
             beyond = place.offset + length > size
             if beyond and not self._is_damaged(opcode, place, size):
@@ -246,12 +247,22 @@ class Index:
         self.torn = size - at
         return at > before
 
-    def _ends_well(self, data_end: Place, size: int) -> bool:
-        """Whether only an index is missing because its writer wrote none."""
-        self._file.seek(data_end.offset + data_end.length)
-        end = self._file.read(_FOOTER + len(MAGIC))
-        whole = end.endswith(MAGIC) and len(end) == _FOOTER + len(MAGIC) and end[HEADER : HEADER + 8] == b"\0" * 8
-        return whole and self._file.tell() == size
+    def _has_end(self, size: int) -> bool:
+        self._file.seek(max(size - len(MAGIC), 0))
+        return self._file.read() == MAGIC
+
+    def _ends_well(self, data_end: int, size: int) -> bool:
+        """Whether the summary is sound, or only missing because its writer wrote none."""
+        behind = data_end + _DATA_END
+        self._file.seek(behind)
+        end = self._file.read(size - behind)
+        if len(end) < _FOOTER + len(MAGIC):
+            return False
+        footer = Footer.read(ReadDataStream(io.BytesIO(end[-_FOOTER - len(MAGIC) + HEADER :])))
+        if not footer.summary_start:
+            return len(end) == _FOOTER + len(MAGIC)
+        sound = footer.summary_crc in (0, zlib.crc32(end[: -len(MAGIC) - 4]))
+        return sound and footer.summary_start == behind
 
     def _learn_from_summary(self, at: int, size: int) -> None:
         """Learns channels whose definitions are lost: the summary repeats them, also where its places are wrong."""

@@ -188,5 +188,5 @@ def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[s
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         for at, (one, other) in enumerate(zip(a, b, strict=True)):
             yield from _leaves(one, other, f"{name}[{at}]", tolerance)
-    elif a != b and not (isinstance(a, float) and isinstance(b, float) and abs(a - b) <= tolerance):
+    elif a != b and not (isinstance(a, int | float) and isinstance(b, int | float) and abs(a - b) <= tolerance):
         yield name, (a, b)

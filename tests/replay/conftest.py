@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 import recorder
+from pycram.bullet_world import BulletWorld
 from pycram.bullet_world_reasoning import ReasoningError
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -39,4 +40,5 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("small") / "plan.mcap"
     with pytest.raises(ReasoningError), recorder.record(file, name="plan", source=GOLDEN / "plan.py"):
         runpy.run_path(str(GOLDEN / "plan.py"), run_name="__main__")
+    BulletWorld.current_bullet_world.exit()  # after the recording: the plan left it open
     return file

@@ -1,7 +1,7 @@
 """A small plan whose recording holds something of everything: ``pycram run tests/replay/golden/plan.py --log ...``.
 
-A box of cereal carries a milk carton, both are asked about, two tasks fail, and the plan gives up. It loads no robot, so
-that its recording stays small.
+A drawer is opened, a box of cereal carries a milk carton, both are asked about, two tasks fail, and the plan gives up.
+It loads no robot, so that its recording stays small.
 """
 
 from __future__ import annotations
@@ -11,10 +11,12 @@ from pathlib import Path
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
+from pycram.fluent import Fluent
 from pycram.language import par
 from recorder.span import span
 
-CARTON = str(Path(__file__).with_name("carton.stl"))
+HERE = Path(__file__).parent
+CARTON = str(HERE / "carton.stl")
 
 
 def put(body: Object, height: float) -> None:
@@ -30,7 +32,11 @@ def main() -> None:
     Object("floor", "environment", "plane.urdf")
     milk = Object("milk", "milk", CARTON, [0, 0, 0.1])
     cereal = Object("cereal", "cereal", CARTON, [0.3, 0, 0.13])
+    cabinet = Object("cabinet", "environment", str(HERE / "cabinet.urdf"), [2, 0, 0.5])
     world.simulate(0.2)
+    opened = Fluent(False, "opened")
+    cabinet.set_joint_position("drawer_joint", 0.25)
+    opened.set_value(True)
     with span("motion", "carry", {"object": milk}):
         cereal.attach(milk)
         cereal.set_position([0.5, 0.2, 0.13])

@@ -1,0 +1,349 @@
+"""diff, blame and why tell what happened, to people who were not there."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+from PIL import Image
+
+import recorder
+import replay
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from recorder.records import Mutation, Query, Run, Task
+from recorder.span import span
+from replay.blame import blame
+from replay.cli import main
+from replay.diff import difference
+from replay.runs import compare
+from replay.why import why
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from replay.log import Log
+
+
+@pytest.fixture
+def small(small_log: Path) -> Iterator[Log]:
+    with replay.open(small_log) as log:
+        yield log
+
+
+@pytest.fixture
+def failed(failed_log: Path) -> Iterator[Log]:
+    with replay.open(failed_log) as log:
+        yield log
+
+
+def mutation(log: Log, command: str, which: int = 0) -> int:
+    return [r.seq for r in log.records(Mutation) if r.WhichOneof("command") == command][which]
+
+
+# --- diff ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_step_differs_from_itself_in_nothing(small: Log) -> None:
+    for step in (0, 5, 60, len(small) - 1):
+        assert not difference(small.state_at(step), small.state_at(step))
+
+
+def test_a_difference_names_what_came_moved_and_changed_hands(small: Log) -> None:
+    loaded, attached = mutation(small, "load_body", 1), mutation(small, "attach_body")
+    came = difference(small.state_at(loaded - 1), small.state_at(loaded))
+    assert came.came == (("table", "milk"),)
+    assert not came.changed
+    held = difference(small.state_at(attached - 1), small.state_at(attached))
+    (change,) = [change for change in held.changed if change.body == "milk"]
+    assert change.changed_hands
+    assert not change.moved
+    assert change.carrier[1].carrier == "cereal"
+    moved = difference(small.state_at(attached), small.state_at(attached + 2))
+    assert {change.body for change in moved.notable} == {"milk", "cereal"}
+    for change in moved.notable:
+        assert change.distance == pytest.approx((0.2**2 + 0.2**2) ** 0.5, abs=5e-3)
+
+
+def test_two_runs_of_the_same_plan_are_the_same(small_log: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    again.write_bytes(small_log.read_bytes())
+    with replay.open(small_log) as first, replay.open(again) as second:
+        compared = compare(first, second)
+        assert compared.parting is None
+        assert compared.alike == len(first)
+        assert not compared.world
+
+
+def drop(file: Path, heights: list[float], *, extra: bool = False) -> None:
+    with recorder.record(file, name=file.stem), BulletWorld(name="lab") as world:
+        ball = Object("ball", "ball", "apple.stl")
+        for height in heights:
+            with span("motion", "drop", {"height": height}):
+                ball.set_position([0, 0, height])
+        if extra:
+            with span("motion", "look"):
+                ball.set_position([0, 0, 9])
+        world.simulate(0.1)
+
+
+def test_runs_part_at_the_first_record_that_differs(tmp_path: Path) -> None:
+    drop(tmp_path / "a.mcap", [1, 2, 3])
+    drop(tmp_path / "b.mcap", [1, 2.5, 3])
+    with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
+        parting = compare(first, second).parting
+        assert parting.task == "drop"
+        assert parting.first.seq == parting.second.seq == first.step("task:drop#2@start")
+        assert parting.fields == {"parameters.height": (2, 2.5)}
+        assert compare(first, second, tolerance=1.0).parting is None
+
+
+def test_what_only_one_run_did_is_found(tmp_path: Path) -> None:
+    drop(tmp_path / "a.mcap", [1, 2])
+    drop(tmp_path / "b.mcap", [1, 2], extra=True)
+    with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
+        for one, other, side in ((first, second, "second"), (second, first, "first")):
+            parting = compare(one, other).parting
+            alone = getattr(parting, side)
+            assert isinstance(alone, Task)
+            assert alone.name == "look"
+            assert alone.phase == Task.STARTED
+        compared = compare(first, second)
+        (change,) = compared.world.changed
+        assert change.body == "ball"
+        assert change.after[0][2] > 8
+
+
+def test_diff_of_runs_that_part_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drop(tmp_path / "a.mcap", [1])
+    drop(tmp_path / "b.mcap", [2])
+    assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "a.mcap")]) == 0
+    assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")]) == 1
+    assert "part in drop" in capsys.readouterr().out
+
+
+# --- blame -----------------------------------------------------------------------------------------------------------
+
+
+def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
+    carried = small.step("task:carry@end")
+    found = blame(small, "milk", carried)
+    assert found.how == "carried"
+    assert found.record.move_body.body == "cereal"
+    (held,) = found.carried
+    assert held.step == mutation(small, "attach_body")
+    assert [task.name for task in held.causes.tasks] == ["carry"]
+    assert found.causes.line.text == 'with span("motion", "carry", {"object": milk}):'
+    assert found.causes.line.function == "main"
+    assert found.distance == pytest.approx(0.283, abs=5e-3)
+    assert blame(small, "cereal", carried).how == "command"
+    assert blame(small, "cereal", carried).record == found.record
+
+
+def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log) -> None:
+    found = blame(small, "milk", mutation(small, "simulate"))
+    assert found.how == "physics"
+    assert found.distance < 5e-3
+    assert found.earlier.how == "load"
+    assert found.earlier.record.seq == mutation(small, "load_body", 1)
+
+
+def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Log) -> None:
+    changes = [r.seq for r in small.records(Mutation) if any(state.body == "cereal" for state in r.effect.bodies)]
+    for step in range(changes[0], len(small), 7):
+        assert blame(small, "cereal", step).record.seq == max(seq for seq in changes if seq <= step)
+
+
+def test_blame_knows_lines_around_what_no_task_did(small: Log) -> None:
+    found = blame(small, "cereal")
+    assert not found.causes.tasks
+    assert found.causes.after.text == "with par as block:"
+    assert found.causes.before.function == "put"
+
+
+@pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
+def test_blame_of_what_isn_t_there_says_what_is(small: Log, target: str, hint: str) -> None:
+    with pytest.raises(replay.NoSuchName, match=hint):
+        blame(small, target)
+
+
+@pytest.mark.slow
+def test_blame_in_the_kitchen(demo_log: Path) -> None:
+    with replay.open(demo_log) as log:
+        joint = "sink_area_left_upper_drawer_main_joint"
+        opened = blame(log, f"kitchen.{joint}")
+        assert opened.how == "command"
+        assert [task.name for task in opened.causes.tasks] == ["Accessing", "accessing"]
+        spoon = blame(log, "spoon", opened.record.seq)
+        assert spoon.how == "along"
+        assert spoon.record == opened.record
+        milk = blame(log, "milk", "task:move-arm-joints#-1@end")
+        placed = milk.earlier or milk
+        assert "place" in [task.name for task in placed.causes.tasks]
+        assert placed.carried[0].held.carrier == "pr2"
+
+
+# --- why -------------------------------------------------------------------------------------------------------------
+
+
+def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Log) -> None:
+    found = why(small)
+    assert found.failure.message == "the milk can't be put anywhere"
+    assert [(error.type, error.message) for error in found.raised] == [
+        ("ReasoningError", "milk would fall from 0.5 m"),
+        ("ReasoningError", "the milk can't be put anywhere"),
+    ]
+    assert [line.text for line in found.raised[0].lines] == [
+        "put(milk, height)",
+        'raise btr.ReasoningError(f"{body.name} would fall from {height} m")',
+    ]
+    assert found.raised[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
+    assert found.task.parameters["height"] == 0.5
+    assert [each.task.parameters["height"] for each in found.tries] == [1.0, 0.5]
+    assert found.step == small.step("task:put#2@end")
+
+
+def test_why_tells_what_the_robot_was_told(small: Log) -> None:
+    found = why(small)
+    (asked,) = found.asked
+    assert asked.query.name == "stable"
+    assert asked.query.task == found.task.started.task
+    assert not asked.moved
+    assert found.warning == asked.query
+
+
+def test_why_tells_what_changed_since_something_went_well(small: Log) -> None:
+    found = why(small)
+    assert found.same is None
+    assert found.last.task.started.name == "carry"
+    assert {change.body for change in found.last.difference.notable} == {"milk", "cereal"}
+
+
+def test_why_of_another_failure(small: Log) -> None:
+    first = small.step("task:put@end")
+    for step in (first, first - 1, "failure", "task:put#2@start"):
+        found = why(small, step)
+        assert found.task.parameters["height"] == (0.5 if step == "task:put#2@start" else 1.0)
+    with pytest.raises(replay.NoSuchStep, match="no task failed"):
+        why(small, 5)
+
+
+def take_what_is_gone(file: Path) -> None:
+    with recorder.record(file), BulletWorld():
+        Object("floor", "environment", "plane.urdf")
+        ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
+        btr.stable(ball)
+        ball.set_position([1, 0, 1])
+        with span("motion", "take", {"object": ball}):
+            raise PlanFailure("it isn't there")
+
+
+def test_an_answer_that_is_out_of_date_says_so(tmp_path: Path) -> None:
+    with pytest.raises(PlanFailure):
+        take_what_is_gone(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        (asked,) = found.asked
+        assert asked.moved == ("ball",)
+        assert found.warning is None
+        assert main(["why", str(log.path)]) == 0
+
+
+def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyError), recorder.record(tmp_path / "x.mcap", source=__file__), BulletWorld():
+        {}["spoon"]
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        assert found.task is None
+        assert found.is_of_python
+        assert '{}["spoon"]' in found.raised[0].lines[-1].text
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"):
+        pass
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    assert capsys.readouterr().out == "walk succeeded.\n"
+
+
+def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"), span("plan", "walk"):
+        for number in range(12):
+            with pytest.raises(PlanFailure), span("motion", "step", {"foot": number}):
+                raise PlanFailure(f"stumbled {number}")
+        with span("motion", "step", {"foot": 99}):
+            pass
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    said = capsys.readouterr().out
+    assert "walk succeeded" in said
+    assert "step was tried 12 times" in said
+    assert "... 5 more ..." in said
+    assert "stumbled 11" in said
+
+
+def test_why_of_a_plan_that_was_cut_off(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with replay.open(small_log) as log:
+        last = log.step("task:put#2@start")
+        places = [log._index.chunks[number] for number in range(len(log._index.chunks))]
+        end = next(place.offset for place in places[log.chunk_of(last) + 1 :])
+    cut = tmp_path / "x.mcap"
+    cut.write_bytes(small_log.read_bytes()[: end - 9])
+    code = main(["why", str(cut)])
+    said = capsys.readouterr()
+    assert code == 3
+    assert "was cut off at step" in said.out
+    assert "height=1" in said.out
+
+
+@pytest.mark.slow
+def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed_log)]) == 0
+    said = capsys.readouterr().out
+    first, second, third = said.splitlines()[:3]
+    assert first.startswith("fails_to_reach failed after")
+    assert "the milk can't be fetched" in first
+    assert "pick-up was tried 4 times" in second
+    assert "right arm can't reach" in second
+    assert "reachable_object(object=milk" in third
+    assert "said no" in third
+    for told in (
+        " in try_to_take",
+        'ProcessModule.perform(MotionDesignator([("type", "pick-up")',
+        'raise btr.ReasoningError("the milk can\'t be fetched") from last',
+        "milk at [1.72, 0.85,",
+        "arm=left, pr2 at [0.65, 0.9]",
+        "arm=right, pr2 at [0.65, 0.6]",
+        "all of it is seen",
+        "No pick-up succeeded before.",
+        "detecting(object-type=milk) succeeded",
+        "pycram-replay blame",
+    ):
+        assert told in said
+
+
+@pytest.mark.slow
+def test_why_gives_machines_the_same(failed: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed.path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["failure"]["type"] == "ReasoningError"
+    assert [each["parameters"]["arm"] for each in told["tries"]] == ["left", "right", "left", "right"]
+    assert [asked["name"] for asked in told["asked"]] == ["visible", "reachable_object", "blocking"]
+    queries = [query.seq for query in failed.records(Query)]
+    assert [asked["step"] for asked in told["asked"]] == queries[-3:]
+    assert isinstance(failed[-1], Run)
+
+
+@pytest.mark.slow
+def test_why_shows_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed_log), "--pictures", str(tmp_path / "pictures"), "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["pictures"]
+    assert len(files) == 2
+    for file in files:
+        with Image.open(file) as picture:
+            assert picture.size == (640, 480)
+            assert len(picture.getcolors(1 << 20)) > 50

@@ -1,0 +1,242 @@
+"""Reading: by step, by name, backwards, while it is written, after a kill, and where no physics engine is installed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from recorder import journal
+from recorder.records import Event, MoveBody, Mutation, Task
+from recorder.span import span
+from replay.cli import VERBS, main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+WRITER = """
+import os, sys
+import recorder
+from recorder import journal
+from recorder.records import Event
+with recorder.record(sys.argv[1]):
+    print("open", flush=True)
+    for line in sys.stdin:
+        for number in range(int(line)):
+            journal.emit(Event(name=f"tick{number}"))
+        print("done", flush=True)
+"""
+
+
+@pytest.fixture
+def writer(tmp_path: Path):
+    """A process that writes as many records as it is told to."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path / "x.mcap")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "open\n"
+    yield process
+    process.kill()
+    process.wait()
+    process.stdout.close()
+    if not process.stdin.closed:
+        process.stdin.close()
+
+
+def write(writer: subprocess.Popen, count: int) -> None:
+    writer.stdin.write(f"{count}\n")
+    writer.stdin.flush()
+    assert writer.stdout.readline() == "done\n"
+
+
+def follow(file: Path, *more: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "replay", "log", str(file), "--follow", *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_follow_shows_what_is_being_written_until_its_end(writer: subprocess.Popen, tmp_path: Path) -> None:
+    write(writer, 30)
+    reader = follow(tmp_path / "x.mcap", "--json")
+    seen = [json.loads(reader.stdout.readline())["step"] for _ in range(31)]
+    write(writer, 200)
+    seen += [json.loads(reader.stdout.readline())["step"] for _ in range(200)]
+    writer.communicate()
+    rest, said = reader.communicate(timeout=20)
+    seen += [json.loads(line)["step"] for line in rest.splitlines()]
+    assert seen == list(range(232))
+    assert reader.returncode == 0, said
+
+
+def test_follow_ends_when_the_writer_is_killed(writer: subprocess.Popen, tmp_path: Path) -> None:
+    write(writer, 60)
+    reader = follow(tmp_path / "x.mcap")
+    for _ in range(51):  # what is in a closed chunk is there
+        reader.stdout.readline()
+    writer.kill()
+    _, said = reader.communicate(timeout=20)
+    assert reader.returncode == 3
+    assert "nobody is writing" in said
+    assert "killed" in said
+
+
+def test_a_log_that_is_written_and_one_that_was_cut_say_so(writer: subprocess.Popen, tmp_path: Path) -> None:
+    write(writer, 120)
+    with replay.open(tmp_path / "x.mcap") as log:
+        assert log.live
+        assert "still being written" in log.missing
+        before = len(log)
+        write(writer, 100)
+        assert log.refresh()
+        assert len(log) >= before + 50
+        writer.send_signal(signal.SIGKILL)
+        writer.wait()
+        assert not log.live
+        assert "killed" in log.missing
+        log.refresh()
+        assert [record.seq for record in log] == list(range(len(log)))
+
+
+def test_backwards_is_forwards_turned_around(small_log: Path) -> None:
+    with replay.open(small_log) as log:
+        forwards = [record.SerializeToString() for record in log]
+        assert [record.SerializeToString() for record in log.backwards()] == forwards[::-1]
+        assert [record.seq for record in log.backwards(50, Task)] == [
+            record.seq for record in reversed(list(log.records(Task, 0, 51)))
+        ]
+        assert [log[step].seq for step in range(-len(log), 0)] == list(range(len(log)))
+
+
+def run_tasks(file: Path) -> None:
+    with recorder.record(file):
+        with span("motion", "pick-up"), span("process-module", "PickUp"):
+            journal.emit(Event(name="in the first"))
+        with span("block", "par"), span("motion", "pick-up"):
+            journal.emit(Event(name="in the second"))
+        with pytest.raises(KeyError), span("motion", "place"):
+            raise KeyError("no")
+        for number in range(4):
+            journal.emit(Mutation(move_body=MoveBody(body="cup")), world="w", sim_step=number * 120)
+
+
+def test_steps_by_name(tmp_path: Path) -> None:
+    run_tasks(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        first, module, module_end, first_end, block, second, second_end, *_ = (task.seq for task in log.records(Task))
+        assert (log.step("task:pick-up@start"), log.step("task:pick-up@end")) == (first, first_end)
+        assert log.step("task:PickUp@start") == module
+        assert log.step("task:pick-up/PickUp@end") == module_end
+        assert log.step("task:par@start") == block
+        assert log.step("task:pick-up#2@start") == log.step("task:par/pick-up@start") == second
+        assert log.step("task:pick-up#-1@end") == log.step("task:par/pick-up@end") == second_end
+        assert log.step(f"task:{log[second].task}@start") == second
+        assert log.step("failure") == log.step("task:place@end")
+        assert log.step("last") == log.step(-1) == len(log) - 1
+        assert log.step("-10") == len(log) - 10
+        assert [record.sim_step for record in log.records(Mutation)] == [0, 120, 240, 360]
+        assert log[log.step("0.5s")].sim_step == log[log.step("0.9s")].sim_step == 120
+        assert log[log.step("1s")].sim_step == 240
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("task:pick-it@end", "did you mean pick-up"),
+        ("task:pick-up#9@start", "2 tasks fit"),
+        ("task:pick-up", "task:PATH@start"),
+        ("10000", "steps 0 to"),
+        ("-10000", "steps 0 to"),
+        ("2h", "a step is"),
+        ("99s", "ends at"),
+        ("-1s", "begins at"),
+        ("", "a step is"),
+    ],
+)
+def test_steps_that_aren_t_there_say_what_is(tmp_path: Path, name: str, hint: str) -> None:
+    run_tasks(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log, pytest.raises(replay.NoSuchStep, match=hint):
+        log.step(name)
+
+
+NO_ENGINE = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("pybullet", "pycram"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Refuse())
+from replay.cli import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("verb", ["info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why"])
+def test_whatever_only_reads_works_without_the_physics_engine(small_log: Path, verb: str) -> None:
+    name, *rest = verb.split()
+    command = [sys.executable, "-c", NO_ENGINE, name, str(small_log), *rest]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.strip()
+
+
+@pytest.mark.parametrize("verb", ["log", "tree", "why"])
+def test_a_reader_that_has_seen_enough_is_no_error(small_log: Path, verb: str) -> None:
+    reader, pipe = os.pipe()
+    os.close(reader)
+    with os.fdopen(pipe, "wb") as closed:
+        ended = subprocess.run(
+            [sys.executable, "-m", "replay", verb, str(small_log)], stdout=closed, stderr=subprocess.PIPE, check=False
+        )
+    assert (ended.returncode, ended.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    "verb", ["info", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why", "blame milk --at 5"]
+)
+def test_json_is_one_document(small_log: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    name, *rest = verb.split()
+    assert main([name, str(small_log), *rest, "--json"]) == 0
+    said = capsys.readouterr()
+    json.loads(said.out)
+    assert not said.err
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "",
+        "dance x",
+        "show {log}",
+        "show {log} nowhere",
+        "state {log} last nobody",
+        "diff {log} 1",
+        "blame {log} milk.lid",
+    ],
+)
+def test_wrong_usage_is_2_and_is_explained(small_log: Path, capsys: pytest.CaptureFixture[str], wrong: str) -> None:
+    assert main(wrong.format(log=small_log).split()) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    assert "Traceback" not in said.err
+    assert len(said.err) > 20
+
+
+def test_every_verb_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    for verb in VERBS:
+        assert main([verb, "--help"]) == 0
+        assert "LOG" in capsys.readouterr().out
