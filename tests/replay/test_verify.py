@@ -214,7 +214,7 @@ def tampered_time(record: Record) -> int | None:
         (tampered_attachment, "another effect"),
         (tampered_command, "another effect"),
         (tampered_keyframe, "isn't what the records before it add up to"),
-        (tampered_task, "isn't running"),
+        (tampered_task, "isn't there"),
         (tampered_time, "wall time"),
     ],
 )
