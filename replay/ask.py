@@ -131,8 +131,14 @@ def question_of(record: Query) -> Question:
 
     Args:
         record: the query.
+
+    Raises:
+        BadQuestion: its arguments can't be read.
     """
-    arguments = {_RECORDED.get(told.name, told.name): _recorded(json.loads(told.json)) for told in record.arguments}
+    try:
+        arguments = {_RECORDED.get(told.name, told.name): _recorded(json.loads(told.json)) for told in record.arguments}
+    except ValueError as error:
+        raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
     return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
 
 

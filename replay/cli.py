@@ -29,7 +29,7 @@ VERBS: Final = {
     "why": "why the plan failed, in plain words",
     "ask": "any reasoning query at a step, also with things moved",
     "render": "a picture of a step, without a viewer",
-    "verify": "whether it agrees with itself, and its changes, made again, have their effects",
+    "verify": "whether a recording is sound, and its changes, made again, have the effects on record",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3

@@ -7,7 +7,7 @@ there; every keyframe is what the records before it add up to; every attached fi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation, Run, Task
 from replay.deviation import Deviation, first_deviation
@@ -17,11 +17,20 @@ from replay.plain import plain_state
 from replay.state import State
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from recorder.records import Record
     from replay.fold import Making
     from replay.log import Log
     from replay.plain import Plain
     from replay.state import World
+
+#: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
+_AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
+    None: (Task.ASKED, Task.STARTED),
+    Task.ASKED: (Task.STARTED, Task.FINISHED),
+    Task.STARTED: (Task.FINISHED,),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +55,7 @@ class Integrity:
 
     Attributes:
         steps: how many were taken.
-        tasks: how many have started.
+        tasks: how many there are.
         keyframes: how many were compared with what the records before them add up to.
     """
 
@@ -56,6 +65,7 @@ class Integrity:
         self.keyframes = 0
         self._time = 0
         self._names: dict[int, tuple[str, int]] = {}
+        self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, int] = {}
         self._worlds: dict[str, Making] = {}
 
@@ -110,18 +120,20 @@ class Integrity:
         return None
 
     def _take_task(self, record: Task) -> str:
-        if record.phase == Task.STARTED:
-            if record.task in self._names:
-                return f"task {record.task} started before"
+        number, before = record.task, self._phases.get(record.task)
+        if record.phase not in _AFTER.get(before, ()):
+            told = "isn't there" if before is None else f"was {Task.Phase.Name(before).lower()} before"
+            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {told}"
+        if before is None:
             if record.parent and record.parent not in self._names:
-                return f"what task {record.task} is part of never started"
+                return f"what task {number} is part of never started"
             self.tasks += 1
-            self._names[record.task] = record.name, record.parent
-            self._running[record.task] = record.seq
-            return ""
-        if record.task not in self._running:
-            return f"task {record.task} ends, but it isn't running"
-        del self._running[record.task]
+            self._names[number] = record.name, record.parent
+        self._phases[number] = record.phase
+        if record.phase == Task.FINISHED:
+            del self._running[number]
+        else:
+            self._running[number] = record.seq
         return ""
 
     def _take_run(self, record: Run) -> str:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.journal import Journal, aside
 from recorder.records import Keyframe, Mutation
-from replay.errors import NotRestored
+from replay.errors import Damaged, NotRestored
 from replay.fold import fold
 from replay.world import load, open_world, rebuild
 
@@ -144,11 +144,13 @@ def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> Bull
         mode: "DIRECT" or "GUI".
 
     Raises:
-        NotRestored: records before that step are lost, or the world began before the recording.
+        NotRestored: the world began before the recording.
+        Damaged: records before that step are lost.
     """
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        raise NotRestored(step, f"what happened at step {gap.start} is lost; without exact, the state will do")
+        cause = f"step {gap.start} is lost; without exact, the state may do"
+        raise Damaged(log.path, f"what led to step {step}", cause)
     chunks = [number for number in log.worlds[name][0] if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as again:
         for record in log.records_in(chunks, (Mutation, Keyframe), name):

@@ -134,7 +134,7 @@ class _Verification:
                 self._again.begin(record)
                 self._worlds.add((record.world, record.seq))
                 self._late[record.world] = None
-        except (PycramError, ReplayError) as error:
+        except (PycramError, ReplayError, ValueError) as error:
             return self._problem(record, f"it can't be made again: {error}")
         return None
 

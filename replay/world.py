@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 from pycram import assets, attachments, worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import DisplayError, PycramError
 from pycram.funnel import Reading, put
 from pycram.robots.description import RobotDescription
 from recorder import journal
@@ -50,17 +51,19 @@ def world_at(
         The world, called ``NAME@STEP``.
 
     Raises:
-        NotRestored: none was open then, records are lost, or it can't be had exactly.
+        NotRestored: none was open then, or it can't be had exactly.
+        Damaged: records or files are lost, or make no sense.
         DisplayError: no window can open.
     """
     told = _told(log, step, world)
-    with journal.aside():
+    number = log.step(step)
+    with journal.aside(), _explained(log, number):
         if exact:
             from replay.reexecution import executed_again  # noqa: PLC0415  it opens and loads worlds by this module
 
-            restored = executed_again(log, log.step(step), told.name, mode)
+            restored = executed_again(log, number, told.name, mode)
         else:
-            restored = rebuild(log, told, str(log.step(step)), mode)
+            restored = rebuild(log, told, str(number), mode)
     journal.introduce(restored)
     BulletWorld.current_bullet_world = restored
     return restored
@@ -79,11 +82,27 @@ def aside(log: Log, step: int | str, world: str | None = None) -> Iterator[Bulle
         The world.
 
     Raises:
-        NotRestored: none was open then, or records are lost.
+        NotRestored: none was open then.
+        Damaged: records or files are lost, or make no sense.
     """
     told = _told(log, step, world)
-    with journal.aside(), rebuild(log, told, str(log.step(step))) as restored:
-        yield restored
+    number = log.step(step)
+    with journal.aside():
+        with _explained(log, number):
+            restored = rebuild(log, told, str(number))
+        with restored:
+            yield restored
+
+
+@contextmanager
+def _explained(log: Log, step: int) -> Iterator[None]:
+    """Tells what the executor refuses as damage of the recording; only a window that can't open is no fault of it."""
+    try:
+        yield
+    except DisplayError:
+        raise
+    except (PycramError, ValueError) as error:
+        raise Damaged(log.path, f"the world after step {step}", str(error)) from error
 
 
 def _told(log: Log, step: int | str, name: str | None) -> World:
@@ -96,7 +115,7 @@ def _told(log: Log, step: int | str, name: str | None) -> World:
     if not world.open:
         raise NotRestored(state.step, f"{world.name} has ended by then; take a step before its end")
     if state.doubt:
-        raise NotRestored(state.step, state.doubt)
+        raise Damaged(log.path, f"the world after step {state.step}", state.doubt)
     return world
 
 

@@ -6,6 +6,7 @@ import json
 import math
 import sys
 import time
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from replay.cli import FAILED, FINE
@@ -34,8 +35,8 @@ def run(log: Log, options: argparse.Namespace) -> int:
     from replay.verify import verify  # noqa: PLC0415  --help needn't wait for the engine
 
     start = time.perf_counter()
-    with results_only():
-        verdict = verify(log, _progress(len(log)) if sys.stderr.isatty() else None)
+    with results_only(), _progress(len(log)) as progress:
+        verdict = verify(log, progress)
     seconds = time.perf_counter() - start
     if options.json:
         print(json.dumps(_plain(verdict, seconds), ensure_ascii=False))
@@ -45,18 +46,24 @@ def run(log: Log, options: argparse.Namespace) -> int:
     return FINE if verdict.sound else FAILED
 
 
-def _progress(steps: int) -> Callable[[int], None]:
+@contextmanager
+def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
+    """What shows how far it is, where somebody can see it."""
+    if not sys.stderr.isatty():
+        yield None
+        return
     said = time.monotonic()
 
     def say(step: int) -> None:
         nonlocal said
-        if step + 1 == steps:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
-        elif time.monotonic() - said > _PERIOD:
+        if time.monotonic() - said > _PERIOD:
             said = time.monotonic()
             print(f"\rstep {step} of {steps}", end="", file=sys.stderr, flush=True)
 
-    return say
+    try:
+        yield say
+    finally:
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def _lines(verdict: Verdict, seconds: float) -> Iterator[str]:
@@ -64,22 +71,23 @@ def _lines(verdict: Verdict, seconds: float) -> Iterator[str]:
     if problem is not None:
         yield from _told(problem)
         return
-    tasks, keyframes = _count(verdict.tasks, "task"), _count(verdict.keyframes, "keyframe")
-    yield f"sound: {_count(verdict.steps, 'step')} without a gap, {tasks} balanced, {keyframes} as the records before"
-    yield f"       add up to, {_count(verdict.files, 'file')} as they were attached"
-    made = f"{_count(verdict.changes, 'change')} of {_count(verdict.worlds, 'world')}, made again in {seconds:.1f} s"
+    yield f"sound  {_count(verdict.steps, 'step')} without a gap"
+    yield f"       {_count(verdict.tasks, 'task')}, each begun and ended"
+    yield f"       {_count(verdict.keyframes, 'keyframe')} as the records before add up to"
+    yield f"       {_count(verdict.files, 'file')} as attached"
+    made = f"{_count(verdict.changes, 'change')} in {_count(verdict.worlds, 'world')}, made again in {seconds:.1f} s,"
     if verdict.exact:
-        yield f"exact: {made}, had the effects on record, bit for bit"
+        yield f"exact  {made} had the effects on record, bit for bit"
     else:
         largest = f"within {verdict.largest.size:.3g}" if verdict.largest else "bit for bit"
-        yield f"near:  {made}, had the effects on record {largest}"
+        yield f"near   {made} had the effects on record {largest}"
     if verdict.largest is not None:
         yield f"       farthest: {verdict.largest}"
     if verdict.environment:
         same = "" if verdict.largest is None else "; not comparable bit for bit"
-        yield f"note:  the environment is another: {', '.join(verdict.environment)}{same}"
+        yield f"note   the environment is another: {', '.join(verdict.environment)}{same}"
     if verdict.late:
-        yield f"note:  {', '.join(verdict.late)} began before the recording: what physics did there isn't compared"
+        yield f"note   {', '.join(verdict.late)} began before the recording: what physics did there isn't compared"
 
 
 def _told(problem: Problem) -> Iterator[str]:

@@ -62,7 +62,7 @@ class Witness:
 class RandomPlan:
     """A plan that is made up as it goes, the same for the same seed."""
 
-    def __init__(self, seed: int, witness: Witness | None = None, changes: int = 25) -> None:
+    def __init__(self, seed: int, witness: Witness | None = None, changes: int = 20) -> None:
         self.dice = random.Random(seed)
         self.witness = witness
         self.changes = changes

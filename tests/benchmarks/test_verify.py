@@ -1,0 +1,88 @@
+"""What verifying a recording costs, as a share of the run itself: ``make bench`` prints the table."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from replay.verify import verify
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+sys.path.insert(0, str(Path(__file__).parent.parent.parent / "demos"))
+
+import set_the_table
+
+pytestmark = pytest.mark.slow
+
+MOST = 1.2  # of the run's own time
+
+
+def seconds(action: Callable[[], object]) -> float:
+    """Of this process' own work: others may share the machine."""
+    start = time.process_time()
+    action()
+    return time.process_time() - start
+
+
+def demo() -> None:
+    with redirect_stdout(StringIO()):
+        set_the_table.main()
+
+
+def physics() -> None:
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        Object("pr2", "robot", "pr2.urdf")
+        Object("kitchen", "environment", "kitchen.urdf")
+        for number in range(5):
+            Object(f"bowl{number}", "bowl", "bowl.stl", [1.3, 0.5 + 0.1 * number, 1])
+        for _ in range(30):
+            world.simulate(0.05)
+
+
+def moves() -> None:
+    with BulletWorld():
+        bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 1])
+        for number in range(5000):
+            bowl.set_position([number * 1e-3, 0, 1])
+
+
+def joints() -> None:
+    with BulletWorld():
+        robot = Object("pr2", "robot", "pr2.urdf")
+        for number in range(2000):
+            robot.set_joint_positions({"torso_lift_joint": number * 1e-4, "l_shoulder_pan_joint": number * 1e-4})
+
+
+@pytest.mark.parametrize("plan", [demo, physics, moves, joints])
+def test_verifying_costs_hardly_more_than_the_run(plan: Callable[[], None], tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+
+    def record() -> None:
+        with recorder.record(file):
+            plan()
+
+    def check() -> None:
+        with replay.open(file) as log:
+            assert verify(log).exact
+
+    plan()  # what is made once: files laid out, code compiled
+    ratios = []
+    for _ in range(3):
+        run = seconds(record)
+        again = seconds(check)
+        ratios.append(again / run)
+        print(f"\n{plan.__name__}: run {run:.2f} s, verified in {again:.2f} s, ratio {again / run:.2f}")
+    assert min(ratios) <= MOST
