@@ -15,6 +15,7 @@ from pycram.failures import ReasoningError
 from pycram.reasoning import contact as _contact
 from pycram.reasoning import grasps as _grasps
 from pycram.reasoning import reach as _reach
+from pycram.reasoning import reachability as _reachability
 from pycram.reasoning import rehearsal as _rehearsal
 from pycram.reasoning import stability as _stability
 from pycram.reasoning import visibility as _visibility
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from pycram.bullet_world import BulletWorld
     from pycram.objects import Object
+    from recorder.geometry import Pose, Quaternion
 
 __all__ = [
     "ReasoningError",
@@ -34,6 +36,7 @@ __all__ = [
     "reachable",
     "reachable_object",
     "reachable_pose",
+    "reachable_poses",
     "stable",
     "supporting",
     "visible",
@@ -219,6 +222,75 @@ def reachable_pose(
     return verdict
 
 
+def reachable_poses(
+    poses: Sequence[Sequence[float]],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = _reach.THRESHOLD,
+    *,
+    orientations: Sequence[Sequence[float]] | None = None,
+    bases: Sequence[tuple[Sequence[float], Sequence[float]]] | None = None,
+    collision_free: bool = False,
+    ignoring: Sequence[Object] = (),
+) -> Found[Verdict]:
+    """As :func:`reachable_pose`, for many targets or for many places of the robot, in a fraction of the time.
+
+    Args:
+        poses: positions xyz in the world, m. One of them goes with all bases, one base with all of them; else there
+            are as many of each.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: its world.
+        threshold: m that the link may stay away.
+        orientations: xyzw that the link shall have, one or as many as poses; any by default.
+        bases: positions and orientations of the robot's base to try; where it stands by default.
+        collision_free: also ask that nothing is in the way, of the base neither.
+        ignoring: objects that aren't in the way, as the one that is to be grasped.
+
+    Returns:
+        The answers in order, each with its evidence.
+
+    Raises:
+        BadArgument: numbers of poses, orientations and bases don't fit.
+    """
+    machine = robot_of(robot)
+    place = world_of(machine, world=world)
+    machine.check_link(checks.text("gripper link", gripper_name))
+    near = checks.number("threshold", threshold)
+    ignored: list[Object] = [unwrap(other) for other in ignoring]
+    world_of(machine, *ignored, world=place)
+    count = max(len(poses), len(bases or ()), len(orientations or ()))
+    targets = _reachability.as_many("poses", [checks.vector("pose", pose) for pose in poses], count)
+    turns: list[Quaternion | None] = [None] * count
+    if orientations is not None:
+        turns = [
+            *_reachability.as_many(
+                "orientations", [checks.quaternion("orientation", turn) for turn in orientations], count
+            )
+        ]
+    stands: list[Pose | None] = [None] * count
+    if bases is not None:
+        places = [(checks.vector("base", at), checks.quaternion("base", turn)) for at, turn in bases]
+        stands = [*_reachability.as_many("bases", places, count)]
+    told = {"poses": poses, "robot": machine, "gripper": gripper_name, "threshold": near, "bases": bases}
+    told |= {"orientations": orientations, "collision_free": collision_free, "ignoring": ignored}
+    with asking("reachable_poses", place, told) as asked:
+        solver = _reach.Solver(machine, gripper_name)
+        rehearsal = _rehearsal.Rehearsal(machine, solver.joints, ignored, everything=bases is not None)
+        everything = list(zip(targets, turns, stands, strict=True))
+        found: Found[Verdict] = Found()
+        with rehearsal:
+            for (at, turn, base), ways in zip(everything, solver.at_once(everything), strict=True):
+                options = ways or solver.postures(at, turn, thorough=collision_free, base=base)
+                rehearsed = rehearsal if collision_free else None
+                found.append(_reachability.judge(options, near, rehearsed, oriented=turn is not None, base=base))
+        asked.evidence = {"reached": sum(found), "distances": [verdict.evidence["distance"] for verdict in found]}
+        found.evidence = dict(asked.evidence)
+        asked.answer = found
+    return found
+
+
 def reachable(
     pose: Object | Sequence[float],
     robot: Object,
@@ -310,16 +382,14 @@ def _reaches(
     collision_free: bool,
 ) -> Verdict:
     """The common part of the reachable queries."""
-    near = checks.at_least("threshold", threshold, 0.0)
-    options = _reach.postures(robot, link, target, orientation, thorough=collision_free)
-    ways = [option for option in options if option.reached(near)]
-    asked.evidence = (ways or options)[0].evidence()
-    if not collision_free:
-        return Verdict(ways, asked.evidence)
-    ignored = [] if body is None else [body]
-    for way in ways:
-        hits = _rehearsal.in_the_way(robot, way.posture.positions, ignored)
-        asked.evidence = way.evidence() | {"obstacles": {other.name: info for other, info in hits.items()}}
-        if not hits:
-            return Verdict(True, asked.evidence)
-    return Verdict(False, asked.evidence)
+    near = checks.number("threshold", threshold)
+    solver = _reach.Solver(robot, link)
+    options = solver.postures(target, orientation, thorough=collision_free)
+    oriented = orientation is not None
+    if collision_free:
+        with _rehearsal.Rehearsal(robot, solver.joints, [] if body is None else [body]) as rehearsal:
+            verdict = _reachability.judge(options, near, rehearsal, oriented=oriented)
+    else:
+        verdict = _reachability.judge(options, near, None, oriented=oriented)
+    asked.evidence = dict(verdict.evidence)
+    return verdict

@@ -40,8 +40,8 @@ def evidence(found: list[Touch]) -> dict[str, object]:
 def supports(lower: Object, upper: Object) -> tuple[bool, Mapping[str, object]]:
     """Whether one object carries another from below.
 
-    The normals of their contacts have to point up, and the contacts have to lie below the upper one's middle: to
-    compare origins would call a wall the support of what leans against it.
+    The normals of their contacts have to point up: to compare origins would call a wall the support of what leans
+    against it, and would miss the hook that a cup hangs on.
 
     Args:
         lower: the one that would carry.
@@ -51,13 +51,7 @@ def supports(lower: Object, upper: Object) -> tuple[bool, Mapping[str, object]]:
         The answer, and the links and normals that it rests on.
     """
     found = touches(lower, upper)
-    bottom, top = upper.get_AABB()
-    middle = (bottom[2] + top[2]) / 2
-    carrying = [
-        touch
-        for touch in found
-        if -touch.normal[2] > _CARRYING and touch.position_b[2] < middle  # normals point from upper to lower
-    ]
+    carrying = [touch for touch in found if -touch.normal[2] > _CARRYING]  # normals point from upper to lower
     return bool(carrying), {
         "links": sorted({touch.link_a for touch in carrying}),
         "normals": [[-x for x in touch.normal] for touch in carrying],

@@ -243,7 +243,7 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
 
 def _reaches(options: Sequence[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:
     """Postures for grasps. Those that have to be searched for are at the edge of what the arm can: for need only."""
-    known = solver.at_once([(grasp.position, grasp.orientation) for grasp in options])
+    known = solver.at_once([(grasp.position, grasp.orientation, None) for grasp in options])
     for grasp, ways in zip(options, known, strict=True):
         if ways or not any(known):
             yield grasp, ways or solver.postures(grasp.position, grasp.orientation)

@@ -289,26 +289,29 @@ class ArmKinematics:
         return misses
 
     def at_once(
-        self, poses: Sequence[tuple[Sequence[float], Sequence[float]]], seed: Mapping[str, float]
+        self, targets: Sequence[tuple[Sequence[float], Sequence[float] | None]], seed: Mapping[str, float]
     ) -> list[list[Posture]]:
         """What closed form says of many targets, in a fraction of the time; searches nothing.
 
         Args:
-            poses: positions in m and orientations xyzw in the base link.
+            targets: positions in m and orientations xyzw in the base link; orientations for all or for none.
             seed: a posture; postures near it come first.
 
         Returns:
-            For each pose the postures that reach it; an empty list says nothing.
+            For each target the postures that reach it; an empty list says nothing.
         """
-        if self._closed is None or not poses:
-            return [[] for _ in poses]
+        if self._closed is None:
+            return [[] for _ in targets]
         home = self._limited(np.array([seed.get(name, 0.0) for name in self.joints]))
         told: list[list[Posture]] = []
-        for start in range(0, len(poses), _CHUNK):
-            goals = np.array([position for position, _ in poses[start : start + _CHUNK]], dtype=np.float64)
-            turns = np.array([geometry.to_matrix(turn) for _, turn in poses[start : start + _CHUNK]])
-            for found, strain, goal, turn in zip(*self._closed.postures(goals, turns, home), goals, turns, strict=True):
-                exact = found[strain == 0.0]
+        for start in range(0, len(targets), _CHUNK):
+            chunk = targets[start : start + _CHUNK]
+            goals = np.array([position for position, _ in chunk], dtype=np.float64)
+            turns = [None if turn is None else geometry.to_matrix(turn) for _, turn in chunk]
+            matrices = [turn for turn in turns if turn is not None]
+            found, strain = self._closed.postures(goals, np.array(matrices) if matrices else None, home)
+            for goal, turn, ways, strains in zip(goals, turns, found, strain, strict=True):
+                exact = ways[strains == 0.0]
                 told.append(self._told(self._distinct(exact, home), goal, turn) if len(exact) else [])
         return told
 

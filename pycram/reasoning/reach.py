@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
 
     from pycram.objects import Object
-    from recorder.geometry import Pose, PoseLike, Quaternion
+    from recorder.geometry import PoseLike, Quaternion, Vector
+
+    Target = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
 _KEPT: Final = 16  # chains of a robot
 THRESHOLD: Final = 0.01  # m between tool and target that count as reached
@@ -121,11 +123,7 @@ def postures(
     Returns:
         At least one; if the first doesn't reach, none does.
     """
-    solver = Solver(robot, link)
-    if not solver.joints:
-        away = math.dist(robot.get_link_position(link), position)
-        return [Reach(Posture({}, away, 0.0, away < THRESHOLD), link)]
-    return solver.postures(position, orientation, thorough=thorough, quick=quick, seed=seed)
+    return Solver(robot, link).postures(position, orientation, thorough=thorough, quick=quick, seed=seed)
 
 
 class Solver:
@@ -134,20 +132,17 @@ class Solver:
     Args:
         robot: the robot.
         link: an arm's tool frame, or any other of its links.
-        base: where the robot's base is taken to be; where it is by default.
     """
 
-    def __init__(self, robot: Object, link: str, base: Pose | None = None) -> None:
+    def __init__(self, robot: Object, link: str) -> None:
         root, self.joints = moving_joints(robot, link)
         self._link = link
         self._now = robot.get_joint_positions()
         self._arm = robot.description.arm_of(link) if robot.description else None
         self._kinematics = _kinematics(robot, root, link, self.joints, self._now)
-        root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
-        if base is not None:
-            root_T_base = geometry.multiply(root_T_world, robot.get_position_and_orientation())
-            root_T_world = geometry.multiply(root_T_base, geometry.invert(base))
-        self._root_T_world = root_T_world
+        self._root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
+        self._root_T_link = geometry.transform(self._root_T_world, robot.get_link_position(link))
+        self._root_T_base = geometry.multiply(self._root_T_world, robot.get_position_and_orientation())
 
     def postures(
         self,
@@ -157,20 +152,38 @@ class Solver:
         thorough: bool = False,
         quick: bool = False,
         seed: Mapping[str, float] | None = None,
+        base: PoseLike | None = None,
     ) -> list[Reach]:
-        """See :func:`postures`."""
+        """See :func:`postures`; ``base`` is where the robot's base is taken to be."""
+        if not self.joints:
+            away = math.dist(geometry.transform(self._root_T_world, position), self._root_T_link)
+            return [Reach(Posture({}, away, 0.0, away < THRESHOLD), self._link)]
         start = self._now if seed is None else seed
         seeds = [start, *(self._arm.posture(name) for name in self._arm.poses)] if self._arm else [start]
-        target = geometry.transform(self._root_T_world, position)
-        turn = None if orientation is None else geometry.product(self._root_T_world[1], orientation)
+        target, turn = self._in_root(position, orientation, base)
         found = self._kinematics.solve_all(target, turn, seeds, thorough=thorough, quick=quick)
         return [Reach(posture, self._link) for posture in found]
 
-    def at_once(self, poses: Sequence[PoseLike]) -> list[list[Reach]]:
-        """Postures for many poses in the world that are found without searching; an empty list says nothing."""
-        targets = [geometry.multiply(self._root_T_world, pose) for pose in poses]
-        found = self._kinematics.at_once(targets, self._now)
+    def at_once(self, targets: Sequence[Target]) -> list[list[Reach]]:
+        """Postures for many targets that are found without searching; an empty list says nothing.
+
+        Args:
+            targets: positions and orientations in the world, for all or for none, and where the robot's base is taken
+                to be.
+        """
+        if not self.joints:
+            return [[] for _ in targets]
+        found = self._kinematics.at_once([self._in_root(*target) for target in targets], self._now)
         return [[Reach(posture, self._link) for posture in each] for each in found]
+
+    def _in_root(
+        self, position: Sequence[float], orientation: Sequence[float] | None, base: PoseLike | None
+    ) -> tuple[Vector, Quaternion | None]:
+        root_T_world = self._root_T_world
+        if base is not None:
+            root_T_world = geometry.multiply(self._root_T_base, geometry.invert(base))
+        turn = None if orientation is None else geometry.product(root_T_world[1], orientation)
+        return geometry.transform(root_T_world, position), turn
 
 
 _made: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()

@@ -37,7 +37,6 @@ class Rehearsal:
         robot: the robot.
         joints: names of the joints that will be moved; what they don't move isn't looked at.
         ignored: objects that don't count.
-        base: pose of the robot's base; the present one by default.
         everything: look at all links of the robot, not just those that the joints move.
     """
 
@@ -46,12 +45,11 @@ class Rehearsal:
         robot: Object,
         joints: Iterable[str],
         ignored: Iterable[Object] = (),
-        base: Pose | None = None,
         *,
         everything: bool = False,
     ) -> None:
         world = robot.world
-        self._robot = robot
+        self.robot = robot
         self._twin = twin(world, "reach")
         self._engine = self._twin.engine
         bodies = self._twin.sync()
@@ -68,27 +66,27 @@ class Rehearsal:
         self._obstacles = {bodies[other.name].id: other for other in world.objects if other not in skipped}
         self._bodies = bodies
         self._names: dict[int, dict[int, str]] = {}
-        self._base = base
         self._depth = _arm_depths(robot, self._joints)
         self._near: list[tuple[Object, Body, str, int, int]] = []
 
     def __enter__(self) -> Self:
-        if self._base is not None:
-            self._engine.set_pose(self._body, self._base)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._twin.disturbed(self._robot.name, *(other.name for other, *_ in self._held))
+        self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
-    def take(self, positions: Mapping[str, float]) -> None:
+    def take(self, positions: Mapping[str, float], base: Pose | None = None) -> None:
         """Puts the robot into a posture.
 
         Args:
             positions: joint values in rad or m by name; the others stay.
+            base: pose of its base; it stays by default.
         """
         engine = self._engine
+        if base is not None:
+            engine.set_pose(self._body, base)
         engine.pose_joints(self._body, positions)
         for _, body, link, pose in self._held:
             engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
@@ -125,7 +123,7 @@ class Rehearsal:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
         found = []
         for mover, _, link, number, index in self._near:
-            if mover is not self._robot or number != self._body.id:
+            if mover is not self.robot or number != self._body.id:
                 continue
             other = self._name(self._body, index)
             if other in self._moving and other <= link:
@@ -136,6 +134,15 @@ class Rehearsal:
             if any(touch.distance <= -_OWN_DEPTH for touch in touches):
                 found.append((link, other))
         return found
+
+    def settled(self, link: str | None) -> set[str]:
+        """The robot's links that are where they are whatever the joints do.
+
+        Args:
+            link: stays at one pose as well, as the hand in all postures for one grasp.
+        """
+        depths = {0} if link is None else {0, self._depth[link]}
+        return {other for other, depth in self._depth.items() if depth in depths}
 
     def _name(self, body: Body, index: int) -> str:
         names = self._names.get(body.id)
@@ -196,6 +203,6 @@ def in_the_way(
         base: pose of the robot's base; the present one by default.
         everything: count all links of the robot; else only those that the joints move.
     """
-    with Rehearsal(robot, positions, ignored, base, everything=everything) as rehearsal:
-        rehearsal.take(positions)
+    with Rehearsal(robot, positions, ignored, everything=everything) as rehearsal:
+        rehearsal.take(positions, base)
         return rehearsal.touched()

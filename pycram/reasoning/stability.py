@@ -7,8 +7,9 @@ is passed, or when all that could matter has come to rest: slower than 2 mm/s an
 the limit in the time left, and not gaining speed, as something that begins to tip does.
 
 What is simulated is a twin, never the world: PyBullet's saved states, even if restored at once, change the last bits of
-what contacts do next. Robots, which cost most of a step, are in it only if one touches or carries the object or
-something that it rests with.
+what contacts do next. In it is whatever could get to the object within that time: nothing gets faster than by falling
+from the top of the highest thing that isn't fixed. Robots cost most of a step and hold their posture. They are in it
+only if something free leans on one or is held together with the object; else they stay out, with what they hold.
 """
 
 from __future__ import annotations
@@ -28,14 +29,18 @@ if TYPE_CHECKING:
     from pycram.objects import Object
     from recorder.geometry import Pose
 
+    Box = tuple[list[float], list[float]]
+
 HORIZON: Final = 2 * STEPS_PER_SECOND  # steps
 MOVED: Final = 0.01  # m
 TURNED: Final = math.radians(5)
 _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _CHECK: Final = 6  # steps between looks
-_QUIET_LOOKS: Final = 3  # at rest for so many looks in a row
-_NEAR: Final = 0.05  # m; what is nearer may come to touch while things settle
+_LOOKS: Final = 4  # at rest for so many looks in a row
+_GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
+_NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
+_LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
 
 
 def simulate(body: Object) -> tuple[bool, Mapping[str, object]]:
@@ -47,39 +52,78 @@ def simulate(body: Object) -> tuple[bool, Mapping[str, object]]:
     Returns:
         The answer; how far (m) and by how much (rad) it moved, after how many steps, in how many that were simulated.
     """
-    group = _group(body)
-    robots = any(other.is_robot for other in group)
+    if body.fixed:
+        return True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0}
+    cast = _cast(body)
+    robots = any(other.is_robot for other in cast)
     copy = twin(body.world, "physics with robots" if robots else "physics")
-    bodies = copy.sync((other for other in body.world.objects if robots or not other.is_robot), holding=True)
-    movable = [bodies[other.name] for other in group if not other.fixed]
+    bodies = copy.sync(cast, holding=True)
+    movable = [bodies[other.name] for other in cast if not other.fixed]
     try:
         return _watch(copy.engine, bodies[body.name], movable)
     finally:
         copy.disturbed(*bodies)
 
 
-def _group(body: Object) -> list[Object]:
-    """The object and what could make it move: what is near, and what is near to that, but not beyond what is fixed."""
+def _cast(body: Object) -> list[Object]:
+    """All that can make an object move before the time is up, and itself."""
     world = body.world
-    engine = world.engine
-    group, queue = [body], [body]
-    while queue:
-        current = queue.pop()
-        if current.fixed:
-            continue
-        for other in world.objects:
-            if other in group:
-                continue
-            if other in current.attachments or engine.touches(current.handle, other.handle, _NEAR):
-                group.append(other)
-                queue.append(other)
-    return group
+    robots = {other for other in world.objects if other.is_robot and other is not body}
+    holders = {other: holder for other in world.objects if (holder := _holder(other)) is not None}
+    boxes = {other: other.get_AABB() for other in world.objects if other not in robots}
+    reach = _reach(body, {other: box for other, box in boxes.items() if not other.fixed and other not in holders})
+    near = [other for other, box in boxes.items() if _gap(box, boxes[body]) <= reach]
+    needed = {holders[body]} if body in holders else set()
+    for robot in robots:
+        free = (other for other in near if not other.fixed and (other not in holders or other is body))
+        if any(world.engine.touches(robot.handle, other.handle, _LEANING) for other in free):
+            needed.add(robot)
+    if body not in holders:
+        for other, holder in holders.items():
+            if other in boxes and world.engine.touches(other.handle, body.handle, _LEANING):
+                needed.add(holder)
+    kept = [other for other in near if other not in holders or holders[other] in needed]
+    held = [other for other, holder in holders.items() if holder in needed and other not in kept]
+    joined = [other for kin in kept for other in kin.attachments if other not in kept and other not in holders]
+    return list(dict.fromkeys([*kept, *held, *needed, *(other for other in joined if other not in robots)]))
+
+
+def _holder(body: Object) -> Object | None:
+    """The robot that holds an object, directly or through other things."""
+    above = body.carrier
+    while above is not None and not above.is_robot:
+        above = above.carrier
+    return above
+
+
+def _reach(body: Object, free: Mapping[Object, Box]) -> float:
+    """How far anything could get in the time, m, with the speed of the fastest and of a fall to the object's foot."""
+    world = body.world
+    strength = math.hypot(*world.gravity)
+    down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
+
+    def levels(box: Box) -> tuple[float, float]:
+        ends = [sorted((d * a, d * b)) for d, a, b in zip(down, *box, strict=True)]
+        return sum(end[0] for end in ends), sum(end[1] for end in ends)
+
+    drop = levels(body.get_AABB())[1] - min((levels(box)[0] for box in free.values()), default=math.inf)
+    speed = 0.0
+    for other, (low, high) in free.items():
+        linear, angular = _speeds(world.engine, other.handle)
+        speed = max(speed, linear + angular * math.dist(low, high))
+    return math.sqrt(speed**2 + 2 * strength * max(drop, 0.0)) * HORIZON / STEPS_PER_SECOND
+
+
+def _gap(a: Box, b: Box) -> float:
+    """Distance of two boxes, m."""
+    return math.hypot(
+        *(max(0.0, low_a - high_b, low_b - high_a) for low_a, high_a, low_b, high_b in zip(*a, *b, strict=True))
+    )
 
 
 def _watch(engine: Engine, body: Body, movable: list[Body]) -> tuple[bool, Mapping[str, object]]:
     start = engine.pose(body)
-    speed_before = math.inf
-    quiet = 0
+    looks: list[list[float]] = []
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
@@ -88,17 +132,18 @@ def _watch(engine: Engine, body: Body, movable: list[Body]) -> tuple[bool, Mappi
         moved, turned = _change(start, engine.pose(body))
         if moved > MOVED or turned > TURNED:
             return False, {"moved": moved, "turned": turned, "moved_after_steps": steps, "simulated_steps": steps}
-        speeds = [_speeds(engine, other) for other in movable]
-        linear = max((speed for speed, _ in speeds), default=0.0)
-        angular = max((turn for _, turn in speeds), default=0.0)
-        speed = linear + angular
-        # speeds of solvers' noise go up and down: below a tenth of the limit they are no gain
-        gaining = speed > speed_before and speed > 0.1 * (_SLOW + _SLOW_TURN)
-        quiet = quiet + 1 if linear < _SLOW and angular < _SLOW_TURN and not gaining else 0
-        speed_before = speed
-        if quiet >= _QUIET_LOOKS:
+        looks.append(
+            [max(linear / _SLOW, turn / _SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
+        )
+        if len(looks) >= _LOOKS and _at_rest(looks[-_LOOKS:]):
             break
     return True, {"moved": moved, "turned": turned, "simulated_steps": steps}
+
+
+def _at_rest(looks: list[list[float]]) -> bool:
+    """Whether all were slow at all looks, and none has gained speed; speeds are shares of what is slow."""
+    gaining = (now > max(before * _GAIN, _NOISE) for before, now in zip(looks[0], looks[-1], strict=True))
+    return max((max(look, default=0.0) for look in looks), default=0.0) < 1.0 and not any(gaining)
 
 
 def _change(before: Pose, after: Pose) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from pycram import checks
 from pycram.failures import BadArgument, NoWorld
 from pycram.reasoning.twin import twin
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from pycram.objects import Object
     from recorder.geometry import Pose
 
-_PIXELS: Final = 64  # of the longer side of the part that is looked at
+_PIXELS: Final = 80**2  # of the part that is looked at
 _WIDE: Final = math.radians(60)  # field of view where only a position is given
 _NEAR, _FAR = 0.02, 20.0  # m
 _MARGIN: Final = 0.05  # of the part's size around the object
@@ -137,7 +138,9 @@ def camera_at(where: object, target: Object, robot: Object | None = None) -> Cam
         pose = (checks.vector("camera position", parts[0]), checks.quaternion("camera orientation", parts[1]))
     else:
         eye = checks.vector("camera position", parts)
-        pose = (eye, geometry.look_at(eye, _middle(target)))
+        middle = _middle(target)
+        inside = math.dist(eye, middle) < _NEAR  # it is seen from nowhere then, whatever the direction
+        pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, middle))
     wide = math.tan(_WIDE / 2)
     return Camera(pose, wide, wide)
 
@@ -172,17 +175,15 @@ def view(body: Object, camera: Camera) -> View:
     if window is None:
         return View(0.0, 0, 0, {}, reason)
     width, height = window.right - window.left, window.bottom - window.top
-    size = (
-        max(8, round(_PIXELS * width / max(width, height))),
-        max(8, round(_PIXELS * height / max(width, height))),
-    )
+    scale = math.sqrt(_PIXELS / (width * height))
+    size = (max(8, round(scale * width)), max(8, round(scale * height)))
     world = body.world
     studio = twin(world, "studio")
     lone = studio.sync([body])[body.name]
     mine = camera.look(studio.engine, window, size).bodies == lone.id
     alone = int(mine.sum())
     if not alone:
-        return View(0.0, 0, 0, {}, "is too small or too near to be seen")
+        return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
     full = camera.look(world.engine, window, size).bodies
     inside = _inside(window, frame, size)
     seen = int((mine & inside & (full == body.id)).sum())

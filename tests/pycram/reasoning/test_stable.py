@@ -1,0 +1,223 @@
+"""Whether things stay: asked first, then the truth is looked at by letting the whole world run."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+LYING = geometry.from_rpy(0, math.pi / 2, 0)
+CEREAL = 0.112  # m from the middle of the cereal to its underside
+MILK = 0.097
+
+
+@pytest.fixture
+def floor(world: BulletWorld) -> Object:
+    return Object("floor", "environment", "plane.urdf")
+
+
+def stays(body: Object) -> bool:
+    """The truth: two seconds of the whole world."""
+    before = body.get_position_and_orientation()
+    furthest = turned = 0.0
+    for _ in range(80):
+        body.world.simulate(0.025)
+        after = body.get_position_and_orientation()
+        furthest = max(furthest, math.dist(before[0], after[0]))
+        turned = max(turned, geometry.angle(before[1], after[1]))
+    return furthest <= 0.01 and turned <= math.radians(5)
+
+
+def settled(name: str, file: str, position: list[float], orientation: tuple[float, ...] = (0, 0, 0, 1)) -> Object:
+    body = Object(name, name, file, position, list(orientation))
+    body.world.simulate(0.5)
+    return body
+
+
+def standing() -> tuple[Object, bool]:
+    return settled("milk", "milk.stl", [0, 0, MILK + 0.001]), True
+
+
+def in_the_air() -> tuple[Object, bool]:
+    return Object("milk", "milk", "milk.stl", [0, 0, 0.5]), False
+
+
+def a_millimetre_above() -> tuple[Object, bool]:
+    return Object("milk", "milk", "milk.stl", [0, 0, MILK + 0.001]), True
+
+
+def tilted_beyond_its_edge() -> tuple[Object, bool]:
+    return Object("milk", "milk", "milk.stl", [0, 0, 0.115], list(geometry.from_rpy(0.45, 0, 0))), False
+
+
+def tilted_a_little() -> tuple[Object, bool]:
+    # it falls back on its foot, which turns it by 9 degrees
+    return Object("milk", "milk", "milk.stl", [0, 0, 0.103], list(geometry.from_rpy(0.16, 0, 0))), False
+
+
+def pushed() -> tuple[Object, bool]:
+    milk = settled("milk", "milk.stl", [0, 0, MILK + 0.001])
+    milk.world.engine.set_velocity(milk.handle, [1.0, 0, 0, 0, 0, 0])
+    return milk, False
+
+
+def hanging_over(beyond: float) -> Object:
+    base = Object("base", "environment", "breakfast_cereal.stl", [0, 0, CEREAL])
+    edge = base.get_AABB()[1][0]
+    return Object("box", "box", "milk.stl", [edge + beyond, 0, 2 * CEREAL + 0.034], list(LYING))
+
+
+def cantilever_that_holds() -> tuple[Object, bool]:
+    return hanging_over(-0.02), True
+
+
+def cantilever_that_tips() -> tuple[Object, bool]:
+    return hanging_over(0.02), False
+
+
+def cantilever_under_load() -> tuple[Object, bool]:
+    """It would hold, but for what stands on its far end."""
+    box = hanging_over(-0.015)
+    top, edge = box.get_AABB()[1][2], box.get_AABB()[1][0]
+    Object("load", "load", "milk.stl", [edge - 0.035, 0, top + MILK])
+    return box, False
+
+
+def spoon_in_a_bowl() -> tuple[Object, bool]:
+    Object("bowl", "bowl", "bowl.stl", [0, 0, 0.0345])
+    spoon = settled("spoon", "spoon.stl", [0, 0, 0.1])
+    spoon.world.simulate(1.5)
+    return spoon, True
+
+
+def bowl_with_a_spoon() -> tuple[Object, bool]:
+    spoon_in_a_bowl()
+    return BulletWorld.current_bullet_world.get_object("bowl"), True
+
+
+def stack() -> tuple[Object, bool]:
+    settled("below", "breakfast_cereal.stl", [0, 0, CEREAL + 0.001])
+    return settled("above", "milk.stl", [0, 0, 2 * CEREAL + MILK + 0.002]), True
+
+
+def below_what_tips() -> tuple[Object, bool]:
+    """A stack whose top falls, and pushes what is below aside."""
+    below = settled("below", "plate.stl", [0, 0, 0.02])
+    Object("above", "milk", "milk.stl", [0, 0, below.get_AABB()[1][2] + 0.13], list(geometry.from_rpy(0.5, 0, 0)))
+    return below, False
+
+
+def hit_by_what_falls() -> tuple[Object, bool]:
+    """Nothing touches it yet."""
+    cup = settled("cup", "cup.stl", [0, 0, 0.06])
+    Object("bomb", "bomb", "pot.stl", [0.02, 0.03, 0.9])
+    return cup, False
+
+
+def hit_by_what_slides() -> tuple[Object, bool]:
+    cup = settled("cup", "cup.stl", [0, 0, 0.06])
+    pot = settled("pot", "pot.stl", [-0.8, 0, 0.1])
+    pot.world.engine.set_velocity(pot.handle, [3.0, 0, 0, 0, 0, 0])
+    return cup, False
+
+
+def without_gravity() -> tuple[Object, bool]:
+    BulletWorld.current_bullet_world.set_gravity([0, 0, 0])
+    return Object("milk", "milk", "milk.stl", [0, 0, 1]), True
+
+
+def gravity_from_the_side() -> tuple[Object, bool]:
+    milk = settled("milk", "milk.stl", [0, 0, MILK + 0.001])
+    milk.world.set_gravity([9.8, 0, -1])
+    return milk, False
+
+
+def furniture() -> tuple[Object, bool]:
+    return Object("shelf", "environment", "milk.stl", [0, 0, 3]), True
+
+
+def on_what_it_is_fixed_to() -> tuple[Object, bool]:
+    base = Object("base", "environment", "milk.stl", [0, 0, MILK])
+    flag = Object("flag", "flag", "spoon.stl", [0, 0, 0.5])
+    base.attach(flag)
+    return flag, True
+
+
+def on_a_tray_that_falls() -> tuple[Object, bool]:
+    tray = Object("tray", "tray", "plate.stl", [0, 0, 0.6])
+    cup = Object("cup", "cup", "cup.stl", [0, 0, 0.7])
+    tray.attach(cup)
+    return cup, False
+
+
+SCENES: list[Callable[[], tuple[Object, bool]]] = [
+    standing,
+    in_the_air,
+    a_millimetre_above,
+    tilted_beyond_its_edge,
+    tilted_a_little,
+    pushed,
+    cantilever_that_holds,
+    cantilever_that_tips,
+    cantilever_under_load,
+    spoon_in_a_bowl,
+    bowl_with_a_spoon,
+    stack,
+    below_what_tips,
+    hit_by_what_falls,
+    hit_by_what_slides,
+    without_gravity,
+    gravity_from_the_side,
+    furniture,
+    on_what_it_is_fixed_to,
+    on_a_tray_that_falls,
+]
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda scene: scene.__name__)
+def test_the_answer_is_what_comes_true(floor: Object, scene: Callable[[], tuple[Object, bool]]) -> None:
+    body, expected = scene()
+    verdict = btr.stable(body)
+    assert stays(body) is expected, "the scene is not what it is meant to be"
+    assert bool(verdict) is expected, verdict.evidence
+    if not verdict:
+        assert verdict.evidence["moved"] > 0.01 or verdict.evidence["turned"] > math.radians(5)
+        assert 0 < verdict.evidence["moved_after_steps"] <= 480
+
+
+def test_a_held_thing_is_stable_until_it_is_let_go(scene: BulletWorld) -> None:
+    robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
+    milk.set_position(robot.get_link_position("l_gripper_tool_frame"))
+    robot.attach(milk, "l_gripper_tool_frame")
+    assert btr.stable(milk)
+    assert btr.stable(bowl).evidence["simulated_steps"] < 60
+    robot.detach(milk)
+    assert not btr.stable(milk)
+
+
+def test_what_lies_on_a_robots_arms_is_carried_by_them(world: BulletWorld, floor: Object) -> None:
+    robot = Object("pr2", "robot", "pr2.urdf")
+    arms = [joint for arm in robot.description.arms.values() for joint in arm.joints]
+    robot.set_joint_positions(dict.fromkeys(arms, 0.0) | {"l_shoulder_pan_joint": -0.35, "r_shoulder_pan_joint": 0.35})
+    x, _, _ = robot.get_link_position("l_forearm_link")
+    top = robot.get_AABB("l_forearm_link")[1][2]
+    tray = Object("tray", "tray", "breakfast_cereal.stl", [x, 0, top + 0.05], list(LYING))
+    world.simulate(1.0)
+    assert tray.get_position()[2] > top, "it lies on the arms"
+    assert btr.stable(tray)
+    assert stays(tray)
+
+
+def test_what_is_far_away_takes_no_part(floor: Object) -> None:
+    milk = settled("milk", "milk.stl", [0, 0, MILK + 0.001])
+    alone = btr.stable(milk).evidence["simulated_steps"]
+    Object("falling", "box", "milk.stl", [30, 0, 0.5])
+    assert btr.stable(milk).evidence["simulated_steps"] == alone
