@@ -18,6 +18,7 @@ from pycram.blocks import Block, OpenBlock, hosted
 from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
 from pycram.failures import PlanFailure
+from recorder.span import Span
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -79,7 +80,8 @@ class Deferred(OpenBlock):
         super().__init__(rule)
         self._around = host
         self._outer = current_scope()
-        self._block = Block(rule, failures)
+        self._span = Span("block", rule.name)
+        self._block = Block(rule, failures, self._span)
         self._asked = _Asked()
         self._exits = ExitStack()
 
@@ -117,7 +119,7 @@ class Deferred(OpenBlock):
             self._asked.close()
 
     def __enter__(self) -> Self:
-        self._around.start(self.name, self._work, dropped=self._asked.close)
+        self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
         self._exits.enter_context(entered(self._block.scope))
         self._exits.enter_context(hosted(self))
         return self

@@ -1,7 +1,8 @@
 """The record types, their topics, and how users' values stand in them.
 
 ``proto/log.proto`` is the only definition; this module names its messages for Python and turns values (slots, answers,
-results) into the JSON text that the records carry.
+results) into the JSON text that the records carry. Whatever has a method ``__record__`` says with it how it stands in a
+record: it returns None, a bool, number, string, list or dict.
 """
 
 from __future__ import annotations
@@ -69,7 +70,6 @@ __all__ = [
     "OpenWorld",
     "Query",
     "Record",
-    "Recordable",
     "RemoveBody",
     "Reset",
     "Run",
@@ -101,14 +101,6 @@ FILE_DESCRIPTOR = log_pb2.DESCRIPTOR
 
 
 @runtime_checkable
-class Recordable(Protocol):
-    """Something that says itself how it stands in a record (objects, designators, results)."""
-
-    def __record__(self) -> object:
-        """Returns None, a bool, number, string, list or dict."""
-
-
-@runtime_checkable
 class _Array(Protocol):
     """NumPy's arrays and scalars, told by what they can: whoever only reads records need not wait for numpy."""
 
@@ -117,6 +109,9 @@ class _Array(Protocol):
 
 
 def _plain(value: object) -> object:
+    told = getattr(type(value), "__record__", None)  # by its real type: what stands for a result says that it is one
+    if told is not None:
+        return _plain(told(value))
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
@@ -128,10 +123,8 @@ def _finite(value: float) -> object:
     return float(value) if math.isfinite(value) else {"float": repr(float(value))}
 
 
-# in this order: what says itself how it is to be recorded may be a subclass of int or list
 _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
     ((type(None), bool, str), lambda value: value),
-    (Recordable, lambda value: _plain(value.__record__())),
     (int, int),
     (float, _finite),
     (Mapping, lambda value: {str(key): _plain(item) for key, item in value.items()}),
