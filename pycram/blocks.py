@@ -89,6 +89,9 @@ class Host(Protocol):
     ) -> Handle:
         """Asks for a branch; see :meth:`OpenBlock.start`."""
 
+    def catch_up(self) -> None:
+        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
+
 
 _host: ContextVar[Host | None] = ContextVar("pycram_block", default=None)
 
@@ -110,6 +113,24 @@ def hosted(host: Host | None) -> Iterator[None]:
         yield
     finally:
         _host.reset(token)
+
+
+@contextmanager
+def alone() -> Iterator[Callable[[], None]]:
+    """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
+
+    Yields:
+        What to call at the block's end: waits for what it asked of a sequence around it.
+
+    Raises:
+        Cancelled: the block around it is decided, or told to stop.
+    """
+    host = current_block()
+    if host is not None:
+        host.catch_up()
+    checkpoint()
+    with hosted(None):
+        yield host.catch_up if host is not None else lambda: None
 
 
 class OpenBlock:
@@ -201,6 +222,9 @@ class OpenBlock:
             branch: one that has not begun.
         """
         raise NotImplementedError
+
+    def catch_up(self) -> None:
+        """Waits until the body itself may act; here that is so at any time."""
 
     def __enter__(self) -> Self:
         raise NotImplementedError

@@ -119,6 +119,20 @@ class Branch:
             self._state, self._result, self._error = state, result, error
             self._changed.notify_all()
 
+    def wait(self, timeout: float | None = None) -> bool:
+        """Waits for its end.
+
+        Args:
+            timeout: in seconds; None to wait for ever.
+
+        Returns:
+            Whether it has ended.
+
+        Raises:
+            Cancelled: the one who waits was told to stop.
+        """
+        return wait(self._changed, lambda: self.done, timeout)
+
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.
 
@@ -134,7 +148,7 @@ class Branch:
             NoResult: the branch was told to stop.
             BaseException: what its action raised.
         """
-        if not wait(self._changed, lambda: self.done, timeout):
+        if not self.wait(timeout):
             raise TimeoutError(f"{self.name} still runs after {timeout} s")
         if self._state is State.CANCELLED:
             checkpoint()
