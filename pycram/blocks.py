@@ -22,7 +22,7 @@ from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, ent
 from pycram.error_chain import chained, raise_unchanged
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, BranchesFailed, PlanFailure, UsageError
-from recorder.span import Span, plan_line
+from recorder.span import Span
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -79,9 +79,18 @@ class Host(Protocol):
         """Whether an action begins at once, whatever was asked for before it."""
 
     def start(
-        self, name: str, action: Callable[[], Result], *, ordered: bool = False, dropped: Callable[[], None] = ...
+        self,
+        name: str,
+        action: Callable[[], Result],
+        *,
+        ordered: bool = False,
+        dropped: Callable[[], None] = ...,
+        span: Span | None = None,
     ) -> Handle:
         """Asks for a branch; see :meth:`OpenBlock.start`."""
+
+    def catch_up(self) -> None:
+        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
 
 
 _host: ContextVar[Host | None] = ContextVar("pycram_block", default=None)
@@ -104,6 +113,24 @@ def hosted(host: Host | None) -> Iterator[None]:
         yield
     finally:
         _host.reset(token)
+
+
+@contextmanager
+def alone() -> Iterator[Callable[[], None]]:
+    """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
+
+    Yields:
+        What to call at the block's end: waits for what it asked of a sequence around it.
+
+    Raises:
+        Cancelled: the block around it is decided, or told to stop.
+    """
+    host = current_block()
+    if host is not None:
+        host.catch_up()
+    checkpoint()
+    with hosted(None):
+        yield host.catch_up if host is not None else lambda: None
 
 
 class OpenBlock:
@@ -170,6 +197,7 @@ class OpenBlock:
         *,
         ordered: bool = False,
         dropped: Callable[[], None] = lambda: None,
+        span: Span | None = None,
     ) -> Handle:
         """Asks for a branch.
 
@@ -178,11 +206,12 @@ class OpenBlock:
             action: what it does.
             ordered: whether it waits only for what was asked for before it.
             dropped: called once if it is never begun.
+            span: its node of the task tree, if it isn't just a branch.
 
         Returns:
             A handle that serves as its result.
         """
-        branch = Branch(name, action, ordered=ordered, dropped=dropped)
+        branch = Branch(name, action, ordered=ordered, dropped=dropped, span=span)
         self.take(branch)
         return Handle(branch)
 
@@ -193,6 +222,9 @@ class OpenBlock:
             branch: one that has not begun.
         """
         raise NotImplementedError
+
+    def catch_up(self) -> None:
+        """Waits until the body itself may act; here that is so at any time."""
 
     def __enter__(self) -> Self:
         raise NotImplementedError
@@ -211,12 +243,13 @@ class Block(OpenBlock):
         decider: the branch that decided it; None as long as none has.
     """
 
-    def __init__(self, rule: Rule, failures: list[BaseException] | None = None) -> None:
+    def __init__(self, rule: Rule, failures: list[BaseException] | None = None, span: Span | None = None) -> None:
         """Makes a block.
 
         Args:
             rule: what kind.
             failures: where its failures go; None to raise them.
+            span: its node of the task tree, if somebody else begins and ends that.
         """
         super().__init__(rule)
         self._collected = failures
@@ -228,8 +261,8 @@ class Block(OpenBlock):
         self._threads: list[threading.Thread] = []
         self._body_failure: PlanFailure | None = None
         self._exits = ExitStack()
-        self._source = plan_line()  # a block may be opened in another thread than it stands in
-        self._span: Span
+        self._span = span if span is not None else Span("block", rule.name)
+        self._owns_span = span is None
 
     @property
     def state(self) -> State:
@@ -261,7 +294,7 @@ class Block(OpenBlock):
             BlockClosed: the block has ended.
             PlanFailure: it failed, where that ends the body.
         """
-        span = Span("branch", branch.name, self._span.id, source=branch.source)
+        branch.span.parent = self._span.id
         with self._lock:
             closed = self._state is not State.RUNNING
             if not closed:
@@ -269,38 +302,38 @@ class Block(OpenBlock):
         if closed:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        span.ask()
+        branch.span.ask()
         if self.decider is not None or self.scope.cancelled:
-            span.finish(Cancelled())
+            branch.span.finish(Cancelled())
             branch.settle(State.CANCELLED)
         elif self.rule.concurrent:
-            self._begin(branch, span)
+            self._begin(branch)
         else:
-            branch.context.run(self._run, branch, span)
+            branch.context.run(self._run, branch)
             error = branch.error
             if error is not None and (self.rule.stops_at_failure or not isinstance(error, PlanFailure)):
                 raise error
         if self._outer is not None and self._outer.cancelled:
             raise Cancelled
 
-    def _begin(self, branch: Branch, span: Span) -> None:
+    def _begin(self, branch: Branch) -> None:
         name = f"{self.name}-{len(self._threads) + 1} {branch.name}"
-        thread = threading.Thread(target=branch.context.run, args=(self._run, branch, span), name=name)
+        thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
         try:
             with self._lock:
                 self._threads.append(thread)  # first: one that is interrupted while it starts is waited for too
                 thread.start()
         except RuntimeError as error:  # the system gives no more threads
-            span.finish(error)
+            branch.span.finish(error)
             self._settle(branch, State.FAILED, error=error)
 
-    def _run(self, branch: Branch, span: Span) -> None:
+    def _run(self, branch: Branch) -> None:
         """Runs a branch in this thread; its errors are its own."""
         result: Result = None
         try:
-            with hosted(None), entered(self.scope), span.running():
+            with hosted(None), entered(self.scope), branch.span.running():
                 checkpoint()
-                span.result = result = branch.begin()
+                branch.span.result = result = branch.begin()
         except Cancelled:
             self._settle(branch, State.CANCELLED)
         except BaseException as error:  # noqa: BLE001  the block raises it in the thread that opened it
@@ -333,8 +366,8 @@ class Block(OpenBlock):
 
     def __enter__(self) -> Self:
         checkpoint()
-        self._span = Span("block", self.name, source=self._source)
-        self._exits.enter_context(self._span.running())
+        if self._owns_span:
+            self._exits.enter_context(self._span.running())
         self._exits.enter_context(entered(self.scope))
         alone = self.rule.stops_at_failure and not self.rule.concurrent  # what fails in there raises by itself
         self._exits.enter_context(hosted(None if alone else self))
@@ -400,9 +433,9 @@ class Block(OpenBlock):
 
     def _leave(self, error: BaseException | None) -> None:
         """Ends the block's node of the task tree as the block ended."""
-        if error is None and self._state is State.FAILED:
-            error = BranchesFailed(self.name, self.failures)  # collected instead of raised; the tree tells it
         if error is None:
+            if self._state is State.FAILED:  # collected instead of raised; the tree tells it
+                self._span.error = BranchesFailed(self.name, self.failures)
             self._exits.close()
             return
         trace = error.__traceback__

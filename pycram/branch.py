@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.cancellation import checkpoint, wait
 from pycram.failures import UsageError
-from recorder.span import plan_line
+from recorder.span import Span, plan_line
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Branch:
         action: what it does; its result is the branch's.
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
         context: where it was asked for.
-        source: file and line of the plan that asked for it.
+        span: its node of the task tree.
     """
 
     def __init__(
@@ -56,6 +56,7 @@ class Branch:
         *,
         ordered: bool = False,
         dropped: Callable[[], None] = lambda: None,
+        span: Span | None = None,
     ) -> None:
         """Makes a branch that doesn't run yet.
 
@@ -64,12 +65,14 @@ class Branch:
             action: what it does.
             ordered: see above.
             dropped: called once if it is never begun; must not raise.
+            span: its node of the task tree, if it isn't just a branch.
         """
         self.name = name
         self.action = action
         self.ordered = ordered
         self.context = copy_context()
-        self.source = plan_line()
+        self.span = span if span is not None else Span("branch", name)
+        self.span.source = plan_line()
         self._dropped = dropped
         self._begun = False
         self._changed = threading.Condition()
@@ -116,6 +119,20 @@ class Branch:
             self._state, self._result, self._error = state, result, error
             self._changed.notify_all()
 
+    def wait(self, timeout: float | None = None) -> bool:
+        """Waits for its end.
+
+        Args:
+            timeout: in seconds; None to wait for ever.
+
+        Returns:
+            Whether it has ended.
+
+        Raises:
+            Cancelled: the one who waits was told to stop.
+        """
+        return wait(self._changed, lambda: self.done, timeout)
+
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.
 
@@ -131,7 +148,7 @@ class Branch:
             NoResult: the branch was told to stop.
             BaseException: what its action raised.
         """
-        if not wait(self._changed, lambda: self.done, timeout):
+        if not self.wait(timeout):
             raise TimeoutError(f"{self.name} still runs after {timeout} s")
         if self._state is State.CANCELLED:
             checkpoint()

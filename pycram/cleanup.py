@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from pycram.blocks import hosted
+from pycram.blocks import alone
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.event import qualified_name
@@ -39,9 +39,10 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     if not callable(action):
         raise BadArgument("action", action, "a function")
     first: BaseException | None = None
-    with hosted(None):
+    with alone() as settle:
         try:
             yield
+            settle()
         except BaseException as error:  # noqa: BLE001  raised below
             first = error
         try:

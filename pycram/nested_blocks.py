@@ -4,7 +4,10 @@
   outer block, which goes on with what follows.
 - In a concurrent block it is to run beside its siblings, but a ``with`` statement runs where it stands. So its body is
   only *read* there: what it asks for is done by the block itself, in a thread of its own, while the statements after it
-  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result.
+  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result. An attempt, a timeout
+  or a cleanup in that body runs where it stands, when what was asked for before it in a sequence is done.
+
+A decided ``try_in_order`` ends its body at the next block in it; variables that this would have set are not set then.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from pycram.blocks import Block, OpenBlock, hosted
 from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
 from pycram.failures import PlanFailure
+from recorder.span import Span
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -79,8 +83,11 @@ class Deferred(OpenBlock):
         super().__init__(rule)
         self._around = host
         self._outer = current_scope()
-        self._block = Block(rule, failures)
+        self._span = Span("block", rule.name)
+        self._block = Block(rule, failures, self._span)
         self._asked = _Asked()
+        self._begun = False
+        self._begun_changed = threading.Condition()
         self._exits = ExitStack()
 
     @property
@@ -107,17 +114,32 @@ class Deferred(OpenBlock):
         self.branches.append(branch)
         self._asked.put(branch)
 
+    def catch_up(self) -> None:
+        """Waits until this block has begun and, if things happen in order in it, what was asked for before is done.
+
+        Raises:
+            Cancelled: it is decided, or told to stop.
+        """
+        wait(self._begun_changed, lambda: self._begun)
+        if not self.rule.concurrent:
+            for branch in self.branches:
+                branch.wait()
+
     def _work(self) -> None:
         """Does what the body asks for."""
         try:
             with self._block as block:
+                with self._begun_changed:
+                    self._begun = True
+                    self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
         finally:
             self._asked.close()
 
     def __enter__(self) -> Self:
-        self._around.start(self.name, self._work, dropped=self._asked.close)
+        self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
+        self._exits.enter_context(self._span.entered())
         self._exits.enter_context(entered(self._block.scope))
         self._exits.enter_context(hosted(self))
         return self

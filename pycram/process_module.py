@@ -22,7 +22,7 @@ from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, MotionDesignator, unfinished
 from pycram.failures import NoWorld, UsageError
 from pycram.resolvers import Resolvers
-from recorder.span import span
+from recorder.span import Span, span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
     from pycram.claims import Ticket
     from pycram.objects import Object
-    from recorder.span import Span
 
 Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
@@ -175,13 +174,15 @@ class ProcessModule(ABC):
         motion = _Motion(designator, _level.get() or _Level(_state(_world())[0]))
         block = current_block()
         if block is None:
-            return motion.perform()
+            with motion.span.running():
+                motion.span.result = result = motion.carry_out()
+                return result
         # its place in the queue is taken here if nothing but earlier ones can then keep it waiting
         ordered = block.prompt and not unfinished(designator)
         if ordered:
             motion.arrive()
         try:
-            return block.start(motion.name, motion.perform, ordered=ordered, dropped=motion.leave)
+            return block.start(motion.name, motion.carry_out, ordered=ordered, dropped=motion.leave, span=motion.span)
         except BaseException:
             motion.leave()
             raise
@@ -202,7 +203,12 @@ def _state(world: BulletWorld) -> tuple[ResourceQueue, dict[str, Modules]]:
 
 
 class _Motion:
-    """A designator that is to be carried out."""
+    """A designator that is to be carried out.
+
+    Attributes:
+        name: its type.
+        span: its node of the task tree.
+    """
 
     def __init__(self, designator: Designator, level: _Level) -> None:
         self.name = str(dict(designator.description).get("type", type(designator).__name__))
@@ -210,6 +216,8 @@ class _Motion:
         self._level = level
         self._claims = designator.claims() if isinstance(designator, MotionDesignator) else Claims()
         self._ticket: Ticket | None = None
+        slots = {key: value for key, value in designator.description if key != "type"}
+        self.span = Span("motion", self.name, parameters=slots)
 
     def arrive(self) -> Ticket:
         """Takes its place among those that wait for parts of the robot."""
@@ -221,31 +229,25 @@ class _Motion:
         if self._ticket is not None:
             self._ticket.leave()
 
-    def perform(self) -> Result:
-        """Waits for its turn and carries it out."""
-        slots = {key: value for key, value in self._designator.description if key != "type"}
+    def carry_out(self) -> Result:
+        """Waits for its turn and does it, as the task that its span is."""
         try:
-            with span("motion", self.name, slots) as task:
-                ticket = self._ticket
-                if ticket is None:
-                    for _, value in self._designator.description:
-                        unwrap(value)  # waits for what may wait itself, while it keeps nobody waiting
-                    ticket = self.arrive()
-                task.result = result = self._carry_out(task, ticket)
-                return result
+            ticket = self._ticket
+            if ticket is None:
+                for _, value in self._designator.description:
+                    unwrap(value)  # waits for what may wait itself, while it keeps nobody waiting
+                ticket = self.arrive()
+            with ticket.granted():
+                checkpoint()
+                self.span.solution = self._designator.reference()
+                module = choose(self._designator)
+                token = _level.set(_Level(ResourceQueue(self._claims), self._level))
+                try:
+                    return module.execute(self._designator)
+                finally:
+                    _level.reset(token)
         finally:
             self.leave()
-
-    def _carry_out(self, task: Span, ticket: Ticket) -> Result:
-        with ticket.granted():
-            checkpoint()
-            task.solution = self._designator.reference()
-            module = choose(self._designator)
-            token = _level.set(_Level(ResourceQueue(self._claims), self._level))
-            try:
-                return module.execute(self._designator)
-            finally:
-                _level.reset(token)
 
 
 def choose(designator: Designator) -> ProcessModule:

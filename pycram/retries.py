@@ -33,8 +33,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.blocks import hosted
-from pycram.cancellation import checkpoint
+from pycram.blocks import alone
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from recorder.span import Span
@@ -247,14 +246,12 @@ class Attempt:
             raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
         self.used = True
         try:
-            checkpoint()
+            self._exits.enter_context(self._attempts.entered())
         except BaseException as stopped:
             self._attempts.stop(stopped)
             raise
-        self._exits.enter_context(self._attempts.entered())
         self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
         self._exits.enter_context(self._span.entered())
-        self._exits.enter_context(hosted(None))
         token = _attempt.set(self)
         self._exits.callback(lambda: _attempt.reset(token))
         self._span.start()
@@ -292,12 +289,13 @@ class _Attempts:
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
-        if self._span is None:
-            kinds = {"kinds": [kind.__name__ for kind in self._handling.kinds]}
-            self._span = Span("failure-handling", f"{self._handling.retries} retries", parameters=kinds)
-            self._span.start()
-        with self._span.entered(), hosted(None):
-            yield
+        with alone():
+            if self._span is None:
+                kinds = {"kinds": [kind.__name__ for kind in self._handling.kinds]}
+                self._span = Span("failure-handling", f"{self._handling.retries} retries", parameters=kinds)
+                self._span.start()
+            with self._span.entered():
+                yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
         """Takes the end of an attempt.

@@ -12,7 +12,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pycram.blocks import hosted
+from pycram.blocks import alone
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.checks import number
 from pycram.failures import BadArgument, NoWorld, PlanFailure
@@ -57,13 +57,14 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     if limit < 0:
         raise BadArgument("seconds", seconds, "a number from 0 up")
     clock = "simulated" if simulated else "wall"
-    with _watch(limit) if simulated else _timer(limit) as scope:
+    with alone() as settle, _watch(limit) if simulated else _timer(limit) as scope:
         outer = current_scope()
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}):
             try:
-                with hosted(None), entered(scope):
+                with entered(scope):
                     checkpoint()
                     yield
+                    settle()
             except Cancelled as stopped:
                 if scope.overdue and not (outer is not None and outer.cancelled):
                     raise TimedOut(limit, clock) from stopped

@@ -84,6 +84,7 @@ class Span:
         id: unique in this process, from 1.
         solution: as resolved; set while it runs.
         result: what it returned; set while it runs.
+        error: what it failed with, where that isn't raised; set while it runs.
     """
 
     kind: str
@@ -95,6 +96,7 @@ class Span:
     id: int = field(default_factory=lambda: next(_ids))
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
+    error: BaseException | None = None
     _start: int = 0
 
     def ask(self) -> None:
@@ -156,7 +158,7 @@ class Span:
                 self.finish(error)
                 raise
             else:
-                self.finish()
+                self.finish(self.error)
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
         file, line = plan_line() if self.source is None else self.source

@@ -313,6 +313,43 @@ class Tree:
             node = node.culprit
         return path
 
+    def text(self, depth: int | None = None, *, whole: bool = False) -> str:
+        """As lines of text; see :mod:`recorder.task_text`.
+
+        Args:
+            depth: only so many levels.
+            whole: whether to tell one by one what repeats itself.
+        """
+        from recorder.task_text import lines  # noqa: PLC0415  for looking at, not for running
+
+        return "\n".join(lines(self, depth, whole=whole))
+
+    def to_json(self) -> str:
+        """As a JSON list of all tasks, each before its parts."""
+        from recorder.task_text import facts  # noqa: PLC0415  for looking at, not for running
+
+        return json.dumps(facts(self), ensure_ascii=False)
+
+    def to_dot(self) -> str:
+        """As a graph for Graphviz."""
+        from recorder.task_picture import dot  # noqa: PLC0415  for looking at, not for running
+
+        return dot(self)
+
+    def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
+        """As a picture, with the times beside the tree; any browser shows it.
+
+        Args:
+            depth: only so many levels.
+            whole: whether to show one by one what repeats itself.
+        """
+        from recorder.task_picture import svg  # noqa: PLC0415  for looking at, not for running
+
+        return svg(self, depth, whole=whole)
+
+    def __str__(self) -> str:
+        return self.text()
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Tree):
             return NotImplemented

@@ -293,6 +293,28 @@ def test_who_looks_at_a_handle_in_the_body_waits_for_it_or_leaves_the_body() -> 
     assert (s.state, t.state, u.state) == (S, S, S)
 
 
+def test_attempts_timeouts_and_cleanups_in_a_read_body_keep_its_order() -> None:
+    gate, order = Gate(), []
+    with par as s:
+        with seq as t:
+            t(lambda: (gate.pass_through(0.05), order.append(1)))  # late
+            with par as u:
+                u(order.append, 2)
+                with timeout(60):
+                    order.append(3 if 1 in order else "too early")
+            with finally_(order.append, 5):
+                t(order.append, 4)
+            for attempt in failure_handling(2):
+                with attempt:
+                    order.append(6)
+                    if attempt.number < 2:
+                        fails()
+            t(order.append, 7)
+        s(succeeds)
+    assert s.state is S
+    assert (order[0], sorted(order[1:3]), order[3:]) == (1, [2, 3], [4, 5, 6, 6, 7])
+
+
 def test_functions_in_a_body_are_branches() -> None:
     meeting = threading.Barrier(2, timeout=20)
     with par:

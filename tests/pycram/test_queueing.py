@@ -1,0 +1,210 @@
+"""Motions that want the same things wait for each other, and never for ever, in whatever order they are asked for."""
+
+# ruff: noqa: PT012  the blocks under test have bodies
+from __future__ import annotations
+
+import faulthandler
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.blocks import current_block
+from pycram.cancellation import wait
+from pycram.claims import ClaimError, Claims
+from pycram.designator import MotionDesignator
+from pycram.failures import Unreachable
+from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
+from pycram.process_module import ProcessModule
+from pycram.timeouts import TimedOut
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pycram.bullet_world import BulletWorld
+
+
+class Doing(MotionDesignator):
+    def claims(self) -> Claims:
+        return Claims(frozenset(dict(self.description).get("moves", ())))
+
+    def reference(self) -> dict[str, object]:
+        return {key: self.prop_value(key) for key, _ in self.description}
+
+
+class Doer(ProcessModule):
+    def _execute(self, designator: Doing) -> object:
+        return designator.reference()["action"]()
+
+
+@pytest.fixture(autouse=True)
+def _modules(world: BulletWorld) -> Iterator[None]:
+    faulthandler.dump_traceback_later(60, exit=True)
+    with ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("module")):
+        yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+def do(action: Callable[[], object], *moves: str, module: Doer | None = None, **slots: object) -> object:
+    given = {"type": "do", "action": action, "moves": moves, "module": module or Doer(), **slots}
+    return ProcessModule.perform(Doing(list(given.items())))
+
+
+def test_what_wants_the_same_runs_in_the_order_of_asking_and_the_rest_beside_it() -> None:
+    order, meeting = [], threading.Barrier(2, timeout=20)
+    with par:
+        do(lambda: (meeting.wait(), order.append(1)), "left-arm")
+        do(lambda: order.append(2), "left-arm", "base")
+        do(lambda: order.append(3), "base", "head")
+        do(meeting.wait, "right-arm")
+    assert order == [1, 2, 3]
+
+
+def test_opposite_orders_of_acquisition() -> None:
+    """Two sequences that want two arms in opposite order; two modules that are made of each other."""
+    done = []
+    for _ in range(20):
+        with par:
+            with seq:
+                do(lambda: done.append(1), "left-arm")
+                do(lambda: done.append(1), "right-arm")
+            with seq:
+                do(lambda: done.append(1), "right-arm")
+                do(lambda: done.append(1), "left-arm")
+    assert len(done) == 80
+    one, two, meeting = Doer(), Doer(), threading.Barrier(2, timeout=20)
+
+    def of(other: Doer, arm: str) -> Callable[[], object]:
+        def action() -> None:
+            meeting.wait()  # both outer motions hold their module now
+            do(lambda: done.append(2), arm, module=other)
+
+        return action
+
+    with par:
+        do(of(two, "left-arm"), "left-arm", module=one)
+        do(of(one, "right-arm"), "right-arm", module=two)
+    assert done[80:] == [2, 2]
+    do(lambda: do(lambda: done.append(3), module=one), module=one)  # a module that is made of itself
+    assert done[-1] == 3
+
+
+def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
+    order = []
+    with par, seq as s:
+        s(lambda: do(lambda: order.append(1), "left-arm"))
+        do(lambda: order.append(2), "left-arm")
+    assert order == [1, 2]
+
+
+def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting() -> None:
+    order = []
+
+    def find() -> str:
+        do(lambda: order.append(1), "left-arm")
+        return "milk"
+
+    with par as s:
+        found = s(find)
+        do(lambda: order.append(2), "left-arm", object=found)
+    assert order == [1, 2]
+
+
+def test_a_motion_that_never_began_gives_its_place_up() -> None:
+    gate = threading.Condition()
+    order = []
+    with pursue as s:
+        do(lambda: wait(gate, lambda: False), "left-arm")
+        do(lambda: order.append("never"), "left-arm")
+        s(order.append, "decides")
+    do(lambda: order.append("free"), "left-arm")
+    assert order == ["decides", "free"]
+    assert [branch.state for branch in s.branches] == [State.CANCELLED, State.CANCELLED, State.SUCCEEDED]
+    with pytest.raises(TimedOut), timeout(0.02), par:
+        do(lambda: wait(gate, lambda: False), "left-arm")
+        do(lambda: None, "left-arm")
+    do(lambda: order.append("free again"), "left-arm")
+
+
+def test_a_motion_may_be_made_of_blocks_within_what_it_has() -> None:
+    done = []
+
+    def compose() -> None:
+        assert current_block() is None
+        with par:
+            do(lambda: done.append(1), "left-arm")
+            with seq:
+                do(lambda: done.append(2), "right-arm")
+                do(lambda: done.append(3), "left-arm")
+        with try_in_order:
+            do(fail, "left-arm")
+            do(lambda: done.append(4), "right-arm")
+
+    def fail() -> None:
+        raise Unreachable("left", [0, 0, 0])
+
+    with par:
+        do(compose, "left-arm", "right-arm")
+        do(lambda: done.append(5), "left-arm")
+    assert sorted(done[:3]) == [1, 2, 3]
+    assert done[3:] == [4, 5]
+    with pytest.raises(ClaimError, match="head"):
+        do(lambda: do(lambda: None, "head"), "left-arm")
+
+
+def test_alternatives_that_want_the_same_arm() -> None:
+    with try_all as s:
+        first = do(lambda: (_ for _ in ()).throw(Unreachable("left", [0, 0, 0])), "left-arm")
+        second = do(lambda: "got it", "left-arm")
+    assert s.state is State.SUCCEEDED
+    assert second == "got it"
+    with pytest.raises(Unreachable):
+        first.result()
+
+
+def test_a_cancelled_branch_stops_before_its_next_change_of_the_world_but_finishes_its_motion(
+    world: BulletWorld,
+) -> None:
+    begun, ended, gate = threading.Event(), [], threading.Condition()
+
+    def wander() -> None:
+        while True:
+            world.set_gravity([0, 0, -1])
+            begun.set()
+
+    with pursue as s:
+        s(wander)
+        s(lambda: begun.wait(20))
+    assert [branch.state for branch in s.branches] == [State.CANCELLED, State.SUCCEEDED]
+
+    def motion() -> None:
+        begun.set()
+        while not s.scope.told:  # the other branch decides while this is under way
+            world.set_gravity([0, 0, -2])
+        world.set_gravity([0, 0, -3])
+        ended.append(True)
+
+    begun.clear()
+    with pursue as s:
+        do(motion, "base")
+        s(lambda: begun.wait(20))
+        s(lambda: wait(gate, lambda: False))
+    assert ended == [True]
+    assert world.gravity == (0, 0, -3)
+
+
+def test_timeouts_in_simulated_time(world: BulletWorld) -> None:
+    gate = threading.Condition()
+
+    def simulate() -> None:
+        for _ in range(100):
+            world.simulate(0.1)
+
+    with pytest.raises(TimedOut, match="simulated") as raised, timeout(1, simulated=True), par as s:
+        s(simulate)
+        s(lambda: wait(gate, lambda: False))  # is woken by the passing of simulated time
+    assert raised.value.clock == "simulated"
+    assert world.sim_step == 240
+    assert not world.alarms
+    with timeout(1, simulated=True):
+        world.simulate(1)
