@@ -15,13 +15,15 @@ import itertools
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from pycram.branch import Handle, branch_of, unwrap
 from pycram.description import Description, DesignatorError, Value, own, pairs, same
 from pycram.equated import Equated
 from pycram.error_chain import chained
+from pycram.event import qualified_name
+from pycram.failures import BadArgument
 from pycram.resolvers import Resolvers
 from pycram.solutions import Solution, Solutions
 
@@ -323,13 +325,23 @@ class MotionDesignator(Designator):
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]
         for resolver in (*own, motion_designators.resolve):
             try:
-                for solution in resolver(self) or ():
+                for solution in _solutions_of(resolver, self):
                     found = True
                     yield dict(solution)
             except DesignatorError as error:
                 errors.append(error)
         if errors and not found:
             raise chained(errors[-1], errors[:-1])
+
+
+def _solutions_of(resolver: Resolver, designator: MotionDesignator) -> Iterator[Solution]:
+    given = resolver(designator)
+    if not isinstance(given, Iterable | None) or isinstance(given, str | Mapping):
+        raise BadArgument(f"what {qualified_name(resolver)} gave", given, "solutions, a list of dictionaries, or None")
+    for solution in given or ():
+        if not isinstance(solution, Mapping):
+            raise BadArgument(f"a solution of {qualified_name(resolver)}", solution, "a dictionary")
+        yield solution
 
 
 def unfinished(designator: Designator) -> list[str]:

@@ -15,12 +15,14 @@ from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
+from pycram import checks
 from pycram.blocks import current_block
 from pycram.branch import unwrap
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, MotionDesignator, unfinished
-from pycram.failures import NoWorld, UsageError
+from pycram.event import qualified_name
+from pycram.failures import BadArgument, NoWorld, UsageError
 from pycram.resolvers import Resolvers
 from recorder.span import Span, span
 
@@ -109,9 +111,15 @@ def register(robot: str, environment: str, modules: Modules) -> None:
         robot: the robot's name in its URDF.
         environment: the execution environment.
         modules: by the ``cmd`` of the solutions that they take.
+
+    Raises:
+        BadArgument: something else than process modules.
     """
+    known = isinstance(modules, Mapping) and all(isinstance(module, ProcessModule) for module in modules.values())
+    if not known:
+        raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
     with _lock:
-        _registered[robot, environment] = dict(modules)
+        _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
 
 
 class ProcessModule(ABC):
@@ -259,9 +267,12 @@ def choose(designator: Designator) -> ProcessModule:
     Raises:
         NoProcessModule: there is none.
         NoWorld: the current world has no robot.
+        BadArgument: a user's function has chosen something else.
     """
     for chooser in ProcessModule.resolvers:
         module = chooser(designator)
+        if module is not None and not isinstance(module, ProcessModule):
+            raise BadArgument(f"what {qualified_name(chooser)} chose", module, "a process module, or None")
         if module is not None:
             return module
     cmd = str(designator.reference().get("cmd", ""))

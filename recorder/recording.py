@@ -6,6 +6,7 @@ import os
 import sys
 import time
 import weakref
+from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from recorder import journal
 from recorder.asset import AssetFile
+from recorder.errors import RecordingError
 from recorder.journal import Journal
 from recorder.mcap_sink import McapSink
 from recorder.records import Run, failure
@@ -64,8 +66,10 @@ def record(
         The recording.
 
     Raises:
-        RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence.
+        RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
+            if there is no such source, or an argument isn't what it should be.
     """
+    _check(path, name=name, live=live, source=source, arguments=arguments)
     file = Path(path)
     program = _program() if source is None else Path(source)
     title = name or (program.stem if program else "plan")
@@ -86,6 +90,18 @@ def record(
             _finish(log, title, start, None)
 
 
+def _check(path: object, *, source: object, arguments: object, **texts: object) -> None:
+    if not isinstance(path, str | Path) or "\0" in str(path) or not str(path):
+        raise RecordingError(repr(path), "is no path of a file")
+    for argument, value in texts.items():
+        if not isinstance(value, str | None):
+            raise RecordingError(path, f"{argument} is {value!r}, not a string")
+    if isinstance(arguments, str) or not isinstance(arguments, Iterable):
+        raise RecordingError(path, f"arguments are {arguments!r}, not a list of strings")
+    if source is not None and not (isinstance(source, str | Path) and Path(source).is_file()):
+        raise RecordingError(path, f"there is no source {source!r} to attach")
+
+
 def _begin(file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None) -> Journal:
     """Opens the file and tells it what is there already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
@@ -95,7 +111,7 @@ def _begin(file: Path, live: str | None, title: str, arguments: Sequence[str], p
 
             viewers.append(RerunSink(live, title))
             undoing.callback(viewers[0].close)
-        metadata = {"plan": title, "plan_arguments": " ".join(arguments), "started_ns": str(time.time_ns())}
+        metadata = {"plan": title, "plan_arguments": " ".join(map(str, arguments)), "started_ns": str(time.time_ns())}
         sink = McapSink(file, metadata)
         undoing.callback(sink.close)
         log = Journal([sink, *viewers])

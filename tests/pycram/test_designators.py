@@ -7,6 +7,7 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import BadArgument
+from pycram.process_module import ProcessModule, register
 
 
 def looking(**more: object) -> MotionDesignator:
@@ -122,3 +123,23 @@ def test_only_designators_are_equated() -> None:
     with pytest.raises(BadArgument, match="equate"):
         MotionDesignator([("type", "x")]).equate("x")
     assert not MotionDesignator([("type", "x")]).equal(None)
+
+
+@pytest.mark.parametrize("garbage", [5, "abc", [5], {"cmd": "looking"}])
+def test_a_resolver_that_gives_no_solutions_is_told(garbage: object) -> None:
+    def careless(_: MotionDesignator) -> object:
+        return garbage
+
+    with MotionDesignator.resolvers.added(careless), pytest.raises(BadArgument, match="careless"):
+        looking().reference()
+
+
+def test_what_is_no_process_module_serves_nobody(scene: BulletWorld) -> None:
+    with pytest.raises(BadArgument, match="process modules by cmd"):
+        register("pr2", "elsewhere", {"looking": 5})
+
+    def careless(_: MotionDesignator) -> object:
+        return 5
+
+    with ProcessModule.resolvers.added(careless), pytest.raises(BadArgument, match="careless"):
+        ProcessModule.perform(looking())

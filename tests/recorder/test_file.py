@@ -32,7 +32,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder import journal
+from recorder import RecordingError, journal
 from recorder.records import Event, Keyframe, Mutation, Run, Task
 from recorder.span import span
 
@@ -276,3 +276,21 @@ def test_where_nothing_can_be_written(tmp_path: Path, where: str) -> None:
     with pytest.raises(recorder.RecordingError, match="can't record"), recorder.record(tmp_path / where):
         ran.append(True)
     assert not ran
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ({"path": None}, "no path"),
+        ({"path": "a\0b"}, "no path"),
+        ({"name": 5}, "name is 5"),
+        ({"live": 5}, "live is 5"),
+        ({"arguments": None}, "arguments are None"),
+        ({"source": "nowhere.py"}, "no source"),
+    ],
+)
+def test_what_can_t_be_recorded_to_is_refused(tmp_path: Path, arguments: dict[str, object], told: str) -> None:
+    file = tmp_path / "x.mcap"
+    with pytest.raises(RecordingError, match=told), recorder.record(**{"path": file, **arguments}):
+        pass
+    assert not file.exists()
