@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pycram.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
+from recorder.mcap_sink import versions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +40,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would take our options for the plan's
-    options = parser.parse_args(given)
+    if given == ["--version"]:
+        print(f"pycram {versions()['pycram']}")
+        return _DONE
+    options, unknown = parser.parse_known_args(given)
+    if unknown:
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}; what is for the plan comes after --")
     if options.command == "demo":  # noqa: SIM108  reads better
         plan = demos() / f"{options.name}.py"
     else:
@@ -52,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="pycram", description="Runs robot plans and records everything that happens.")
+    parser.add_argument("--version", action="store_true", help="print the version and end")
     commands = parser.add_subparsers(dest="command", required=True)
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
@@ -107,7 +114,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         code = 130
     except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
-        kind = "is used wrongly" if isinstance(error, PycramError) else "has an error"
+        kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
         print(f"\npycram: the plan {kind}: {type(error).__name__}: {error}", file=sys.stderr)
         code = _FAILED
     finally:

@@ -96,6 +96,10 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
         ("raise SystemExit(3)", 3, ""),
         ("from pycram.bullet_world import BulletWorld; BulletWorld().set_gravity([1])", 1, "3 finite numbers"),
         ("1 / 0", 1, "ZeroDivisionError"),
+        ("raise SystemExit(['a', 'list'])", 1, "['a', 'list']"),
+        ("class Own(BaseException): pass\nraise Own('of its own')", 1, "Own: of its own"),
+        ("import os; os.chdir('/')", 0, ""),
+        ("def x(", 1, "SyntaxError"),
     ],
 )
 def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, told: str) -> None:
@@ -103,8 +107,31 @@ def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, t
     ended = pycram("run", "plan.py", cwd=tmp_path)
     assert ended.returncode == exit_code
     assert told in ended.stderr
+    assert "pycram: recorded to plan.mcap" in ended.stderr
     with replay.open(tmp_path / "plan.mcap") as log:
         assert log.complete
+    for line in ended.stderr.splitlines():
+        if line.startswith("  pycram-replay"):  # what it says to type next works
+            _, *words = line.split()
+            again = subprocess.run(
+                [sys.executable, "-m", "replay", *words], cwd=tmp_path, capture_output=True, text=True, check=False
+            )
+            assert again.returncode == 0, again.stderr
+            assert again.stdout
+
+
+def test_what_a_plan_s_threads_do_after_its_end_is_recorded(tmp_path: Path) -> None:
+    (tmp_path / "plan.py").write_text(
+        "import threading\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "world = BulletWorld()\n"
+        "def late():\n"
+        "    Object('late', 'thing', 'cup.stl')\n"
+        "threading.Timer(0.2, late).start()\n"
+    )
+    assert pycram("run", "plan.py", cwd=tmp_path).returncode == 0
+    with replay.open(tmp_path / "plan.mcap") as log:
+        assert list(replay.state_at(log, -1).world().bodies) == ["late"]
 
 
 def test_a_recording_that_cannot_be_written_stops_the_plan_at_once(tmp_path: Path) -> None:
