@@ -257,7 +257,7 @@ def reachable_poses(
     machine = robot_of(robot)
     place = world_of(machine, world=world)
     machine.check_link(checks.text("gripper link", gripper_name))
-    near = checks.number("threshold", threshold)
+    near = checks.at_least("threshold", threshold, 0.0)
     ignored: list[Object] = [unwrap(other) for other in ignoring]
     world_of(machine, *ignored, world=place)
     count = max(len(poses), len(bases or ()), len(orientations or ()))
@@ -382,7 +382,7 @@ def _reaches(
     collision_free: bool,
 ) -> Verdict:
     """The common part of the reachable queries."""
-    near = checks.number("threshold", threshold)
+    near = checks.at_least("threshold", threshold, 0.0)
     solver = _reach.Solver(robot, link)
     options = solver.postures(target, orientation, thorough=collision_free)
     oriented = orientation is not None

@@ -68,23 +68,6 @@ class Touch:
     force: float
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """What a camera sees.
-
-    Attributes:
-        rgb: (height, width, 3) uint8.
-        depth: (height, width) float64, m along the optical axis.
-        bodies: (height, width) int64, body id per pixel, -1 for nothing.
-        links: (height, width) int64, link index per pixel.
-    """
-
-    rgb: NDArray[np.uint8]
-    depth: NDArray[np.float64]
-    bodies: NDArray[np.int64]
-    links: NDArray[np.int64]
-
-
 def decompose(source: Path, target: Path) -> None:
     """Splits a concave OBJ mesh into convex pieces with V-HACD.
 
@@ -240,6 +223,28 @@ class Engine:
         state = bullet.getLinkState(body.id, index, computeForwardKinematics=1, physicsClientId=self._client)
         return state[4], state[5]
 
+    def link_frames(self, body: Body, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Frames of several links of a body at once, in the world.
+
+        Args:
+            body: the body.
+            links: names of its links.
+
+        Returns:
+            (n, 3) positions in m, (n, 4) orientations xyzw.
+        """
+        indices = [body.links[link] for link in links]
+        moving = [index for index in indices if index >= 0]
+        states = (
+            bullet.getLinkStates(body.id, moving, computeForwardKinematics=1, physicsClientId=self._client)
+            if moving
+            else ()
+        )
+        base = self.pose(body)
+        poses = {index: (state[4], state[5]) for index, state in zip(moving, states, strict=True)}
+        found = [poses.get(index, base) for index in indices]
+        return np.array([pose[0] for pose in found]), np.array([pose[1] for pose in found])
+
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
         """Axis-aligned bounds of a link's shape in the world, current without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
@@ -386,39 +391,6 @@ class Engine:
             Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9])  # type: ignore[arg-type,index]
             for p in points
         ]
-
-    # --- pictures --------------------------------------------------------------------------------------------------
-
-    def picture(
-        self, view: NDArray[np.float64], projection: NDArray[np.float64], near: float, far: float, size: tuple[int, int]
-    ) -> Picture:
-        """Renders with the software renderer.
-
-        Args:
-            view: (4, 4) world to camera, OpenGL convention (looks along -z).
-            projection: (4, 4) OpenGL projection.
-            near: near plane in m.
-            far: far plane in m.
-            size: width and height in pixels.
-        """
-        width, height = size
-        _, _, rgba, raw_depth, mask = bullet.getCameraImage(
-            width,
-            height,
-            viewMatrix=view.T.ravel().tolist(),
-            projectionMatrix=projection.T.ravel().tolist(),
-            renderer=bullet.ER_TINY_RENDERER,
-            flags=bullet.ER_SEGMENTATION_MASK_OBJECT_AND_LINKINDEX,
-            physicsClientId=self._client,
-        )
-        mask = np.asarray(mask, dtype=np.int64).reshape(height, width)
-        raw = np.asarray(raw_depth, dtype=np.float64).reshape(height, width)
-        return Picture(
-            rgb=np.asarray(rgba, dtype=np.uint8).reshape(height, width, 4)[:, :, :3],
-            depth=far * near / (far - (far - near) * raw),
-            bodies=np.where(mask < 0, -1, mask & ((1 << 24) - 1)),
-            links=np.where(mask < 0, -1, (mask >> 24) - 1),
-        )
 
     def close(self) -> None:
         """Ends the client; a second call does nothing."""

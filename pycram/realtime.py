@@ -6,7 +6,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Final
 
-from pycram.failures import ChangeRefused, UsageError
+from pycram.failures import ChangeRefused, WorldClosed
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
@@ -52,11 +52,10 @@ class RealtimeClock:
             due = max(due + _FRAME, time.monotonic() - _MOST_BEHIND)
             try:
                 self._world.simulate(_FRAME)
-            except UsageError as error:
-                if self._world.closed:
-                    return
-                if not isinstance(error, ChangeRefused):  # which a query does for a moment
-                    self._keep(error)
+            except WorldClosed:
+                return
+            except ChangeRefused:  # a query runs at the moment
+                continue
             except Exception as error:  # noqa: BLE001  of a handler: time goes on
                 self._keep(error)
 

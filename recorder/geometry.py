@@ -181,6 +181,24 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
     )
 
 
+def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation matrices of many unit quaternions; see :func:`to_matrix`.
+
+    Args:
+        rotations: (n, 4) xyzw.
+
+    Returns:
+        (n, 3, 3).
+    """
+    x, y, z, w = rotations.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
 def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
     """The pose as a homogeneous matrix.
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image
 
-from pycram.reasoning.visibility import Camera, Window
+from pycram.camera import Camera
 from recorder import geometry
 from replay.errors import NoSuchName, ReplayError
 from replay.world import aside
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
     from replay.log import Log
 
 _WIDE: Final = math.radians(60)  # horizontal field of view where no camera says another
-_NEAR, _FAR = 0.1, 30.0  # m; triangles of the robot's own head, if nearer, would be drawn as lines
+_NEAR, _FAR = 0.02, 30.0  # m
 _SIDE: Final = (-0.55, -0.65, 0.55)  # the direction to look from, of the robot's heading
+_FINER: Final = 2  # pixels a side that are averaged to one: edges are smooth then
 _LARGEST: Final = 4096  # pixels a side
 
 
@@ -70,8 +71,10 @@ def render(
 
 
 def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:
-    window = Window(-camera.right, -camera.down, camera.right, camera.down)
-    return Image.fromarray(np.ascontiguousarray(camera.look(world.engine, window, size).rgb))
+    up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
+    finer = (size[0] * _FINER, size[1] * _FINER)
+    picture = Image.fromarray(camera.look(world.objects, camera.window, finer).picture(up))
+    return picture.resize(size, Image.Resampling.BOX)
 
 
 def _camera(

@@ -1,8 +1,8 @@
 """What a camera sees of an object (thesis 4.4.3, 4.4.4).
 
-Two pictures are compared pixel by pixel: the object alone, and the whole scene. They show just the part of the image in
-which the object can be, so that a few thousand pixels decide precisely however far it is. The object's pixels outside
-of the camera's image count as not seen. Cameras look along z, x is to the right, y is down (as optical frames do).
+Two pictures are compared pixel by pixel: of the object alone, and of all that could be before it. They show just the
+part of the image in which the object can be, so that a few thousand pixels decide precisely however far it is. The
+object's pixels outside of the camera's image count as not seen.
 """
 
 from __future__ import annotations
@@ -15,79 +15,22 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram import checks
+from pycram.camera import NEAR, Camera
 from pycram.failures import BadArgument, NoWorld
-from pycram.reasoning.twin import twin
+from pycram.raster import Window
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from pycram.engine import Engine, Picture
     from pycram.objects import Object
-    from recorder.geometry import Pose
 
 _PIXELS: Final = 80**2  # of the part that is looked at
 _WIDE: Final = math.radians(60)  # field of view where only a position is given
-_NEAR, _FAR = 0.02, 20.0  # m
 _MARGIN: Final = 0.05  # of the part's size around the object
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """A pinhole camera in the world.
-
-    Attributes:
-        pose: position in m and orientation xyzw of its optical frame.
-        right: tangent of half the horizontal field of view.
-        down: tangent of half the vertical field of view.
-        near: m from which on it sees.
-        far: m up to which it sees.
-    """
-
-    pose: Pose
-    right: float
-    down: float
-    near: float = _NEAR
-    far: float = _FAR
-
-    def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points (n, 3) in the optical frame, m."""
-        turn = geometry.to_matrix(self.pose[1])
-        seen: NDArray[np.float64] = (points - np.asarray(self.pose[0])) @ turn
-        return seen
-
-    def look(self, engine: Engine, window: Window, size: tuple[int, int]) -> Picture:
-        """Takes a picture of a part of its image plane."""
-        world_turn = geometry.to_matrix(self.pose[1])
-        flip = np.diag([1.0, -1.0, -1.0])  # OpenGL looks along -z with y up
-        view = np.eye(4)
-        view[:3, :3] = flip @ world_turn.T
-        view[:3, 3] = -view[:3, :3] @ np.asarray(self.pose[0])
-        near, far = self.near, self.far
-        left, right = window.left * near, window.right * near
-        bottom, top = -window.bottom * near, -window.top * near
-        projection = np.zeros((4, 4))
-        projection[0, 0] = 2 * near / (right - left)
-        projection[1, 1] = 2 * near / (top - bottom)
-        projection[0, 2] = (right + left) / (right - left)
-        projection[1, 2] = (top + bottom) / (top - bottom)
-        projection[2, 2] = -(far + near) / (far - near)
-        projection[2, 3] = -2 * far * near / (far - near)
-        projection[3, 2] = -1.0
-        return engine.picture(view, projection, near, far, size)
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A part of the image plane, as tangents: x to the right, y down."""
-
-    left: float
-    top: float
-    right: float
-    bottom: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +82,7 @@ def camera_at(where: object, target: Object, robot: Object | None = None) -> Cam
     else:
         eye = checks.vector("camera position", parts)
         middle = _middle(target)
-        inside = math.dist(eye, middle) < _NEAR  # it is seen from nowhere then, whatever the direction
+        inside = math.dist(eye, middle) < NEAR  # it is seen from nowhere then, whatever the direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, middle))
     wide = math.tan(_WIDE / 2)
     return Camera(pose, wide, wide)
@@ -170,36 +113,31 @@ def view(body: Object, camera: Camera) -> View:
         body: the object.
         camera: the camera.
     """
-    frame = Window(-camera.right, -camera.down, camera.right, camera.down)
+    frame = camera.window
     window, reason = _window(body, camera, frame)
     if window is None:
         return View(0.0, 0, 0, {}, reason)
     width, height = window.right - window.left, window.bottom - window.top
     scale = math.sqrt(_PIXELS / (width * height))
     size = (max(8, round(scale * width)), max(8, round(scale * height)))
-    world = body.world
-    studio = twin(world, "studio")
-    lone = studio.sync([body])[body.name]
-    mine = camera.look(studio.engine, window, size).bodies == lone.id
-    alone = int(mine.sum())
-    if not alone:
+    alone = camera.look([body], window, size)
+    mine = alone.bodies == 0
+    pixels = int(mine.sum())
+    if not pixels:
         return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
-    full = camera.look(world.engine, window, size).bodies
-    inside = _inside(window, frame, size)
-    seen = int((mine & inside & (full == body.id)).sum())
-    hiding = _hiding(body, full[mine & inside], alone)
+    others = [other for other in body.world.objects if other is not body]
+    before = camera.look(others, window, size, float(alone.depth[mine].max()))
+    inside = mine & _inside(window, frame, size)
+    hidden = inside & (before.depth < alone.depth)
+    seen = int(inside.sum() - hidden.sum())
+    hiding = _hiding(others, before.bodies[hidden], pixels)
     reason = "" if seen else "is hidden" if hiding else "is out of view"
-    return View(seen / alone, alone, seen, hiding, reason)
+    return View(seen / pixels, pixels, seen, hiding, reason)
 
 
-def _hiding(body: Object, covering: NDArray[np.int64], alone: int) -> dict[str, float]:
-    names = {other.id: other.name for other in body.world.objects}
-    numbers, counts = np.unique(covering, return_counts=True)
-    shares = {
-        names[int(number)]: int(count) / alone
-        for number, count in zip(numbers, counts, strict=True)
-        if int(number) in names and int(number) != body.id
-    }
+def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -> dict[str, float]:
+    counts = np.bincount(covering, minlength=len(others))
+    shares = {other.name: int(count) / alone for other, count in zip(others, counts, strict=True) if count}
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 

@@ -119,6 +119,7 @@ def test_every_query_can_be_asked() -> None:
         "reachable",
         "reachable_object",
         "reachable_pose",
+        "reachable_poses",
         "stable",
         "supporting",
         "visible",

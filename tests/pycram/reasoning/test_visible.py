@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.process_module import ProcessModule
 from pycram.reasoning import visibility
 from recorder import geometry
 
@@ -138,8 +140,8 @@ def test_the_smallest_and_the_farthest_thing_is_seen_as_well(world: BulletWorld)
 
 
 def test_what_is_nearer_than_the_near_plane_is_not_seen(world: BulletWorld) -> None:
-    plate = Object("plate", "plate", "plate.stl", [0, 0, 1])
-    verdict = btr.visible(plate, camera([0, 0, 0.975], [0, 0, 2]))
+    knife = Object("knife", "knife", "knife.stl", [0, 0, 1])
+    verdict = btr.visible(knife, camera([0, 0, 0.985], [0, 0, 2]))
     assert not verdict
     assert verdict.evidence["share"] == 0.0
     assert "near" in verdict.evidence["reason"]
@@ -173,3 +175,25 @@ def test_shares_are_shares_and_fall_as_the_occluder_grows(
         assert 0.0 <= verdict.evidence["share"] <= 1.0
         shares.append(verdict.evidence["share"])
     assert all(near <= far + 0.03 for far, near in itertools.pairwise(shares)), shares
+
+
+@pytest.mark.parametrize("link", ["wide_stereo_optical_frame", "narrow_stereo_optical_frame", "high_def_optical_frame"])
+def test_a_camera_looks_out_of_its_housing_whatever_lies_in_its_plane(world: BulletWorld, link: str) -> None:
+    """From here, corners of the head's own mesh lie in the very plane of the camera."""
+    Object("floor", "environment", "plane.urdf")
+    world.robot = Object("pr2", "robot", "pr2.urdf")
+    milk = Object("milk", "milk", "milk.stl", [1.5, 0.1, 1.0])
+    ProcessModule.perform(MotionDesignator({"type": "looking", "object": milk}))
+    assert btr.visible(milk, link)
+    assert btr.visible(milk, world.robot.get_link_position(link))
+    assert btr.occluding(milk, link) == []
+    ProcessModule.perform(MotionDesignator({"type": "detecting", "object-type": "milk"}))
+
+
+def test_a_corner_in_the_plane_of_the_camera_is_no_matter(world: BulletWorld) -> None:
+    Object("kitchen", "environment", "kitchen.urdf")
+    cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+    for wall in (-0.5, 0.0, 0.5):  # faces of boxes that lie in the plane through the eye
+        Object(f"box {wall}", "environment", "milk.stl", [wall, 2.0, 1.0])
+    for eye in ([-1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [0.0, 0.0, 2.0]):
+        assert btr.visible(cup, eye).evidence["share"] == 1.0

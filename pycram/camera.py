@@ -1,0 +1,166 @@
+"""Cameras: what of a world's objects is seen from where, pixel by pixel.
+
+Frames are optical: z looks ahead, x is to the right, y is down. Links of a robot that are around the camera are its
+housing, which it looks out of: they are not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.raster import Window, rasterize
+from pycram.shapes import shapes_of
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.objects import Object
+    from pycram.shapes import Shapes
+    from recorder.geometry import Pose
+
+NEAR: Final = 0.02  # m
+FAR: Final = 20.0  # m
+_SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB behind everything, above and below
+_HOUSING: Final = 0.005  # m that a housing may end before the lens
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a camera sees.
+
+    Attributes:
+        depth: (height, width) along the camera's axis in m; inf where nothing is.
+        bodies: (height, width) indices of the objects that were looked at, -1 where nothing is.
+        triangles: (n, 3, 3) what was looked at, in the camera's frame, m.
+        colors: (n, 3) its colours, RGB 0..1.
+        seen: (height, width) the triangle that is seen, -1 where nothing is.
+    """
+
+    depth: NDArray[np.float64]
+    bodies: NDArray[np.int64]
+    triangles: NDArray[np.float64]
+    colors: NDArray[np.float64]
+    seen: NDArray[np.int64]
+
+    def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
+        """A picture of it, lit from above and from the camera.
+
+        Args:
+            up: unit vector in the camera's frame that points upwards in the world.
+
+        Returns:
+            (height, width, 3) RGB.
+        """
+        rows = np.broadcast_to(np.linspace(*_SKY, self.seen.shape[0])[:, None], (*self.seen.shape, 3)).copy()
+        shown, numbers = self.seen >= 0, np.unique(self.seen[self.seen >= 0])
+        corners = self.triangles[numbers]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # they face the camera
+        light = 0.5 + 0.25 * normals @ np.asarray(up) + 0.35 * np.maximum(-normals[:, 2], 0.0)
+        lit = np.clip(self.colors[numbers] * light[:, None], 0.0, 1.0)
+        rows[shown] = lit[np.searchsorted(numbers, self.seen[shown])]
+        return np.asarray(rows * 255, dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera in the world.
+
+    Attributes:
+        pose: position in m and orientation xyzw of its optical frame.
+        right: tangent of half the horizontal field of view.
+        down: tangent of half the vertical field of view.
+        near: m from which on it sees.
+        far: m up to which it sees.
+    """
+
+    pose: Pose
+    right: float
+    down: float
+    near: float = NEAR
+    far: float = FAR
+
+    @property
+    def window(self) -> Window:
+        """All that it sees of its image plane."""
+        return Window(-self.right, -self.down, self.right, self.down)
+
+    def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World points (..., 3) in the optical frame, m."""
+        seen: NDArray[np.float64] = (points - np.asarray(self.pose[0])) @ geometry.to_matrix(self.pose[1])
+        return seen
+
+    def look(self, bodies: Sequence[Object], window: Window, size: tuple[int, int], far: float | None = None) -> Sight:
+        """Looks at objects through a part of its image plane.
+
+        Args:
+            bodies: the objects, of one world whose lock is held; nothing else is seen.
+            window: the part.
+            size: width and height in pixels.
+            far: m up to which anything matters, if less than the camera sees.
+        """
+        limit = self.far if far is None else min(far, self.far)
+        owners, triangles, colors = [np.zeros(0, np.int64)], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
+        for index, body in enumerate(bodies):
+            for part, paint in self._parts(body, window, limit):
+                owners.append(np.full(len(part), index))
+                triangles.append(part)
+                colors.append(paint)
+        every, owner = np.concatenate(triangles), np.concatenate(owners)
+        depth, seen = rasterize(every, window, size, self.near, limit)
+        return Sight(depth, np.append(owner, -1)[seen], every, np.concatenate(colors), seen)
+
+    def _parts(
+        self, body: Object, window: Window, far: float
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Triangles of an object's links that may be seen, in the camera's frame, and their colours."""
+        shapes = shapes_of(body.model.path)
+        if not shapes.links:
+            return
+        positions, orientations = body.world.engine.link_frames(body.handle, shapes.links)
+        turns = geometry.to_matrices(orientations)
+        shown = self._shown(shapes, positions, turns, window, far)
+        if body.is_robot:
+            shown &= ~self._housing(shapes, positions, turns)
+        to_camera = geometry.to_matrix(self.pose[1])
+        for index in np.flatnonzero(shown):
+            turn = to_camera.T @ turns[index]
+            colors = shapes.colors[index]
+            if body.color is not None:
+                colors = np.tile(body.color[:3], (len(colors), 1))
+            yield shapes.triangles[index] @ turn.T + self.to_frame(positions[index]), colors
+
+    def _shown(
+        self,
+        shapes: Shapes,
+        positions: NDArray[np.float64],
+        turns: NDArray[np.float64],
+        window: Window,
+        far: float,
+    ) -> NDArray[np.bool_]:
+        """Which links' balls reach into what the camera sees through a window."""
+        middles = np.einsum("kij,kj->ki", turns, (shapes.low + shapes.high) / 2) + positions
+        radii = np.linalg.norm(shapes.high - shapes.low, axis=1) / 2
+        x, y, z = self.to_frame(middles).T
+        shown = (z + radii >= self.near) & (z - radii <= far)
+        for across, edge, sign in (
+            (x, window.left, 1),
+            (x, window.right, -1),
+            (y, window.top, 1),
+            (y, window.bottom, -1),
+        ):
+            shown &= sign * (across - edge * z) / np.hypot(1.0, edge) >= -radii
+        return np.asarray(shown)
+
+    def _housing(self, shapes: Shapes, positions: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which links' boxes are around the camera."""
+        eye = np.einsum("kji,kj->ki", turns, np.asarray(self.pose[0]) - positions)
+        inside = (eye >= shapes.low - _HOUSING) & (eye <= shapes.high + _HOUSING)
+        return np.asarray(inside.all(axis=1))

@@ -1,0 +1,146 @@
+"""A rasteriser: triangles to depth and to which of them is seen, in plain arithmetic.
+
+PyBullet's own renderer never returns when a vertex lies in the plane of the camera, and draws what is nearer than the
+near plane as lines across the picture. Here triangles are cut at the near plane first: nothing is divided by nothing.
+
+Camera frames are optical: z looks ahead, x is to the right, y is down. A window is a part of the image plane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+_LARGE: Final = 400  # pixels from which on a triangle is worth a look of its own
+_AT_ONCE: Final = 1 << 16  # pixels of smaller ones that are looked at together; more would only take memory
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A part of the image plane, as tangents: x to the right, y down."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+
+def rasterize(
+    triangles: NDArray[np.float64], window: Window, size: tuple[int, int], near: float, far: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Which triangle is seen at each pixel's middle, from either side.
+
+    Args:
+        triangles: (n, 3, 3), corners in the camera's frame, m.
+        window: what the picture shows.
+        size: width and height in pixels.
+        near: m from which on anything is seen.
+        far: m up to which it is.
+
+    Returns:
+        (height, width) depth along z in m, inf where nothing is; (height, width) numbers of the triangles, -1 for none.
+    """
+    width, height = size
+    nearness = np.full((height, width), 1.0 / far)  # 1 / depth
+    seen = np.full((height, width), -1, dtype=np.int64)
+    corners, numbers = _cut(triangles, near)
+    inverse = 1.0 / corners[:, :, 2]
+    u = (corners[:, :, 0] * inverse - window.left) * (width / (window.right - window.left)) - 0.5
+    v = (corners[:, :, 1] * inverse - window.top) * (height / (window.bottom - window.top)) - 0.5
+    left, right = _reach(u, width)
+    top, bottom = _reach(v, height)
+    shown = np.flatnonzero((left < right) & (top < bottom) & (inverse.max(axis=1) >= 1.0 / far))
+    planes = np.zeros((len(u), 4, 3))
+    planes[shown] = _planes(u[shown], v[shown], inverse[shown])
+    shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # of an edge-on triangle nothing is seen
+    pixels = (right - left) * (bottom - top)
+    for number in shown[pixels[shown] > _LARGE]:
+        area = slice(top[number], bottom[number]), slice(left[number], right[number])
+        a, b, c = planes[number].T[:, :, None]
+        across, down = a * np.arange(left[number], right[number]) + c, b * np.arange(top[number], bottom[number])
+        values = across[:, None, :] + down[:, :, None]
+        better = (values[:3].min(axis=0) >= 0) & (values[3] > nearness[area])
+        nearness[area][better] = values[3][better]
+        seen[area][better] = numbers[number]
+    small = shown[pixels[shown] <= _LARGE]
+    for part, columns, rows in _covered(small, left, right, top, bottom):
+        values = planes[part] @ np.stack([columns, rows, np.ones_like(rows)], axis=1)[:, :, None].astype(np.float64)
+        kept = (values[:, :3, 0] >= 0).all(axis=1)
+        owner, column, row, close = part[kept], columns[kept], rows[kept], values[kept, 3, 0]
+        before = nearness[row, column]
+        np.maximum.at(nearness, (row, column), close)
+        first = (close > before) & (nearness[row, column] == close)
+        seen[row[first], column[first]] = numbers[owner[first]]
+    return np.where(seen >= 0, 1.0 / nearness, np.inf), seen
+
+
+def _reach(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First pixel along an axis whose middle may lie in each triangle, and the one after the last."""
+    low = np.ceil(np.clip(axis.min(axis=1), 0, limit)).astype(np.int64)
+    high = np.floor(np.clip(axis.max(axis=1), -1, limit - 1)).astype(np.int64) + 1
+    return low, high
+
+
+def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Factors (n, 4, 3) of column, row and 1: weights of the three corners, and 1 / depth, linear in the picture."""
+    u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
+    edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]
+    return np.concatenate([weights, (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)], axis=1)
+
+
+def _cut(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """What of triangles is beyond the near plane, as triangles, and the numbers of those that they come from."""
+    beyond = triangles[:, :, 2] > near
+    count = beyond.sum(axis=1)
+    numbers = np.arange(len(triangles))
+    whole, one, two = (numbers[count == wanted] for wanted in (3, 1, 2))
+    tip, left, right = _turned(triangles[one], beyond[one])  # the tip is beyond
+    lost, first, second = _turned(triangles[two], ~beyond[two])  # the tip is not
+    on_first, on_second = _at(first, lost, near), _at(second, lost, near)
+    parts = [
+        triangles[whole],
+        np.stack([tip, _at(tip, left, near), _at(tip, right, near)], axis=1),
+        np.stack([on_first, first, second], axis=1),
+        np.stack([on_first, second, on_second], axis=1),
+    ]
+    return np.concatenate(parts), np.concatenate([whole, one, two, two])
+
+
+def _turned(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+    """Corners of triangles, the odd one first."""
+    rows = np.arange(len(triangles))
+    start = odd.argmax(axis=1)
+    return tuple(triangles[rows, (start + turn) % 3] for turn in range(3))
+
+
+def _at(a: NDArray[np.float64], b: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+    """Where edges cross the near plane; they do."""
+    share = (near - a[:, 2]) / (b[:, 2] - a[:, 2])
+    return a + share[:, None] * (b - a)
+
+
+def _covered(
+    shown: NDArray[np.int64],
+    left: NDArray[np.int64],
+    right: NDArray[np.int64],
+    top: NDArray[np.int64],
+    bottom: NDArray[np.int64],
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
+    """Pixels in the bounds of triangles: numbers of triangles, columns, rows; not too many at once."""
+    wide = right - left
+    counts = wide[shown] * (bottom - top)[shown]
+    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _AT_ONCE, prepend=0))
+    for group in np.split(np.arange(len(shown)), cuts):
+        part = np.repeat(shown[group], counts[group])
+        begin = np.cumsum(counts[group]) - counts[group]
+        place = np.arange(len(part)) - np.repeat(begin, counts[group])
+        yield part, left[part] + place % wide[part], top[part] + place // wide[part]

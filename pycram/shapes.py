@@ -1,0 +1,119 @@
+"""What is seen of a model: the triangles and colours of its links' visual shapes, read once from its canonical URDF."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import trimesh
+
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+_GREY: Final = (0.8, 0.8, 0.8)
+_ROUND: Final = 32  # sides of what is round
+_STL_HEADER: Final = 84
+_STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """What is seen of a model's k links, those that have something to see.
+
+    Attributes:
+        links: their names.
+        triangles: for each (n, 3, 3) corners in the link's frame, m.
+        colors: for each (n, 3) RGB 0..1 of its triangles.
+        low: (k, 3) lowest corners of their boxes in the links' frames, m.
+        high: (k, 3) highest corners of their boxes.
+    """
+
+    links: tuple[str, ...]
+    triangles: tuple[NDArray[np.float64], ...]
+    colors: tuple[NDArray[np.float64], ...]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+@lru_cache(maxsize=256)
+def shapes_of(path: Path) -> Shapes:
+    """The shapes of a model's links.
+
+    Args:
+        path: its canonical URDF, beside its meshes (see :mod:`pycram.assets`).
+    """
+    root = ET.parse(path).getroot()  # noqa: S314  canonical: written by PyCRAM
+    palette = {str(element.get("name")): rgb for element in root.findall("material") if (rgb := _rgb(element))}
+    links, triangles, colors = [], [], []
+    for link in root.findall("link"):
+        parts = list(_parts(link, path.parent, palette))
+        if parts:
+            links.append(link.get("name", ""))
+            triangles.append(np.concatenate([part for part, _ in parts]))
+            colors.append(np.concatenate([np.tile(rgb, (len(part), 1)) for part, rgb in parts]))
+    low = np.array([part.min(axis=(0, 1)) for part in triangles]).reshape(-1, 3)
+    high = np.array([part.max(axis=(0, 1)) for part in triangles]).reshape(-1, 3)
+    return Shapes(tuple(links), tuple(triangles), tuple(colors), low, high)
+
+
+def _parts(
+    link: ET.Element, folder: Path, palette: dict[str, tuple[float, ...]]
+) -> Iterator[tuple[NDArray[np.float64], tuple[float, ...]]]:
+    for visual in link.findall("visual"):
+        shape = visual.find("geometry/*")
+        if shape is None:
+            continue
+        material = visual.find("material")
+        rgb = None if material is None else _rgb(material) or palette.get(material.get("name", ""))
+        origin = visual.find("origin")
+        xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
+        turn = geometry.to_matrix(geometry.from_rpy(*_numbers(rpy)))
+        yield _triangles(shape, folder) @ turn.T + np.array(_numbers(xyz)), rgb or _GREY
+
+
+def _rgb(material: ET.Element) -> tuple[float, ...] | None:
+    color = material.find("color")
+    return None if color is None else _numbers(color.get("rgba", ""))[:3]
+
+
+def _triangles(shape: ET.Element, folder: Path) -> NDArray[np.float64]:
+    """Triangles of a shape in its own frame."""
+    if shape.tag == "mesh":
+        scale = np.array(_numbers(shape.get("scale", "1 1 1")))
+        mesh: NDArray[np.float64] = _mesh(folder / shape.get("filename", "")) * scale
+        return mesh
+    if shape.tag == "box":
+        solid = trimesh.creation.box(_numbers(shape.get("size", "")))
+    elif shape.tag == "sphere":
+        solid = trimesh.creation.uv_sphere(float(shape.get("radius", "")), count=(_ROUND // 2, _ROUND))
+    elif shape.tag == "cylinder":
+        height = float(shape.get("length", ""))
+        solid = trimesh.creation.cylinder(float(shape.get("radius", "")), height, sections=_ROUND)
+    else:
+        height = float(shape.get("length", ""))
+        solid = trimesh.creation.capsule(height, float(shape.get("radius", "")), count=(_ROUND, _ROUND))
+        solid.apply_translation(-solid.bounds.mean(axis=0))
+    return np.asarray(solid.triangles, dtype=np.float64)
+
+
+@lru_cache(maxsize=256)
+def _mesh(file: Path) -> NDArray[np.float64]:
+    if file.suffix == ".stl":  # binary: ASCII ones were converted
+        content = file.read_bytes()
+        count = int.from_bytes(content[_STL_HEADER - 4 : _STL_HEADER], "little")
+        faces = np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
+        return np.array(faces["numbers"][:, 1:], dtype=np.float64)
+    loaded = trimesh.load_mesh(file, process=False)
+    return np.array(loaded.triangles, dtype=np.float64)
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(part) for part in text.split())
