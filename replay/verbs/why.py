@@ -183,22 +183,24 @@ def _headline(found: Why) -> Iterator[str]:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if found.failure else " Until then nothing failed.")
     if found.task is not None:
-        yield _first_words(found, found.task)
+        yield from _first_words(found, found.task)
     warning = found.warning
     if warning is not None and not found.is_of_python:
-        yield f"The robot had been told: {words.question(warning)} said no at step {warning.seq}."
+        yield f"The robot had been told: {_again(warning)} said no at step {warning.seq}."
 
 
-def _first_words(found: Why, task: Attempt) -> str:
+def _first_words(found: Why, task: Attempt) -> Iterator[str]:
     motion = task.motion
     told = words.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(found.tries) > 1:
         about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
         if found.same is not None:
             about = f"{motion.started.name} failed {len(found.tries)} times since it had succeeded."
-        return f"{about} The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+        yield about
+        yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+        return
     lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
-    return f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
+    yield f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
 
 
 def _call(task: Attempt) -> str:
