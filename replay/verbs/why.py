@@ -195,7 +195,7 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
     if len(found.tries) > 1:
         about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
         if found.same is not None:
-            about = f"{motion.started.name} failed {len(found.tries)} times since it had succeeded."
+            about = f"{motion.started.name} failed {len(found.tries)} times; it last succeeded at step {_end(found.same.task)}."
         yield about
         yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
         return
@@ -287,10 +287,11 @@ def _tried(found: Why) -> Iterator[str]:
     given = [each.task.motion.parameters for each in found.tries]
     varying = [key for key in given[-1] if any(other.get(key) != given[-1][key] for other in given)]
     places = [_place(each) for each in found.tries]
+    differ = len({place for place in places if place}) > 1
     told: list[tuple[str, str, list[int]]] = []  # how, what came of it, and at which steps one after the other
     for each, place in zip(found.tries, places, strict=True):
         how = [f"{key}={words.value(each.task.motion.parameters.get(key))}" for key in varying]
-        how += [place] if len(set(places)) > 1 else []
+        how += [place] if place and differ else []
         error = words.one_line(each.task.error[1]) if each.task.error else ""
         if not told or told[-1][:2] != (", ".join(how), error):
             told.append((", ".join(how), error, []))
