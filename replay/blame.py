@@ -59,7 +59,8 @@ class Blame:
         angle: by how much it turned, rad; 0 for joints.
         carried: the attachments that made it move with the commanded body, the body's own first.
         causes: why the record is there.
-        earlier: the last change that is more than coming to rest; None if this is one.
+        earlier: of a change in simulation, what happened to it before: another one that is more than coming to rest, or
+            what brought it there; None of any other.
     """
 
     world: str
@@ -118,28 +119,28 @@ class _Search:
         self._joint = joint
 
     def run(self, step: int) -> Blame:
-        """The last change, and with it the last one that is more than coming to rest."""
+        """The last change; and if that was physics, what happened to it before."""
         records = self._changes(step)
         last = next(records, None)
         if last is None:
             raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
         found = self._told(last)
-        if found.how != "physics" or found.distance >= _SETTLING[0] or found.angle >= _SETTLING[1]:
+        if found.how != "physics":
             return found
-        return replace(found, earlier=self._told(self._notable(last, records)))
+        return replace(found, earlier=self._told(self._before(last, records)))
 
-    def _notable(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """The last record that changed it by more than coming to rest; told without folding states."""
-        newer = dict.fromkeys(self._parts(last), last)
-        values = self._parts(last)
+    def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
+        """The last record before one that did more than let it come to rest; told without folding states."""
+        newer: dict[str, Mutation | Keyframe] = {}
+        values: dict[str, Sequence[float]] = {}
+        record = last
         for record in older:
-            last = record
             for part, value in self._parts(record).items():
                 changed = newer.get(part)
                 if changed is not None and (not _is_physics(changed) or _is_far(part, values[part], value)):
                     return changed
                 newer[part], values[part] = record, value
-        return last
+        return record
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
         """What a record says of it: position and orientation, or the joint's value."""

@@ -6,6 +6,7 @@ A chunk has about 50 records. What is damaged is left out and noted; the rest is
 from __future__ import annotations
 
 import struct
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -25,6 +26,7 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
+_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
 _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
 
@@ -53,7 +55,9 @@ class Chunks:
         """
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
-        self._spans: dict[int, tuple[int, int]] = {}
+        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of chunks, as far as they were looked at
+        self._numbers: list[int] = []  # of these chunks, in order
+        self._firsts: list[int] = []  # their first steps
         self.hurt: dict[int, str] = {}
         self.refresh(0)
 
@@ -73,6 +77,8 @@ class Chunks:
         for known in (self._cache, self._spans, self.hurt):
             for stale in [other for other in known if other >= number]:
                 del known[stale]
+        self._numbers = sorted(self._spans)
+        self._firsts = [self._spans[known][0] for known in self._numbers]
         self._kinds = kinds_of(self._index)
         self._worlds = {channel: self._index.channels[channel].metadata.get("world") for channel in self._kinds}
 
@@ -137,6 +143,9 @@ class Chunks:
                 if first is None or last is None:
                     continue
                 self._spans[at] = first.seq, last.seq
+                place = bisect_left(self._numbers, at)
+                self._numbers.insert(place, at)
+                self._firsts.insert(place, first.seq)
             first_step, last_step = self._spans[at]
             return (first_step, last_step) if at == number else (last_step, last_step)
         return 0, 0
@@ -148,8 +157,7 @@ class Chunks:
             step: from 0.
             steps: how many there are.
         """
-        low, high = 0, len(self) - 1  # the chunk low begins with the step first, the one behind high with end
-        first, end = 0, steps
+        low, first, high, end = self._between(step, steps)
         probes = 0
         while low < high:
             # steps increase almost evenly, so a guess comes near; halving each third time makes sure
@@ -164,6 +172,18 @@ class Chunks:
             else:
                 low, first = middle, begin
         return low
+
+    def _between(self, step: int, steps: int) -> tuple[int, int, int, int]:
+        """What is known of where a step is.
+
+        Returns:
+            The last chunk that surely doesn't begin behind it, its first step; the last chunk that may be it, and the
+            first step behind that.
+        """
+        at = bisect_right(self._firsts, step)
+        low, first = (self._numbers[at - 1], self._firsts[at - 1]) if at else (0, 0)
+        high, end = (self._numbers[at] - 1, self._firsts[at]) if at < len(self._numbers) else (len(self) - 1, steps)
+        return low, first, high, end
 
     # --- decoding --------------------------------------------------------------------------------------------------
 
@@ -182,13 +202,16 @@ class Chunks:
         return entries
 
     def _divide(self, contents: bytes, entries: _Entries) -> None:
+        channels, payloads = entries.channels.append, entries.payloads.append
+        unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
         at = 0
-        while at < len(contents):
-            opcode, length, channel = _MESSAGE.unpack_from(contents, at)
-            if opcode == Opcode.MESSAGE and channel in self._kinds:
-                entries.channels.append(channel)
-                entries.payloads.append(contents[at + _PAYLOAD : at + HEADER + length])
-            at += HEADER + length
+        while at < end:
+            opcode, length, channel = unpack(contents, at)
+            behind = at + HEADER + length
+            if opcode == _OPCODE and channel in kinds:
+                channels(channel)
+                payloads(contents[at + _PAYLOAD : behind])
+            at = behind
 
     def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
         if at not in entries.decoded:

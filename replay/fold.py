@@ -7,7 +7,6 @@ start or from any keyframe gives the same.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation
@@ -15,7 +14,7 @@ from replay.errors import Damaged
 from replay.state import Attachment, Body, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
 
     from recorder import records
     from recorder.geometry import Quaternion, Vector
@@ -91,37 +90,17 @@ def _base(log: Log, world: str, keyframes: Sequence[int], here: int, last: int) 
 
 
 class Making:
-    """A world in the making."""
+    """A world in the making; what it holds changes until it is frozen."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
-        self.told = World(name, mode=mode)
-        self.bodies: dict[str, Body] = {}
+        self.told: dict[str, object] = {"name": name, "mode": mode}
+        self.bodies: dict[str, _Body] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
 
     def frozen(self) -> World:
         """What it is now."""
-        return replace(
-            self.told,
-            bodies=dict(self.bodies),
-            attachments=dict(self.attachments),
-        )
-
-    def tell(self, **facts: object) -> None:
-        """Changes what is told of the world itself."""
-        self.told = replace(self.told, **facts)  # type: ignore[arg-type]
-
-    def load(self, loaded: records.LoadBody) -> None:
-        """Adds a body as it was loaded."""
-        self.bodies[loaded.body] = Body(
-            loaded.body,
-            loaded.type,
-            loaded,
-            _vector(loaded.position) if loaded.position else (0.0, 0.0, 0.0),
-            _quaternion(loaded.orientation) if loaded.orientation else (0.0, 0.0, 0.0, 1.0),
-            joints=dict.fromkeys(loaded.joints, 0.0),
-            joint_velocities=dict.fromkeys(loaded.joints, 0.0),
-            color=tuple(loaded.color),
-        )
+        bodies = {name: body.frozen() for name, body in self.bodies.items()}
+        return World(**self.told, bodies=bodies, attachments=dict(self.attachments))  # type: ignore[arg-type]
 
     def attach(self, made: records.Attachment) -> None:
         """Adds an attachment, or changes its relative pose."""
@@ -133,20 +112,8 @@ class Making:
     def change(self, state: records.BodyState) -> None:
         """Changes a body; one whose loading is lost stays unknown."""
         body = self.bodies.get(state.body)
-        if body is None:
-            return
-        facts: dict[str, object] = {}
-        if state.position:
-            facts |= {"position": _vector(state.position), "velocity": _AT_REST}
-        if state.orientation:
-            facts["orientation"] = _quaternion(state.orientation)
-        if state.velocity:
-            facts["velocity"] = tuple(state.velocity)
-        if state.joints:
-            speeds = state.joint_velocities or [0.0] * len(state.joints)
-            facts["joints"] = _changed(body.joints, state.joints, state.joint_positions)
-            facts["joint_velocities"] = _changed(body.joint_velocities, state.joints, speeds)
-        self.bodies[state.body] = replace(body, **facts)  # type: ignore[arg-type]
+        if body is not None:
+            body.change(state)
 
     def take_effect(self, effect: records.Effect) -> None:
         """Makes true what was read back."""
@@ -156,12 +123,54 @@ class Making:
             self.bodies.pop(name, None)
             for pair in [pair for pair in self.attachments if name in pair]:
                 del self.attachments[pair]
-            if self.told.robot == name:
-                self.tell(robot="")
+            if self.told.get("robot") == name:
+                self.told["robot"] = ""
         for made in effect.attached:
             self.attach(made)
         for state in effect.bodies:
             self.change(state)
+
+
+class _Body:
+    """A body in the making."""
+
+    __slots__ = ("color", "joint_velocities", "joints", "loaded", "orientation", "position", "velocity")
+
+    def __init__(self, loaded: records.LoadBody) -> None:
+        self.loaded = loaded
+        self.position: Vector = _vector(loaded.position) if loaded.position else (0.0, 0.0, 0.0)
+        self.orientation: Quaternion = _quaternion(loaded.orientation) if loaded.orientation else (0.0, 0.0, 0.0, 1.0)
+        self.velocity: tuple[float, ...] = _AT_REST
+        self.joints = dict.fromkeys(loaded.joints, 0.0)
+        self.joint_velocities = dict.fromkeys(loaded.joints, 0.0)
+        self.color = tuple(loaded.color)
+
+    def change(self, state: records.BodyState) -> None:
+        """Makes true what was read back of it."""
+        if state.position:
+            self.position, self.velocity = _vector(state.position), _AT_REST
+        if state.orientation:
+            self.orientation = _quaternion(state.orientation)
+        if state.velocity:
+            self.velocity = tuple(state.velocity)
+        if state.joints:
+            speeds = state.joint_velocities or [0.0] * len(state.joints)
+            self.joints.update(zip(state.joints, state.joint_positions, strict=True))
+            self.joint_velocities.update(zip(state.joints, speeds, strict=True))
+
+    def frozen(self) -> Body:
+        """What it is now."""
+        return Body(
+            self.loaded.body,
+            self.loaded.type,
+            self.loaded,
+            self.position,
+            self.orientation,
+            self.velocity,
+            dict(self.joints),
+            dict(self.joint_velocities),
+            self.color,
+        )
 
 
 def take(worlds: dict[str, Making], record: records.Record) -> None:
@@ -178,8 +187,10 @@ def take(worlds: dict[str, Making], record: records.Record) -> None:
         if command == "open_world":
             worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
             worlds[record.world] = Making(record.world, record.open_world.mode)
-        world = worlds.setdefault(record.world, Making(record.world))
-        world.tell(sim_step=record.sim_step)
+        if record.world not in worlds:
+            worlds[record.world] = Making(record.world)
+        world = worlds[record.world]
+        world.told["sim_step"] = record.sim_step
         _obey(world, record, command or "")
         world.take_effect(record.effect)
 
@@ -187,42 +198,38 @@ def take(worlds: dict[str, Making], record: records.Record) -> None:
 def _obey(world: Making, record: Mutation, command: str) -> None:
     """Makes true what a command says by itself, beside its effect on bodies."""
     if command == "load_body":
-        world.load(record.load_body)
+        world.bodies[record.load_body.body] = _Body(record.load_body)
     elif command == "set_gravity":
-        world.tell(gravity=_vector(record.set_gravity.gravity))
+        world.told["gravity"] = _vector(record.set_gravity.gravity)
     elif command == "set_realtime":
-        world.tell(realtime=record.set_realtime.enabled)
+        world.told["realtime"] = record.set_realtime.enabled
     elif command == "set_robot":
-        world.tell(robot=record.set_robot.body)
+        world.told["robot"] = record.set_robot.body
     elif command == "set_color":
         painted = world.bodies.get(record.set_color.body)
         if painted is not None:
-            world.bodies[painted.name] = replace(painted, color=tuple(record.set_color.color))
+            painted.color = tuple(record.set_color.color)
     elif command == "close_world":
         world.bodies.clear()
         world.attachments.clear()
-        world.tell(open=False, realtime=False, robot="")
+        world.told |= {"open": False, "realtime": False, "robot": ""}
 
 
 def _of_keyframe(frame: Keyframe) -> Making:
     world = Making(frame.world, frame.mode)
-    world.tell(
-        sim_step=frame.sim_step,
-        gravity=_vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),
-        realtime=frame.realtime,
-        robot=frame.robot,
-    )
+    world.told |= {
+        "sim_step": frame.sim_step,
+        "gravity": _vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),
+        "realtime": frame.realtime,
+        "robot": frame.robot,
+    }
     for loaded in frame.loaded:
-        world.load(loaded)
+        world.bodies[loaded.body] = _Body(loaded)
     for state in frame.bodies:
         world.change(state)
     for made in frame.attachments:
         world.attach(made)
     return world
-
-
-def _changed(before: Mapping[str, float], names: Sequence[str], values: Sequence[float]) -> dict[str, float]:
-    return {**before, **dict(zip(names, values, strict=True))}
 
 
 def _vector(values: Sequence[float]) -> Vector:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.log_lines import text_of
 from recorder.records import Task
+from replay import words
 from replay.plain import kind_of, mentions
 
 if TYPE_CHECKING:
@@ -86,5 +86,5 @@ class Search:
             return None
         if wanted.body is not None and not mentions(record, wanted.body):
             return None
-        line = text_of(record)[0]
+        line = words.line(record)
         return line if wanted.text is None or wanted.text.casefold() in line.casefold() else None

@@ -22,7 +22,7 @@ from replay.steps import final_of
 from replay.summary import Summary, summary
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.records import Failure
     from replay.failures import Attempt
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from replay.state import Attachment, Body, State, World
 
 _MOST_ASKED: Final = 8  # queries that are told
+_FIRST, _LAST = 5, 20  # of many attempts, those with what was so then
 _NEAR: Final = 0.001  # m; what moved less has not moved since a query
 
 
@@ -62,7 +63,7 @@ class Try:
 
     Attributes:
         task: the attempt.
-        robot: the robot as it stood then; None if there was none.
+        robot: the robot as it stood then; None if there was none. Of many attempts only the first and the last have it.
     """
 
     task: Attempt
@@ -237,7 +238,7 @@ def _of_task(
             None,
         ),
         tuple(_things(world, [*(name for name, _ in objects), *_named(world, task)])),
-        tuple(_try(log, other, world) for other in alike),
+        tuple(_tries(log, alike, world)),
         sum(1 for other in before.origins if other not in alike),
         tuple(_with_moves(log, query, state) for query in asked),
         earlier,
@@ -287,9 +288,13 @@ def _ids(task: Attempt) -> set[int]:
     return {each.started.task for each in task.around()}
 
 
-def _try(log: Log, task: Attempt, world: World | None) -> Try:
-    then = log.state_at(max(task.motion.started.seq - 1, 0)).worlds.get(world.name) if world is not None else None
-    return Try(task, then.bodies.get(then.robot) if then is not None else None)
+def _tries(log: Log, tasks: Sequence[Attempt], world: World | None) -> Iterator[Try]:
+    for number, task in enumerate(tasks):
+        robot = None
+        if world is not None and (number < _FIRST or number >= len(tasks) - _LAST):
+            then = log.state_at(max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
+            robot = then.bodies.get(then.robot) if then is not None else None
+        yield Try(task, robot)
 
 
 def _objects(parameters: Plain) -> list[tuple[str, str]]:
@@ -311,10 +316,10 @@ def _asked(
 ) -> tuple[list[Query], int]:
     """The last queries about some bodies, or of some tasks, each question once; and how many more there are."""
     latest: dict[tuple[object, ...], Query] = {}
-    names = {name for name, _ in objects}
+    names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.records(Query, start, stop):
         if isinstance(query, Query) and (
-            not names or query.task in set(tasks) or any(mentions(query, name) for name in names)
+            not names or query.task in ids or any(mentions(query, name) for name in names)
         ):
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
             latest.pop(question, None)

@@ -6,13 +6,15 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
+from recorder.log_lines import text_of
+from recorder.records import Event, Query, Task
 from replay.plain import plain_arguments, plain_json
 from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from recorder.records import Query
+    from recorder.records import Record
     from replay.plain import Plain
     from replay.source import Line
 
@@ -144,6 +146,23 @@ def around(after: Line | None, before: Line | None) -> str:
     """
     told = [f"{word} {line.file}:{line.number}" for word, line in (("after", after), ("before", before)) if line]
     return ", " + " and ".join(told) if told else ""
+
+
+def line(record: Record) -> str:
+    """What a record tells, in one line.
+
+    Args:
+        record: any.
+    """
+    if isinstance(record, Task) and record.phase == Task.STARTED:
+        return f"{record.kind} {call(record.name, plain_arguments(record.parameters))}"
+    if isinstance(record, Query):
+        told = reasons(record)
+        return f"{question(record)}: {answer(record)}" + (f"; {told}" if told else "")
+    if isinstance(record, Event):
+        told = f"event {call(record.name, plain_arguments(record.arguments))}"
+        return f"{told}, {len(record.handlers)} handlers" if record.handlers else told
+    return text_of(record)[0]
 
 
 # --- queries ---------------------------------------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import json
 import math
 from typing import TYPE_CHECKING
 
-from recorder.log_lines import text_of
 from recorder.records import Keyframe
 from replay import words
 from replay.blame import blame
@@ -103,13 +102,13 @@ def lines(found: Blame) -> Iterator[str]:
         found: the blame.
     """
     yield _headline(found)
-    yield f"  step {found.record.seq}: {text_of(found.record)[0]}"
+    yield f"  step {found.record.seq}: {words.line(found.record)}"
     yield from _because(found.causes, "  ")
     for carried in found.carried:
         yield from _held(carried)
     if found.earlier is not None:
         yield ""
-        yield "There it only came to rest. Before that:"
+        yield "Before that:"
         yield from lines(found.earlier)
 
 

@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.log_lines import text_of
 from replay import words
 from replay.diff import difference
 from replay.errors import NoSuchStep
@@ -225,4 +224,4 @@ def _parting(parting: Parting, alike: int) -> Iterator[str]:
 
 
 def _told(record: Record | None) -> str:
-    return f"step {record.seq}: {words.short(text_of(record)[0])}" if record is not None else "has no such record"
+    return f"step {record.seq}: {words.short(words.line(record))}" if record is not None else "has no such record"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from recorder.log_lines import text_of
+from replay import words
 from replay.plain import kind_of, plain_record
 from replay.steps import HINT
 
@@ -31,7 +31,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps(told, ensure_ascii=False))
         return 0
-    print(f"step {record.seq}: {kind_of(record)}: {text_of(record)[0]}")
+    print(f"step {record.seq}: {kind_of(record)}: {words.line(record)}")
     told.pop("step")
     told.pop("kind")
     for line in _lines(told, "  "):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from replay import words
 from replay.outlet import results_only
 from replay.pictures import write_pictures
-from replay.plain import plain_record
+from replay.plain import plain_arguments, plain_record
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from recorder.records import Query
     from replay.failures import Attempt
     from replay.log import Log
     from replay.source import Line
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _FINE, _INCOMPLETE = 0, 3
 _FIRST, _LAST = 2, 5  # so many attempts are told one by one
 _MOST: Final = 12  # lines of a difference
+_STEP: Final = 0.35  # m: what a thing is moved by, to ask again
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -181,22 +183,24 @@ def _headline(found: Why) -> Iterator[str]:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if found.failure else " Until then nothing failed.")
     if found.task is not None:
-        yield _first_words(found, found.task)
+        yield from _first_words(found, found.task)
     warning = found.warning
     if warning is not None and not found.is_of_python:
-        yield f"The robot had been told: {words.question(warning)} said no at step {warning.seq}."
+        yield f"The robot had been told: {_again(warning)} said no at step {warning.seq}."
 
 
-def _first_words(found: Why, task: Attempt) -> str:
+def _first_words(found: Why, task: Attempt) -> Iterator[str]:
     motion = task.motion
     told = words.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(found.tries) > 1:
         about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
         if found.same is not None:
-            about = f"{motion.started.name} failed {len(found.tries)} times since it had succeeded."
-        return f"{about} The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+            about = f"{motion.started.name} failed {len(found.tries)} times; it last succeeded at step {_end(found.same.task)}."
+        yield about
+        yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+        return
     lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
-    return f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
+    yield f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
 
 
 def _call(task: Attempt) -> str:
@@ -283,10 +287,11 @@ def _tried(found: Why) -> Iterator[str]:
     given = [each.task.motion.parameters for each in found.tries]
     varying = [key for key in given[-1] if any(other.get(key) != given[-1][key] for other in given)]
     places = [_place(each) for each in found.tries]
+    differ = len({place for place in places if place}) > 1
     told: list[tuple[str, str, list[int]]] = []  # how, what came of it, and at which steps one after the other
     for each, place in zip(found.tries, places, strict=True):
         how = [f"{key}={words.value(each.task.motion.parameters.get(key))}" for key in varying]
-        how += [place] if len(set(places)) > 1 else []
+        how += [place] if place and differ else []
         error = words.one_line(each.task.error[1]) if each.task.error else ""
         if not told or told[-1][:2] != (", ".join(how), error):
             told.append((", ".join(how), error, []))
@@ -348,5 +353,32 @@ def _commands(found: Why, path: str) -> Iterator[str]:
         yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
     things = [thing.body.name for thing in found.things]
     if things:
-        yield f"pycram-replay state {path} {found.step} {shlex.quote(things[-1])}"
-        yield f"pycram-replay blame {path} {shlex.quote(things[-1])} --at {found.step}"
+        name = shlex.quote(things[-1])
+        yield f"pycram-replay state {path} {found.step} {name}"
+        yield f"pycram-replay blame {path} {name} --at {found.step}"
+    if found.warning is not None:
+        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}"
+    if things:
+        yield f"pycram-replay render {path} {found.step} -o moment.png"
+        yield f"pycram-replay restore {path} {found.step} --shell"
+
+
+def _again(query: Query) -> str:
+    """A query as ``ask`` takes it: what it was about, without its thresholds."""
+    about = []
+    for name, told in plain_arguments(query.arguments).items():
+        if told is None or name in ("threshold", "margin", "grasp", "collision_free"):
+            break
+        about.append(words.value(told))
+    return f"{query.name}({', '.join(about)})"
+
+
+def _nearer(found: Why) -> str:
+    """The same question with the thing nearer to the robot, if a robot is there to reach it."""
+    robot = next((thing.body for thing in found.things if thing.robot), None)
+    thing = found.things[-1]
+    if robot is None or thing.distance is None or thing.distance <= _STEP:
+        return ""
+    share = _STEP / thing.distance
+    place = [a + (b - a) * share for a, b in zip(thing.body.position[:2], robot.position[:2], strict=True)]
+    return f" --move {shlex.quote(thing.body.name)}={place[0]:.2f},{place[1]:.2f},{thing.body.position[2]:.2f}"

@@ -181,20 +181,21 @@ class Refuse:
 
 sys.meta_path.insert(0, Refuse())
 from replay.cli import main
-sys.exit(main())
+for verb in "info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why":
+    name, *rest = verb.split()
+    print(verb, main([name, sys.argv[1], *rest]), file=sys.stderr)
 """
 
 
-@pytest.mark.parametrize("verb", ["info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why"])
-def test_whatever_only_reads_works_without_the_physics_engine(small_log: Path, verb: str) -> None:
-    name, *rest = verb.split()
-    command = [sys.executable, "-c", NO_ENGINE, name, str(small_log), *rest]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (0, "")
-    assert ended.stdout.strip()
+def test_whatever_only_reads_works_without_the_physics_engine(small_log: Path) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", NO_ENGINE, str(small_log)], capture_output=True, text=True, check=True
+    )
+    codes = [line.split()[-1] for line in ended.stderr.splitlines()]
+    assert codes == ["0"] * 8
 
 
-@pytest.mark.parametrize("verb", ["log", "tree", "why"])
+@pytest.mark.parametrize("verb", ["log", "why"])
 def test_a_reader_that_has_seen_enough_is_no_error(small_log: Path, verb: str) -> None:
     reader, pipe = os.pipe()
     os.close(reader)
