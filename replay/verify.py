@@ -4,6 +4,8 @@ The changes are executed in fresh worlds, in order, and what the funnel tells of
 last bit: every pose, joint, velocity, attachment and sample on the way. That holds for one build of the physics engine
 on one kind of machine; elsewhere the last bits may differ, and contacts make more of it. Then the verdict says how near
 it is. Of a world that began before its recording, changes without physics are compared to a micrometre.
+
+What a recording says to other tools (``/tf``, ``/log``) follows from its records and is not compared.
 """
 
 from __future__ import annotations
