@@ -58,7 +58,12 @@ def put(body: Object, state: Reading) -> None:
     Args:
         body: a living object.
         state: what :func:`read` gave of it, or of the same model elsewhere.
+
+    Raises:
+        RuntimeError: somebody listens, who would have to be told.
     """
+    if journal.recording():
+        raise RuntimeError(f"{body.name} can be put into a state only aside, where nobody listens")
     engine, handle = body.world.engine, body.handle
     engine.set_pose(handle, state.pose)
     if not body.fixed and state.velocity != _AT_REST:

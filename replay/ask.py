@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
 
-_OBJECTS: Final = ("object", "object1", "object2", "robot")  # parameters that take an object
-_EITHER: Final = ("pose",)  # those that take an object or a position
+#: Parameters that take an object; a pose may be one, or a position.
+_OBJECTS: Final = ("object", "object1", "object2", "robot", "pose")
 _RECORDED: Final = {"gripper": "gripper_name"}  # arguments whose name on record isn't the parameter's
 
 
@@ -176,8 +176,6 @@ def _value(world: BulletWorld, parameter: str, term: object) -> object:
         return world
     if parameter in _OBJECTS and isinstance(term, Name | str):
         return _object(world, term.text if isinstance(term, Name) else term)
-    if parameter in _EITHER and isinstance(term, Name):
-        return _object(world, term.text)
     if isinstance(term, list):
         return [_value(world, "", item) for item in term]
     return term.text if isinstance(term, Name) else term

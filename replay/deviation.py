@@ -30,7 +30,8 @@ class Deviation:
     def size(self) -> float:
         """By how much numbers differ, in their unit; infinite for what aren't numbers."""
         if isinstance(self.recorded, int | float) and isinstance(self.found, int | float):
-            return abs(self.recorded - self.found)
+            size = abs(self.recorded - self.found)
+            return math.inf if math.isnan(size) else size
         return math.inf
 
     def __str__(self) -> str:

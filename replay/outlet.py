@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -17,21 +17,20 @@ _STDOUT, _STDERR = 1, 2
 @contextmanager
 def results_only() -> Iterator[None]:
     """Turns the file descriptor of stdout to stderr; Python's own ``sys.stdout`` goes on to where it went."""
-    sys.stdout.flush()
-    kept = os.dup(_STDOUT)
     python = sys.stdout
-    try:
+    python.flush()
+    kept = os.dup(_STDOUT)
+    with ExitStack() as undoing:
+        undoing.callback(os.close, kept)
+        undoing.callback(os.dup2, kept, _STDOUT)
         if _is_descriptor(python):
-            sys.stdout = os.fdopen(os.dup(kept), "w", encoding=python.encoding, errors=python.errors, buffering=1)
+            outlet = os.fdopen(os.dup(kept), "w", encoding=python.encoding, errors=python.errors, buffering=1)
+            undoing.callback(outlet.close)
+            undoing.callback(setattr, sys, "stdout", python)
+            sys.stdout = outlet
+        undoing.callback(ctypes.CDLL(None).fflush, None)  # C buffers what goes to a pipe or a file
         os.dup2(_STDERR, _STDOUT)
         yield
-    finally:
-        ctypes.CDLL(None).fflush(None)  # C buffers what goes to a pipe or a file
-        if sys.stdout is not python:
-            sys.stdout.close()
-            sys.stdout = python
-        os.dup2(kept, _STDOUT)
-        os.close(kept)
 
 
 def _is_descriptor(stream: object) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass, field
+from keyword import iskeyword
 from typing import TYPE_CHECKING, TypeAlias
 
 from replay.errors import ReplayError
@@ -126,7 +127,7 @@ def _word(node: ast.expr) -> str:
 
 def _text(term: Term) -> str:
     if isinstance(term, Name):
-        return term.text
+        return term.text if term.text.isidentifier() and not iskeyword(term.text) else repr(term.text)
     if isinstance(term, list):
         return f"[{', '.join(map(_text, term))}]"
     return repr(term)

@@ -64,8 +64,12 @@ def world_at(
             restored = executed_again(log, number, told.name, mode)
         else:
             restored = rebuild(log, told, str(number), mode)
-    journal.introduce(restored)
-    BulletWorld.current_bullet_world = restored
+    try:
+        journal.introduce(restored)
+        BulletWorld.current_bullet_world = restored
+    except BaseException:
+        restored.exit()
+        raise
     return restored
 
 

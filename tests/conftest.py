@@ -82,7 +82,8 @@ def scene(world: BulletWorld) -> BulletWorld:
 def display() -> Iterator[str]:
     """The name of a screen that is started for the test."""
     reading, writing = os.pipe()
-    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp"]
+    # without noreset it starts anew whenever its last client leaves, and refuses others meanwhile
+    command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp", "-noreset"]
     server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
     os.close(writing)
     with os.fdopen(reading) as told:

@@ -134,4 +134,8 @@ def _deviation(deviation: Deviation | None) -> Plain:
     if deviation is None:
         return None
     size = deviation.size if math.isfinite(deviation.size) else None
-    return {"field": deviation.field, "recorded": deviation.recorded, "found": deviation.found, "size": size}
+    recorded, found = (
+        str(value) if isinstance(value, float) and not math.isfinite(value) else value  # which JSON doesn't have
+        for value in (deviation.recorded, deviation.found)
+    )
+    return {"field": deviation.field, "recorded": recorded, "found": found, "size": size}

@@ -194,6 +194,15 @@ def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path) -> None:
     assert told["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
 
 
+def test_without_the_engine_it_says_what_is_missing(demo_log: Path) -> None:
+    script = "import sys; sys.modules['pybullet'] = None; from replay.cli import main; sys.exit(main(sys.argv[1:]))"
+    asked = [sys.executable, "-c", script, "ask", str(demo_log), "35", "stable(milk)"]
+    told = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert told.returncode == 2
+    assert told.stderr == "pycram-replay: ask needs pybullet, which isn't installed here\n"
+    assert not told.stdout
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

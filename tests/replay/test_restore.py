@@ -134,13 +134,16 @@ def test_a_window_shows_it_until_ctrl_c(log_file: Path, display: str) -> None:
     window = subprocess.Popen(
         command, env=os.environ | {"DISPLAY": display}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert window.stderr is not None
-    line = ""
-    while "close the window" not in line:
-        line = window.stderr.readline()
-        assert line, "it ended"
-    window.send_signal(signal.SIGINT)
-    out, _ = window.communicate(timeout=60)
+    try:
+        assert window.stderr is not None
+        line = ""
+        while "close the window" not in line:
+            line = window.stderr.readline()
+            assert line, "it ended"
+        window.send_signal(signal.SIGINT)
+        out, _ = window.communicate(timeout=60)
+    finally:
+        window.kill()
     assert window.returncode == 130
     assert not out  # not even what the window's own thread says
 

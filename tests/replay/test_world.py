@@ -56,14 +56,22 @@ def plan() -> None:
     world.simulate(0.1)  # the bowl is falling now
 
 
-def record(file: Path) -> dict[str, object]:
-    with recorder.record(file):
+@pytest.fixture(scope="module")
+def plan_log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
+    """The plan's recording, and what its world was like at the end."""
+    path = tmp_path_factory.mktemp("world") / "plan.mcap"
+    with recorder.record(path):
         plan()
         world = BulletWorld.current_bullet_world
         assert world is not None
         told = everything(world)
         world.exit()
-    return told
+    return path, told
+
+
+@pytest.fixture
+def planned(plan_log: tuple[Path, dict[str, object]]) -> Path:
+    return plan_log[0]
 
 
 def assert_near(found: object, wanted: object, where: str = "") -> None:
@@ -87,8 +95,8 @@ def end_of(log: replay.Log) -> int:
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_it_reads_back_what_the_live_world_had(file: Path, exact: bool) -> None:
-    wanted = record(file)
+def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, object]], exact: bool) -> None:
+    file, wanted = plan_log
     with replay.open(file) as log:
         step = end_of(log)
         world = log.world_at(step, exact=exact)
@@ -108,9 +116,8 @@ def test_it_reads_back_what_the_live_world_had(file: Path, exact: bool) -> None:
     assert robot.get_position() == [0.5, 0.6, 0.0]
 
 
-def test_it_needs_nothing_but_the_file(file: Path) -> None:
+def test_it_needs_nothing_but_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
-    record(file)
     script = """
 import sys
 from pycram import assets
@@ -123,14 +130,13 @@ with replay.open(sys.argv[1]) as log:
 assert world.get_object("apple").carrier.name == "cup"
 world.simulate(0.1)
 """
-    subprocess.run([sys.executable, "-c", script, str(file)], check=True)
+    subprocess.run([sys.executable, "-c", script, str(planned)], check=True)
 
 
-def test_the_past_doesnt_disturb_a_plan_that_runs(file: Path) -> None:
+def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> None:
     """Only a world that is handed out is on record, from a keyframe on; pictures and questions leave nothing."""
-    record(file)
-    with BulletWorld(name="now") as now, recorder.record(file.with_name("second.mcap")):
-        with replay.open(file) as log:
+    with BulletWorld(name="now") as now, recorder.record(file):
+        with replay.open(planned) as log:
             step = end_of(log)
             ask(log, step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
@@ -139,7 +145,7 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(file: Path) -> None:
         past.simulate(0.1)
         past.exit()
         assert BulletWorld.current_bullet_world is now
-    with replay.open(file.with_name("second.mcap")) as second:
+    with replay.open(file) as second:
         told = [(type(r), r.world) for r in second.records((Mutation, Keyframe))]
         assert told == [
             (Keyframe, "now"),
@@ -151,18 +157,16 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(file: Path) -> None:
         assert again.get_object("apple").carrier is again.get_object("cup")
 
 
-def test_two_at_once_have_their_own_names(file: Path) -> None:
-    record(file)
-    with replay.open(file) as log:
+def test_two_at_once_have_their_own_names(planned: Path) -> None:
+    with replay.open(planned) as log:
         worlds_made = [log.world_at(20) for _ in range(3)]
     assert [world.name for world in worlds_made] == ["kitchen@20", "kitchen@20 (2)", "kitchen@20 (3)"]
     worlds_made[0].get_object("bowl").set_position([0, 0, 5])
     assert worlds_made[1].get_object("bowl").get_position() != [0, 0, 5]
 
 
-def test_steps_without_a_world_say_so(file: Path) -> None:
-    record(file)
-    with replay.open(file) as log:
+def test_steps_without_a_world_say_so(planned: Path) -> None:
+    with replay.open(planned) as log:
         with pytest.raises(replay.NotRestored, match="no world is open then"):
             log.world_at(0)
         with pytest.raises(replay.NotRestored, match=r"no world is open then .*kitchen"):
