@@ -140,12 +140,12 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach" and "studio" (pictures), whose bodies aren't solid; "outline" (rays), "physics" and "physics
-            with robots" (both stepped).
+        purpose: "reach", "studio" and "stage" (pictures), whose bodies aren't solid; "outline" (rays), "physics" and
+            "physics with robots" (both stepped).
     """
     with _registry:
         mine = _twins.setdefault(world, {})
     if purpose not in mine:
-        made = mine[purpose] = Twin(world, solid=purpose not in ("reach", "studio"))
+        made = mine[purpose] = Twin(world, solid=purpose not in ("reach", "studio", "stage"))
         world.at_exit(made.close)
     return mine[purpose]

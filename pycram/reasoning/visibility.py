@@ -1,8 +1,9 @@
 """What a camera sees of an object (thesis 4.4.3, 4.4.4).
 
-Two pictures are compared pixel by pixel: the object alone, and the whole scene. They show just the part of the image in
-which the object can be, so that a few thousand pixels decide precisely however far it is. The object's pixels outside
-of the camera's image count as not seen. Cameras look along z, x is to the right, y is down (as optical frames do).
+Two pictures are compared pixel by pixel: the object alone, and with all that may be before it. They show just the part
+of the image in which the object can be, so that a few thousand pixels decide precisely however far it is. The object's
+pixels outside of the camera's image count as not seen. Cameras look along z, x is to the right, y is down (as optical
+frames do).
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 _PIXELS: Final = 80**2  # of the part that is looked at
 _WIDE: Final = math.radians(60)  # field of view where only a position is given
 _NEAR, _FAR = 0.02, 20.0  # m
+_SHELL: Final = 0.1  # m that a body may be seen beyond the bounds of its collision shapes
 _MARGIN: Final = 0.05  # of the part's size around the object
 
 
@@ -184,23 +186,43 @@ def view(body: Object, camera: Camera) -> View:
     alone = int(mine.sum())
     if not alone:
         return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
-    full = camera.look(world.engine, window, size).bodies
+    stage = twin(world, "stage")
+    copies = stage.sync(_before(body, camera, window))
+    full = camera.look(stage.engine, window, size).bodies
     inside = _inside(window, frame, size)
-    seen = int((mine & inside & (full == body.id)).sum())
-    hiding = _hiding(body, full[mine & inside], alone)
+    names = {copy.id: name for name, copy in copies.items()}
+    covering = [(names[number], count) for number, count in _counted(full[mine & inside]) if number in names]
+    seen = next((count for name, count in covering if name == body.name), 0)
+    hiding = {name: count / alone for name, count in covering if name != body.name}
     reason = "" if seen else "is hidden" if hiding else "is out of view"
     return View(seen / alone, alone, seen, hiding, reason)
 
 
-def _hiding(body: Object, covering: NDArray[np.int64], alone: int) -> dict[str, float]:
-    names = {other.id: other.name for other in body.world.objects}
-    numbers, counts = np.unique(covering, return_counts=True)
-    shares = {
-        names[int(number)]: int(count) / alone
-        for number, count in zip(numbers, counts, strict=True)
-        if int(number) in names and int(number) != body.id
-    }
-    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+def _counted(numbers: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """How often each number stands in an array, the most frequent first."""
+    different, counts = np.unique(numbers, return_counts=True)
+    return sorted(zip(different.tolist(), counts.tolist(), strict=True), key=lambda pair: -pair[1])
+
+
+def _before(body: Object, camera: Camera, window: Window) -> list[Object]:
+    """What can be in a part of the image and not behind the object, by its bounds; and the object."""
+    others = body.world.objects
+    boxes = np.array([other.get_AABB() for other in others])
+    boxes += np.array([[-_SHELL], [_SHELL]])
+    corners = np.array(list(itertools.product((0, 1), repeat=3)))
+    points = camera.to_frame(boxes[:, corners, np.arange(3)])
+    x, y, depth = points[..., 0], points[..., 1], points[..., 2]
+    farthest = float(depth[others.index(body)].max())
+    beyond = (  # each is one side of a plane through the camera, or across its axis
+        x < window.left * depth,
+        x > window.right * depth,
+        y < window.top * depth,
+        y > window.bottom * depth,
+        depth < camera.near,
+        depth > farthest,
+    )
+    outside = np.any([side.all(axis=1) for side in beyond], axis=0)
+    return [other for other, out in zip(others, outside, strict=True) if not out or other is body]
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
