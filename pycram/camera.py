@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.objects import Object
-    from pycram.shapes import Shapes
     from recorder.geometry import Pose
 
 NEAR: Final = 0.02  # m
@@ -107,60 +106,67 @@ class Camera:
             far: m up to which anything matters, if less than the camera sees.
         """
         limit = self.far if far is None else min(far, self.far)
-        owners, triangles, colors = [np.zeros(0, np.int64)], [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-        for index, body in enumerate(bodies):
-            for part, paint in self._parts(body, window, limit):
-                owners.append(np.full(len(part), index))
-                triangles.append(part)
-                colors.append(paint)
-        every, owner = np.concatenate(triangles), np.concatenate(owners)
-        depth, seen = rasterize(every, window, size, self.near, limit)
-        return Sight(depth, np.append(owner, -1)[seen], every, np.concatenate(colors), seen)
+        parts = list(self._parts(bodies, window, limit))
+        owners = np.repeat([index for index, _, _ in parts], [len(part) for _, part, _ in parts]).astype(np.int64)
+        triangles = np.concatenate([np.zeros((0, 3, 3)), *(part for _, part, _ in parts)])
+        colors = np.concatenate([np.zeros((0, 3)), *(paint for _, _, paint in parts)])
+        depth, seen = rasterize(triangles, window, size, self.near, limit)
+        return Sight(depth, np.append(owners, -1)[seen], triangles, colors, seen)
 
     def _parts(
-        self, body: Object, window: Window, far: float
-    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Triangles of an object's links that may be seen, in the camera's frame, and their colours."""
-        shapes = shapes_of(body.model.path)
-        if not shapes.links:
+        self, bodies: Sequence[Object], window: Window, far: float
+    ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
+        """Links that may be seen: index of the object, triangles in the camera's frame, colours."""
+        models = [shapes_of(body.model.path) for body in bodies]
+        links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
+        if not links:
             return
-        positions, orientations = body.world.engine.link_frames(body.handle, shapes.links)
-        turns = geometry.to_matrices(orientations)
-        shown = self._shown(shapes, positions, turns, window, far)
-        if body.is_robot:
-            shown &= ~self._housing(shapes, positions, turns)
-        to_camera = geometry.to_matrix(self.pose[1])
-        for index in np.flatnonzero(shown):
-            turn = to_camera.T @ turns[index]
-            colors = shapes.colors[index]
-            if body.color is not None:
-                colors = np.tile(body.color[:3], (len(colors), 1))
-            yield shapes.triangles[index] @ turn.T + self.to_frame(positions[index]), colors
+        frames = [
+            body.world.engine.link_frames(body.handle, shapes.links)
+            for body, shapes in zip(bodies, models, strict=True)
+        ]
+        positions = np.concatenate([found[0] for found in frames])
+        turns = geometry.to_matrices(np.concatenate([found[1] for found in frames]))
+        low = np.concatenate([shapes.low for shapes in models])
+        high = np.concatenate([shapes.high for shapes in models])
+        of_robots = np.array([bodies[index].is_robot for index, _ in links])
+        shown = self._shown(low, high, positions, turns, window, far)
+        shown &= ~(of_robots & self._around(low, high, positions, turns))
+        to_camera = geometry.to_matrix(self.pose[1]).T
+        for place in np.flatnonzero(shown):
+            index, link = links[place]
+            colors, paint = models[index].colors[link], bodies[index].color
+            if paint is not None:
+                colors = np.tile(paint[:3], (len(colors), 1))
+            turned = models[index].triangles[link] @ (to_camera @ turns[place]).T
+            yield index, turned + self.to_frame(positions[place]), colors
 
     def _shown(
         self,
-        shapes: Shapes,
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
         positions: NDArray[np.float64],
         turns: NDArray[np.float64],
         window: Window,
         far: float,
     ) -> NDArray[np.bool_]:
-        """Which links' balls reach into what the camera sees through a window."""
-        middles = np.einsum("kij,kj->ki", turns, (shapes.low + shapes.high) / 2) + positions
-        radii = np.linalg.norm(shapes.high - shapes.low, axis=1) / 2
+        """Which boxes of links are in balls that reach into what the camera sees through a window."""
+        middles = np.einsum("kij,kj->ki", turns, (low + high) / 2) + positions
+        radii = np.linalg.norm(high - low, axis=1) / 2
         x, y, z = self.to_frame(middles).T
         shown = (z + radii >= self.near) & (z - radii <= far)
-        for across, edge, sign in (
-            (x, window.left, 1),
-            (x, window.right, -1),
-            (y, window.top, 1),
-            (y, window.bottom, -1),
-        ):
+        sides = ((x, window.left, 1), (x, window.right, -1), (y, window.top, 1), (y, window.bottom, -1))
+        for across, edge, sign in sides:
             shown &= sign * (across - edge * z) / np.hypot(1.0, edge) >= -radii
         return np.asarray(shown)
 
-    def _housing(self, shapes: Shapes, positions: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which links' boxes are around the camera."""
+    def _around(
+        self,
+        low: NDArray[np.float64],
+        high: NDArray[np.float64],
+        positions: NDArray[np.float64],
+        turns: NDArray[np.float64],
+    ) -> NDArray[np.bool_]:
+        """Which boxes of links are around the camera."""
         eye = np.einsum("kji,kj->ki", turns, np.asarray(self.pose[0]) - positions)
-        inside = (eye >= shapes.low - _HOUSING) & (eye <= shapes.high + _HOUSING)
-        return np.asarray(inside.all(axis=1))
+        return np.asarray(((eye >= low - _HOUSING) & (eye <= high + _HOUSING)).all(axis=1))

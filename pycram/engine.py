@@ -243,7 +243,8 @@ class Engine:
         base = self.pose(body)
         poses = {index: (state[4], state[5]) for index, state in zip(moving, states, strict=True)}
         found = [poses.get(index, base) for index in indices]
-        return np.array([pose[0] for pose in found]), np.array([pose[1] for pose in found])
+        positions, orientations = [pose[0] for pose in found], [pose[1] for pose in found]
+        return np.array(positions).reshape(-1, 3), np.array(orientations).reshape(-1, 4)
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
         """Axis-aligned bounds of a link's shape in the world, current without a step."""

@@ -195,7 +195,8 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
     if len(found.tries) > 1:
         about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
         if found.same is not None:
-            about = f"{motion.started.name} failed {len(found.tries)} times; it last succeeded at step {_end(found.same.task)}."
+            last = _end(found.same.task)
+            about = f"{motion.started.name} failed {len(found.tries)} times; it last succeeded at step {last}."
         yield about
         yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
         return

@@ -19,6 +19,7 @@ from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
 EYE = [-1.0, 0.0, 1.0]
 MILK = [0.0, 0.0, 1.0]
@@ -197,3 +198,12 @@ def test_a_corner_in_the_plane_of_the_camera_is_no_matter(world: BulletWorld) ->
         Object(f"box {wall}", "environment", "milk.stl", [wall, 2.0, 1.0])
     for eye in ([-1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [0.0, 0.0, 2.0]):
         assert btr.visible(cup, eye).evidence["share"] == 1.0
+
+
+def test_things_without_a_shape_are_no_matter(world: BulletWorld, tmp_path: Path) -> None:
+    file = tmp_path / "frame.urdf"
+    file.write_text('<robot name="frame"><link name="nothing"/></robot>')
+    frame = Object("frame", "frame", file)
+    cup = Object("cup", "cup", "cup.stl", [1, 0, 1])
+    assert btr.visible(cup, [0, 0, 1])
+    assert not btr.visible(frame, [1, 0, 0])
