@@ -127,21 +127,26 @@ class Deferred(OpenBlock):
 
     def _work(self) -> None:
         """Does what the body asks for."""
-        try:
-            with self._block as block:
+        with self._block as block:
+            try:
                 with self._begun_changed:
                     self._begun = True
                     self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
-        finally:
-            self._asked.close()
+            finally:
+                self._asked.close()
+                self._asked.wait_for_end()  # what the body does itself is part of this block too
 
     def __enter__(self) -> Self:
-        self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
-        self._exits.enter_context(self._span.entered())
-        self._exits.enter_context(entered(self._block.scope))
-        self._exits.enter_context(hosted(self))
+        try:
+            self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
+            self._exits.enter_context(self._span.entered())
+            self._exits.enter_context(entered(self._block.scope))
+            self._exits.enter_context(hosted(self))
+        except BaseException:  # told to stop, or Ctrl-C: there will be no body
+            self._asked.end(None)
+            raise
         return self
 
     def __exit__(
@@ -183,6 +188,11 @@ class _Asked:
             self._ended = True
             self._error = error
             self._changed.notify_all()
+
+    def wait_for_end(self) -> None:
+        """Waits until the body has ended, whoever is told to stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended)
 
     def close(self) -> None:
         """Nothing more will be done; drops what has not been."""
