@@ -302,8 +302,8 @@ class Block(OpenBlock):
         if closed:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        branch.span.ask()
         if self.decider is not None or self.scope.cancelled:
+            branch.span.ask()
             branch.span.finish(Cancelled())
             branch.settle(State.CANCELLED)
         elif self.rule.concurrent:
@@ -317,6 +317,7 @@ class Block(OpenBlock):
             raise Cancelled
 
     def _begin(self, branch: Branch) -> None:
+        branch.span.ask()
         name = f"{self.name}-{len(self._threads) + 1} {branch.name}"
         thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
         try:

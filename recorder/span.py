@@ -127,7 +127,7 @@ class Span:
         recorded = journal.recording()
         if recorded:
             record.solution.extend(arguments(self.solution))
-            record.result_json = to_json(self.result)
+            record.result_json = to_json(self.result) if self.result is not None else "null"
         if record.status == Task.FAILED and error is not None:
             record.failure.CopyFrom(failure(error, trace=recorded))
         try:
