@@ -132,6 +132,12 @@ class FailureHandling:
         self._recoveries.append((_failure_type(kind), recovery))
         return self
 
+    @property
+    def told(self) -> dict[str, object]:
+        """What its node of the task tree tells of it."""
+        kinds = [kind.__name__ for kind in self.kinds]
+        return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
+
     def handles(self, error: BaseException | None) -> bool:
         """Whether there is to be another attempt after an error, if one is left."""
         return isinstance(error, self.kinds)
@@ -291,8 +297,7 @@ class _Attempts:
         """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
         with alone():
             if self._span is None:
-                kinds = {"kinds": [kind.__name__ for kind in self._handling.kinds]}
-                self._span = Span("failure-handling", f"{self._handling.retries} retries", parameters=kinds)
+                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.told)
                 self._span.start()
             with self._span.entered():
                 yield
