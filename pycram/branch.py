@@ -32,7 +32,9 @@ class NoResult(UsageError):
     """
 
     def __init__(self, branch: str) -> None:
-        super().__init__(f"{branch} has no result: it was cancelled when its block was decided; ask its state first")
+        super().__init__(
+            f"{branch} has no result: it was cancelled when its block was decided; s.branches tells states"
+        )
         self.branch = branch
 
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from pycram.blocks import alone
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, PlanFailure
+from pycram.open_block import alone
 from pycram.retries import Retry
 from recorder.span import span
 

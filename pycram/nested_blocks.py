@@ -17,10 +17,11 @@ from collections import deque
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from pycram.blocks import Block, OpenBlock, hosted
+from pycram.blocks import Block
 from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
 from pycram.failures import PlanFailure
+from pycram.open_block import OpenBlock, hosted
 from recorder.span import Span
 from recorder.tasks import State
 
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pycram.blocks import Host, Rule
+    from pycram.open_block import Host, Rule
 
 
 def nested(host: Host, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:

@@ -33,9 +33,9 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.blocks import alone
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.open_block import alone
 from recorder.span import Span
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import tasks
-from pycram.blocks import BlockClosed
 from pycram.branch import NoResult, branch_of
 from pycram.cancellation import Cancelled, checkpoint, wait
 from pycram.failures import (
@@ -29,6 +28,7 @@ from pycram.failures import (
     UsageError,
 )
 from pycram.language import State, failure_handling, finally_, par, pursue, retry, seq, timeout, try_all, try_in_order
+from pycram.open_block import BlockClosed
 from pycram.timeouts import TimedOut
 
 if TYPE_CHECKING:

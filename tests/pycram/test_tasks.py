@@ -174,6 +174,11 @@ def test_a_plan_that_runs_for_days_keeps_its_last_tasks() -> None:
     assert root.forgotten == 999 - 100
     assert [child.id for child in root.children] == list(range(901, 1000))
     assert "... 899 more, forgotten" in tree.text()
+    heavy = Tree(size=100_000)
+    for number in range(1, 100):
+        heavy.apply(Task(phase=Task.STARTED, task=number, name="look"))
+        heavy.apply(Task(phase=Task.FINISHED, status=Task.SUCCEEDED, task=number, result_json="0" * 10_000))
+    assert [root.id for root in heavy.roots] == list(range(91, 100))
     tree.apply(Task(phase=Task.FINISHED, status=Task.SUCCEEDED, task=1))
     tree.forget()
     assert len(tree) == 0
