@@ -19,6 +19,7 @@ from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, ent
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BranchesFailed, PlanFailure
 from pycram.open_block import BlockClosed, OpenBlock, hosted
+from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
 
@@ -54,7 +55,7 @@ class Block(OpenBlock):
         self.decider: Branch | None = None
         self._lock = threading.Lock()
         self._state = State.CREATED
-        self._threads: list[threading.Thread] = []
+        self._running: list[tuple[Branch, threading.Thread]] = []
         self._body_failure: PlanFailure | None = None
         self._exits = ExitStack()
         self._span = span if span is not None else Span("block", rule.name)
@@ -113,13 +114,13 @@ class Block(OpenBlock):
             raise Cancelled
 
     def _begin(self, branch: Branch) -> None:
-        name = f"{self.name}-{len(self._threads) + 1} {branch.name}"
+        name = f"{self.name}-{len(self._running) + 1} {branch.name}"
         thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
         try:
             branch.span.ask()
-            with self._lock:
-                self._threads.append(thread)  # first: one that is interrupted while it starts is waited for too
+            with Uninterrupted(), self._lock:  # a thread has started and is waited for, or neither
                 thread.start()
+                self._running.append((branch, thread))
         except Exception as error:  # noqa: BLE001  no more threads, or a full disk: the block raises it
             branch.span.finish(error)
             self._settle(branch, State.FAILED, error=error)
@@ -219,12 +220,13 @@ class Block(OpenBlock):
     def _join(self) -> None:
         joined = 0
         while True:
-            while joined < len(self._threads):
-                if self._threads[joined].ident is not None:
-                    self._threads[joined].join()
+            while joined < len(self._running):
+                branch, thread = self._running[joined]
+                branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
+                thread.join()
                 joined += 1
             with self._lock:  # a branch may have asked for another one
-                if joined == len(self._threads):
+                if joined == len(self._running):
                     self._state = State.CANCELLED  # closed; what it really is comes next
                     return
 

@@ -135,6 +135,11 @@ class Branch:
         """
         return wait(self._changed, lambda: self.done, timeout)
 
+    def outlast(self) -> None:
+        """Waits for its end, whoever is told to stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.done)
+
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.
 

@@ -8,6 +8,8 @@ when it is cancelled.
 from __future__ import annotations
 
 import faulthandler
+import os
+import signal
 import threading
 import traceback
 from contextlib import suppress
@@ -396,6 +398,22 @@ def test_interrupting_the_body_stops_the_branches() -> None:
             s(gate.pass_through)
             raise KeyboardInterrupt
         assert s.branches[0].state is C
+
+
+@pytest.mark.parametrize("times", range(5))
+def test_ctrl_c_ends_a_block_and_its_threads(times: int) -> None:
+    gate = Gate()
+
+    def interrupt() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        gate.pass_through()
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        with pursue as t:
+            t(gate.pass_through)
+        s(gate.pass_through)
+        s(interrupt)
+    assert {branch.state for branch in s.branches} == {C}
 
 
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:

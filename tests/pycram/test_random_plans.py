@@ -159,7 +159,7 @@ def run(plans: int, first: int, file: Path) -> None:
         with chooser:
             for seed in range(first, first + plans):
                 made = Plan(seed, world, jugglers)
-                beside = [made.block(4, PARTS) for _ in range(3)]
+                beside = [made.block(4, PARTS) for _ in range(2)]
                 try:
                     par(*beside)
                 except PlanFailure:
