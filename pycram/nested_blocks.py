@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pycram.open_block import Host, Rule
+    from pycram.open_block import Rule
 
 
-def nested(host: Host, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:
+def nested(host: OpenBlock, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:
     """A block that is to be opened in the body of another one.
 
     Args:
@@ -80,7 +80,7 @@ class Alternative(Block):
 class Deferred(OpenBlock):
     """A block in the body of a concurrent one: read here, done there."""
 
-    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: Host) -> None:
+    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: OpenBlock) -> None:
         super().__init__(rule)
         self._around = host
         self._outer = current_scope()

@@ -6,14 +6,14 @@ in a branch there is none, and things happen one after the other.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from pycram.branch import Branch, Handle, Result
 from pycram.cancellation import checkpoint
-from pycram.event import qualified_name
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from recorder.tasks import State
 
@@ -65,38 +65,16 @@ class Rule:
         return State.SUCCEEDED in self.decided_by
 
 
-class Host(Protocol):
-    """A block as it is seen by what happens in its body."""
-
-    @property
-    def prompt(self) -> bool:
-        """Whether an action begins at once, whatever was asked for before it."""
-
-    def start(
-        self,
-        name: str,
-        action: Callable[[], Result],
-        *,
-        ordered: bool = False,
-        dropped: Callable[[], None] = ...,
-        span: Span | None = None,
-    ) -> Handle:
-        """Asks for a branch; see :meth:`OpenBlock.start`."""
-
-    def catch_up(self) -> None:
-        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
+_host: ContextVar[OpenBlock | None] = ContextVar("pycram_block", default=None)
 
 
-_host: ContextVar[Host | None] = ContextVar("pycram_block", default=None)
-
-
-def current_block() -> Host | None:
+def current_block() -> OpenBlock | None:
     """The block whose branches are the actions here; None where actions happen one after the other and raise."""
     return _host.get()
 
 
 @contextmanager
-def hosted(host: Host | None) -> Iterator[None]:
+def hosted(host: OpenBlock | None) -> Iterator[None]:
     """Makes actions in its block branches of a block.
 
     Args:
@@ -127,7 +105,17 @@ def alone() -> Iterator[Callable[[], None]]:
         yield host.catch_up if host is not None else lambda: None
 
 
-class OpenBlock:
+def name_of(action: Callable[..., Result]) -> str:
+    """What people call a function: without its module, and without the function that it is defined in.
+
+    Args:
+        action: anything that can be called.
+    """
+    name = getattr(action, "__qualname__", None) or type(action).__qualname__
+    return str(name).rpartition("<locals>.")[2]
+
+
+class OpenBlock(ABC):
     """What the plan has of a block: ``s`` in ``with par as s``.
 
     Attributes:
@@ -150,19 +138,19 @@ class OpenBlock:
         return self.rule.name
 
     @property
+    @abstractmethod
     def state(self) -> State:
         """How far it is, or how it ended."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def prompt(self) -> bool:
         """Whether an action begins at once, whatever was asked for before it."""
-        raise NotImplementedError
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Handle:
         """Asks for a branch.
@@ -182,7 +170,7 @@ class OpenBlock:
         """
         if not callable(action):
             raise BadArgument("action", action, "a function to run as a branch")
-        return self.start(qualified_name(action), lambda: action(*args, **kwargs))
+        return self.start(name_of(action), lambda: action(*args, **kwargs))
 
     def start(
         self,
@@ -209,21 +197,23 @@ class OpenBlock:
         self.take(branch)
         return Handle(branch)
 
+    @abstractmethod
     def take(self, branch: Branch) -> None:
         """Runs a branch, now or later, here or in another thread.
 
         Args:
             branch: one that has not begun.
         """
-        raise NotImplementedError
 
-    def catch_up(self) -> None:
-        """Waits until the body itself may act; here that is so at any time."""
+    def catch_up(self) -> None:  # noqa: B027  most blocks have nothing to wait for
+        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
 
+    @abstractmethod
     def __enter__(self) -> Self:
-        raise NotImplementedError
+        """Begins it; what its body asks for are its branches."""
 
+    @abstractmethod
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        raise NotImplementedError
+        """Ends it; returns whether what came out of the body is taken care of."""

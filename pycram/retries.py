@@ -252,15 +252,17 @@ class Attempt:
             raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
         self.used = True
         try:
-            self._exits.enter_context(self._attempts.entered())
+            with ExitStack() as entering:
+                entering.enter_context(self._attempts.entered())
+                self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
+                entering.enter_context(self._span.entered())
+                self._span.start()
+                token = _attempt.set(self)
+                entering.callback(lambda: _attempt.reset(token))
+                self._exits = entering.pop_all()
         except BaseException as stopped:
-            self._attempts.stop(stopped)
+            self._attempts.finish(stopped)
             raise
-        self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
-        self._exits.enter_context(self._span.entered())
-        token = _attempt.set(self)
-        self._exits.callback(lambda: _attempt.reset(token))
-        self._span.start()
         return self
 
     def __exit__(
@@ -272,7 +274,7 @@ class Attempt:
             handled, changed = error.error or error, error.changed
         if self._span is not None:
             self._span.finish(handled)
-        self._exits.pop_all().close()
+        self._exits.close()
         return self._attempts.ended(error, handled, changed)
 
 
@@ -317,7 +319,7 @@ class _Attempts:
             PlanFailure: the last failure, when the retries are used up.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
-            self._finish(error)
+            self.finish(error)
             return False
         last = RetriesUsedUp(self._handling.retries) if isinstance(handled, Retry) else handled
         final: BaseException = chained(last, reversed(self._failures))
@@ -331,7 +333,7 @@ class _Attempts:
                 self._failures.append(last)
                 self._parameters = {**self._parameters, **changed}
                 return True
-        self._finish(final)
+        self.finish(final)
         if final is not error:
             raise_unchanged(final)
         return False
@@ -339,13 +341,14 @@ class _Attempts:
     def close(self) -> None:
         """Ends the row if the plan has left it between two attempts."""
         if not self.over:
-            self._finish(self._failures[-1] if self._failures else None)
+            self.finish(self._failures[-1] if self._failures else None)
 
-    def stop(self, error: BaseException) -> None:
-        """Ends the row before an attempt."""
-        self._finish(error)
+    def finish(self, error: BaseException | None) -> None:
+        """Ends the row.
 
-    def _finish(self, error: BaseException | None) -> None:
+        Args:
+            error: what it failed with; None if an attempt succeeded.
+        """
         self.over = True
         if self._span is not None:
             self._span.finish(error)

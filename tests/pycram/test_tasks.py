@@ -192,7 +192,7 @@ def test_text_json_dot_and_picture(log: Path, capsys: pytest.CaptureFixture[str]
     for line in (
         "X tidy up plan",
         '+ attempt 2(arm="right")',
-        "- builtins.int branch",
+        "- int branch",
         "never begun",
         "Unreachable: left arm",
     ):
