@@ -11,7 +11,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import PlanFailure
-from pycram.language import par
+from pycram.language import failure_handling, par
 from pycram.process_module import ProcessModule
 
 PLACES = ([0.65, 0.9, 0], [0.65, 0.6, 0])
@@ -49,17 +49,15 @@ def try_to_take(milk: Object, arm: str, place: list[float]) -> None:
 
 def main() -> None:
     milk = build_scene()
-    last: PlanFailure | None = None
-    for place in PLACES:
-        for arm in ("left", "right"):
-            try:
-                try_to_take(milk, arm, place)
-            except PlanFailure as failure:
-                print(" ", failure)
-                last = failure
-            else:
-                return
-    raise btr.ReasoningError("the milk can't be fetched") from last
+    first, *others = [{"arm": arm, "place": place} for place in PLACES for arm in ("left", "right")]
+
+    def another_way(failure: PlanFailure) -> dict[str, object]:
+        print(" ", failure)
+        return others.pop(0)
+
+    for attempt in failure_handling(len(others), **first).on(PlanFailure, another_way):
+        with attempt:
+            try_to_take(milk, attempt["arm"], attempt["place"])
 
 
 if __name__ == "__main__":

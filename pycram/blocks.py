@@ -12,227 +12,24 @@ never collected, retried or outvoted.
 from __future__ import annotations
 
 import threading
-from contextlib import ExitStack, contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
-from pycram.branch import Branch, Handle, Result
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.error_chain import chained, raise_unchanged
-from pycram.event import qualified_name
-from pycram.failures import BadArgument, BranchesFailed, PlanFailure, UsageError
+from pycram.failures import BranchesFailed, PlanFailure
+from pycram.open_block import BlockClosed, OpenBlock, hosted
+from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
     from types import TracebackType
 
     from typing_extensions import Self
 
-
-class BlockClosed(UsageError):
-    """A branch was asked of a block that has ended.
-
-    Attributes:
-        block: what the block is.
-        branch: what was asked for.
-    """
-
-    def __init__(self, block: str, branch: str) -> None:
-        super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
-        self.block = block
-        self.branch = branch
-
-
-@dataclass(frozen=True, slots=True)
-class Rule:
-    """What makes one kind of block another than the others.
-
-    Attributes:
-        name: what it is called.
-        concurrent: whether its branches run side by side.
-        decided_by: a branch that ends so decides the block.
-    """
-
-    name: str
-    concurrent: bool
-    decided_by: frozenset[State]
-
-    @property
-    def stops_at_failure(self) -> bool:
-        """Whether a failure of one is the failure of all, at once."""
-        return State.FAILED in self.decided_by
-
-    @property
-    def takes_one(self) -> bool:
-        """Whether one success is enough."""
-        return State.SUCCEEDED in self.decided_by
-
-
-class Host(Protocol):
-    """A block as it is seen by what happens in its body."""
-
-    @property
-    def prompt(self) -> bool:
-        """Whether an action begins at once, whatever was asked for before it."""
-
-    def start(
-        self,
-        name: str,
-        action: Callable[[], Result],
-        *,
-        ordered: bool = False,
-        dropped: Callable[[], None] = ...,
-        span: Span | None = None,
-    ) -> Handle:
-        """Asks for a branch; see :meth:`OpenBlock.start`."""
-
-    def catch_up(self) -> None:
-        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
-
-
-_host: ContextVar[Host | None] = ContextVar("pycram_block", default=None)
-
-
-def current_block() -> Host | None:
-    """The block whose branches are the actions here; None where actions happen one after the other and raise."""
-    return _host.get()
-
-
-@contextmanager
-def hosted(host: Host | None) -> Iterator[None]:
-    """Makes actions in its block branches of a block.
-
-    Args:
-        host: the block; None lets actions happen one after the other.
-    """
-    token = _host.set(host)
-    try:
-        yield
-    finally:
-        _host.reset(token)
-
-
-@contextmanager
-def alone() -> Iterator[Callable[[], None]]:
-    """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
-
-    Yields:
-        What to call at the block's end: waits for what it asked of a sequence around it.
-
-    Raises:
-        Cancelled: the block around it is decided, or told to stop.
-    """
-    host = current_block()
-    if host is not None:
-        host.catch_up()
-    checkpoint()
-    with hosted(None):
-        yield host.catch_up if host is not None else lambda: None
-
-
-class OpenBlock:
-    """What the plan has of a block: ``s`` in ``with par as s``.
-
-    Attributes:
-        rule: what kind of block it is.
-        branches: its branches, in the order in which they were asked for.
-    """
-
-    def __init__(self, rule: Rule) -> None:
-        """Makes a block.
-
-        Args:
-            rule: what kind.
-        """
-        self.rule = rule
-        self.branches: list[Branch] = []
-
-    @property
-    def name(self) -> str:
-        """What it is: "par", ..."""
-        return self.rule.name
-
-    @property
-    def state(self) -> State:
-        """How far it is, or how it ended."""
-        raise NotImplementedError
-
-    @property
-    def failures(self) -> tuple[PlanFailure, ...]:
-        """The failures of its branches and of its body so far."""
-        raise NotImplementedError
-
-    @property
-    def prompt(self) -> bool:
-        """Whether an action begins at once, whatever was asked for before it."""
-        raise NotImplementedError
-
-    def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Handle:
-        """Asks for a branch.
-
-        Args:
-            action: a function.
-            args: its arguments.
-            kwargs: its named arguments.
-
-        Returns:
-            A handle that serves as its result.
-
-        Raises:
-            BadArgument: it can't be called.
-            BlockClosed: the block has ended.
-            PlanFailure: the function failed, in a ``seq`` block.
-        """
-        if not callable(action):
-            raise BadArgument("action", action, "a function to run as a branch")
-        return self.start(qualified_name(action), lambda: action(*args, **kwargs))
-
-    def start(
-        self,
-        name: str,
-        action: Callable[[], Result],
-        *,
-        ordered: bool = False,
-        dropped: Callable[[], None] = lambda: None,
-        span: Span | None = None,
-    ) -> Handle:
-        """Asks for a branch.
-
-        Args:
-            name: what it is called.
-            action: what it does.
-            ordered: whether it waits only for what was asked for before it.
-            dropped: called once if it is never begun.
-            span: its node of the task tree, if it isn't just a branch.
-
-        Returns:
-            A handle that serves as its result.
-        """
-        branch = Branch(name, action, ordered=ordered, dropped=dropped, span=span)
-        self.take(branch)
-        return Handle(branch)
-
-    def take(self, branch: Branch) -> None:
-        """Runs a branch, now or later, here or in another thread.
-
-        Args:
-            branch: one that has not begun.
-        """
-        raise NotImplementedError
-
-    def catch_up(self) -> None:
-        """Waits until the body itself may act; here that is so at any time."""
-
-    def __enter__(self) -> Self:
-        raise NotImplementedError
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
-        raise NotImplementedError
+    from pycram.branch import Branch, Result
+    from pycram.open_block import Rule
 
 
 class Block(OpenBlock):
@@ -258,7 +55,7 @@ class Block(OpenBlock):
         self.decider: Branch | None = None
         self._lock = threading.Lock()
         self._state = State.CREATED
-        self._threads: list[threading.Thread] = []
+        self._running: list[tuple[Branch, threading.Thread]] = []
         self._body_failure: PlanFailure | None = None
         self._exits = ExitStack()
         self._span = span if span is not None else Span("block", rule.name)
@@ -302,10 +99,10 @@ class Block(OpenBlock):
         if closed:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        branch.span.ask()
         if self.decider is not None or self.scope.cancelled:
-            branch.span.finish(Cancelled())
             branch.settle(State.CANCELLED)
+            branch.span.ask()
+            branch.span.finish(Cancelled())
         elif self.rule.concurrent:
             self._begin(branch)
         else:
@@ -317,13 +114,14 @@ class Block(OpenBlock):
             raise Cancelled
 
     def _begin(self, branch: Branch) -> None:
-        name = f"{self.name}-{len(self._threads) + 1} {branch.name}"
+        name = f"{self.name}-{len(self._running) + 1} {branch.name}"
         thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
         try:
-            with self._lock:
-                self._threads.append(thread)  # first: one that is interrupted while it starts is waited for too
+            branch.span.ask()
+            with Uninterrupted(), self._lock:  # a thread has started and is waited for, or neither
                 thread.start()
-        except RuntimeError as error:  # the system gives no more threads
+                self._running.append((branch, thread))
+        except Exception as error:  # noqa: BLE001  no more threads, or a full disk: the block raises it
             branch.span.finish(error)
             self._settle(branch, State.FAILED, error=error)
 
@@ -422,12 +220,13 @@ class Block(OpenBlock):
     def _join(self) -> None:
         joined = 0
         while True:
-            while joined < len(self._threads):
-                if self._threads[joined].ident is not None:
-                    self._threads[joined].join()
+            while joined < len(self._running):
+                branch, thread = self._running[joined]
+                branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
+                thread.join()
                 joined += 1
             with self._lock:  # a branch may have asked for another one
-                if joined == len(self._threads):
+                if joined == len(self._running):
                     self._state = State.CANCELLED  # closed; what it really is comes next
                     return
 

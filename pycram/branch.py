@@ -32,7 +32,9 @@ class NoResult(UsageError):
     """
 
     def __init__(self, branch: str) -> None:
-        super().__init__(f"{branch} has no result: it was cancelled when its block was decided; ask its state first")
+        super().__init__(
+            f"{branch} has no result: it was cancelled when its block was decided; s.branches tells states"
+        )
         self.branch = branch
 
 
@@ -132,6 +134,11 @@ class Branch:
             Cancelled: the one who waits was told to stop.
         """
         return wait(self._changed, lambda: self.done, timeout)
+
+    def outlast(self) -> None:
+        """Waits for its end, whoever is told to stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self.done)
 
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.

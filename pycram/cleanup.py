@@ -9,11 +9,10 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from pycram.blocks import alone
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
-from pycram.event import qualified_name
 from pycram.failures import BadArgument, PlanFailure
+from pycram.open_block import alone, name_of
 from pycram.retries import Retry
 from recorder.span import span
 
@@ -46,7 +45,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         except BaseException as error:  # noqa: BLE001  raised below
             first = error
         try:
-            with shielded(), span("cleanup", qualified_name(action)) as task:
+            with shielded(), span("cleanup", name_of(action)) as task:
                 task.result = action(*args, **kwargs)
         except BaseException as second:
             if first is None:

@@ -38,10 +38,11 @@ from collections.abc import Callable
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, overload
 
-from pycram.blocks import Block, OpenBlock, Rule, current_block
+from pycram.blocks import Block
 from pycram.cleanup import finally_
 from pycram.failures import BadArgument
 from pycram.nested_blocks import nested
+from pycram.open_block import OpenBlock, Rule, current_block
 from pycram.retries import failure_handling, retry
 from pycram.timeouts import timeout
 from recorder.tasks import State

@@ -17,10 +17,11 @@ from collections import deque
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from pycram.blocks import Block, OpenBlock, hosted
+from pycram.blocks import Block
 from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
 from pycram.failures import PlanFailure
+from pycram.open_block import OpenBlock, hosted
 from recorder.span import Span
 from recorder.tasks import State
 
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pycram.blocks import Host, Rule
+    from pycram.open_block import Rule
 
 
-def nested(host: Host, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:
+def nested(host: OpenBlock, rule: Rule, failures: list[BaseException] | None) -> OpenBlock:
     """A block that is to be opened in the body of another one.
 
     Args:
@@ -79,7 +80,7 @@ class Alternative(Block):
 class Deferred(OpenBlock):
     """A block in the body of a concurrent one: read here, done there."""
 
-    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: Host) -> None:
+    def __init__(self, rule: Rule, failures: list[BaseException] | None, host: OpenBlock) -> None:
         super().__init__(rule)
         self._around = host
         self._outer = current_scope()
@@ -127,21 +128,26 @@ class Deferred(OpenBlock):
 
     def _work(self) -> None:
         """Does what the body asks for."""
-        try:
-            with self._block as block:
+        with self._block as block:
+            try:
                 with self._begun_changed:
                     self._begun = True
                     self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
-        finally:
-            self._asked.close()
+            finally:
+                self._asked.close()
+                self._asked.wait_for_end()  # what the body does itself is part of this block too
 
     def __enter__(self) -> Self:
-        self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
-        self._exits.enter_context(self._span.entered())
-        self._exits.enter_context(entered(self._block.scope))
-        self._exits.enter_context(hosted(self))
+        try:
+            self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
+            self._exits.enter_context(self._span.entered())
+            self._exits.enter_context(entered(self._block.scope))
+            self._exits.enter_context(hosted(self))
+        except BaseException:  # told to stop, or Ctrl-C: there will be no body
+            self._asked.end(None)
+            raise
         return self
 
     def __exit__(
@@ -183,6 +189,11 @@ class _Asked:
             self._ended = True
             self._error = error
             self._changed.notify_all()
+
+    def wait_for_end(self) -> None:
+        """Waits until the body has ended, whoever is told to stop."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended)
 
     def close(self) -> None:
         """Nothing more will be done; drops what has not been."""

@@ -16,13 +16,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram import checks
-from pycram.blocks import current_block
 from pycram.branch import unwrap
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, MotionDesignator, unfinished
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, NoWorld, UsageError
+from pycram.open_block import current_block
 from pycram.resolvers import Resolvers
 from recorder.span import Span, span
 

@@ -33,9 +33,9 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.blocks import alone
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.open_block import alone
 from recorder.span import Span
 
 if TYPE_CHECKING:
@@ -131,6 +131,12 @@ class FailureHandling:
         """
         self._recoveries.append((_failure_type(kind), recovery))
         return self
+
+    @property
+    def told(self) -> dict[str, object]:
+        """What its node of the task tree tells of it."""
+        kinds = [kind.__name__ for kind in self.kinds]
+        return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
         """Whether there is to be another attempt after an error, if one is left."""
@@ -246,15 +252,17 @@ class Attempt:
             raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
         self.used = True
         try:
-            self._exits.enter_context(self._attempts.entered())
+            with ExitStack() as entering:
+                entering.enter_context(self._attempts.entered())
+                self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
+                entering.enter_context(self._span.entered())
+                self._span.start()
+                token = _attempt.set(self)
+                entering.callback(lambda: _attempt.reset(token))
+                self._exits = entering.pop_all()
         except BaseException as stopped:
-            self._attempts.stop(stopped)
+            self._attempts.finish(stopped)
             raise
-        self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
-        self._exits.enter_context(self._span.entered())
-        token = _attempt.set(self)
-        self._exits.callback(lambda: _attempt.reset(token))
-        self._span.start()
         return self
 
     def __exit__(
@@ -266,7 +274,7 @@ class Attempt:
             handled, changed = error.error or error, error.changed
         if self._span is not None:
             self._span.finish(handled)
-        self._exits.pop_all().close()
+        self._exits.close()
         return self._attempts.ended(error, handled, changed)
 
 
@@ -291,8 +299,7 @@ class _Attempts:
         """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
         with alone():
             if self._span is None:
-                kinds = {"kinds": [kind.__name__ for kind in self._handling.kinds]}
-                self._span = Span("failure-handling", f"{self._handling.retries} retries", parameters=kinds)
+                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.told)
                 self._span.start()
             with self._span.entered():
                 yield
@@ -312,7 +319,7 @@ class _Attempts:
             PlanFailure: the last failure, when the retries are used up.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
-            self._finish(error)
+            self.finish(error)
             return False
         last = RetriesUsedUp(self._handling.retries) if isinstance(handled, Retry) else handled
         final: BaseException = chained(last, reversed(self._failures))
@@ -326,7 +333,7 @@ class _Attempts:
                 self._failures.append(last)
                 self._parameters = {**self._parameters, **changed}
                 return True
-        self._finish(final)
+        self.finish(final)
         if final is not error:
             raise_unchanged(final)
         return False
@@ -334,13 +341,14 @@ class _Attempts:
     def close(self) -> None:
         """Ends the row if the plan has left it between two attempts."""
         if not self.over:
-            self._finish(self._failures[-1] if self._failures else None)
+            self.finish(self._failures[-1] if self._failures else None)
 
-    def stop(self, error: BaseException) -> None:
-        """Ends the row before an attempt."""
-        self._finish(error)
+    def finish(self, error: BaseException | None) -> None:
+        """Ends the row.
 
-    def _finish(self, error: BaseException | None) -> None:
+        Args:
+            error: what it failed with; None if an attempt succeeded.
+        """
         self.over = True
         if self._span is not None:
             self._span.finish(error)

@@ -12,10 +12,10 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pycram.blocks import alone
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.checks import number
 from pycram.failures import BadArgument, NoWorld, PlanFailure
+from pycram.open_block import alone
 from recorder.span import span
 
 if TYPE_CHECKING:

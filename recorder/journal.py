@@ -145,6 +145,8 @@ _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
 _openings = itertools.count()
+_current: weakref.ref[Source] | None = None
+_known: weakref.WeakSet[Source] = weakref.WeakSet()
 _opened = 0
 _forward: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_forward", default=None)
 _aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
@@ -217,6 +219,7 @@ def register(source: Source) -> None:
     if _aside.get() is None:
         with _registry:
             _sources[next(_openings)] = source
+            _find_current()
 
 
 def introduce(source: Source) -> None:
@@ -243,6 +246,7 @@ def put_forward(source: Source) -> None:
             _forward.set(weakref.ref(source))
         for number in before:
             del _sources[number]
+        _find_current()
 
 
 def unregister(source: Source) -> None:
@@ -254,15 +258,23 @@ def unregister(source: Source) -> None:
     with _registry:
         for number in [number for number, other in _sources.items() if other is source]:
             del _sources[number]
+        _find_current()
+
+
+def _find_current() -> None:
+    """Notes which sources there are, and the last: looking for it at each task would cost more than all else."""
+    global _current, _known  # noqa: PLW0603  see open_journal
+    _known = weakref.WeakSet(_sources.values())
+    last = next(reversed(list(_sources.values())), None)
+    _current = weakref.ref(last) if last is not None else None
 
 
 def now() -> tuple[str, int]:
     """The world that is current in this context and its simulated steps; "", 0 if none is."""
-    sources = list(_sources.values())
     chosen = _forward.get()
     source = chosen() if chosen is not None else None
-    if source is None or all(other is not source for other in sources):
-        source = sources[-1] if sources else None
+    if source is None or source not in _known:
+        source = _current() if _current is not None else None
     return (source.name, source.sim_step) if source is not None else ("", 0)
 
 

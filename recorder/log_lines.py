@@ -24,9 +24,9 @@ def line_of(record: Record) -> Log | None:
         record: any.
 
     Returns:
-        The message; None where there is nothing to say (keyframes).
+        The message; None where there is nothing to say (keyframes, and tasks that are only asked for).
     """
-    if isinstance(record, Keyframe):
+    if isinstance(record, Keyframe) or (isinstance(record, Task) and record.phase == Task.ASKED):
         return None
     text, level = text_of(record)
     name = "plan" if isinstance(record, (Run, Task)) else record.world or "plan"

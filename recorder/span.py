@@ -27,8 +27,9 @@ from recorder.tasks import Tree
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-#: A plan may run for days: its tree keeps so many tasks (about 1 kB each), the latest.
+#: A plan may run for days: its tree keeps the latest tasks, so many of them and so many bytes of records.
 KEPT: Final = 20_000
+KEPT_BYTES: Final = 100_000_000
 
 _ids = itertools.count(1)
 _current: ContextVar[Span | None] = ContextVar("pycram_span", default=None)
@@ -48,7 +49,7 @@ class _Plan:
     """The tasks of this process: of the latest recording, or since the start where nothing is recorded."""
 
     def __init__(self) -> None:
-        self.tree = Tree(KEPT)
+        self.tree = Tree(KEPT, KEPT_BYTES)
         self._openings = 0
 
     def begin(self) -> None:
@@ -127,7 +128,7 @@ class Span:
         recorded = journal.recording()
         if recorded:
             record.solution.extend(arguments(self.solution))
-            record.result_json = to_json(self.result)
+            record.result_json = to_json(self.result) if self.result is not None else "null"
         if record.status == Task.FAILED and error is not None:
             record.failure.CopyFrom(failure(error, trace=recorded))
         try:

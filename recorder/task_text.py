@@ -24,6 +24,7 @@ _MARKS: Final = {
 }
 _ALIKE: Final = 6  # so many siblings alike are told one by one
 _WIDTH: Final = 100  # characters of parameters
+_TELLING_KINDS: Final = ("motion", "attempt", "failure-handling")  # whose parameters aren't told elsewhere
 _PLAIN_KINDS: Final = ("motion", "process-module", "attempt", "failure-handling")  # their names say what they are
 
 
@@ -97,7 +98,7 @@ def label(node: Node) -> str:
     if len(parameters) > _WIDTH:
         parameters = parameters[: _WIDTH - 3] + "..."
     # a process module is told what its motion was, a timeout says it in its name
-    shown = f"({parameters})" if parameters and node.kind in ("motion", "attempt") else ""
+    shown = f"({parameters})" if parameters and node.kind in _TELLING_KINDS else ""
     return f"{node.name}{shown}{'' if node.kind in _PLAIN_KINDS else ' ' + node.kind}"
 
 

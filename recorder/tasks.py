@@ -161,6 +161,12 @@ class Node:
         return f"{record.source_file}:{record.source_line}" if record.source_file else ""
 
     @property
+    def size(self) -> int:
+        """Bytes of its own records."""
+        records = {id(one): one for one in (self.asked, self.started, self.finished) if one is not None}
+        return sum(one.ByteSize() for one in records.values())
+
+    @property
     def children(self) -> list[Node]:
         """Tasks that are part of it, in the order in which they were asked for."""
         return sorted(self._parts.values(), key=_BY_ID)
@@ -223,14 +229,17 @@ class Tree:
 
     __hash__ = None  # type: ignore[assignment]  # it grows
 
-    def __init__(self, limit: int | None = None) -> None:
+    def __init__(self, limit: int | None = None, size: int | None = None) -> None:
         """Makes an empty tree.
 
         Args:
             limit: of so many tasks; beyond it those that ended first are forgotten, each before what it is part of.
                 None to keep all.
+            size: of so many bytes of records; likewise.
         """
         self._limit = limit
+        self._size_limit = size
+        self._size = 0
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
         self._ended: deque[int] = deque()
@@ -263,8 +272,10 @@ class Tree:
             if record.phase == Task.FINISHED:
                 node.finished = record
                 self._ended.append(record.task)
-                if self._limit is not None:
-                    self._forget(len(self.nodes) - self._limit)
+            if self._size_limit is not None:
+                self._size += record.ByteSize()
+            while self._ended and self._is_too_much():
+                self._forget(self._ended.popleft())
             return node
 
     def forget(self) -> None:
@@ -273,17 +284,23 @@ class Tree:
             self._roots = {number: node for number, node in self._roots.items() if node.finished is None}
             self.nodes = {node.id: node for root in self._roots.values() for _, node in root.walk()}
             self._ended = deque(number for number in self._ended if number in self.nodes)
+            self._size = sum(node.size for node in self.nodes.values())
 
-    def _forget(self, count: int) -> None:
-        for _ in range(min(count, len(self._ended))):
-            node = self.nodes.pop(self._ended.popleft(), None)
-            if node is None:
-                continue
-            if node.parent is None:
-                self._roots.pop(node.id, None)
-            else:
-                node.parent._parts.pop(node.id, None)  # noqa: SLF001  one module
-                node.parent.forgotten += 1
+    def _is_too_much(self) -> bool:
+        tasks, size = self._limit, self._size_limit
+        return (tasks is not None and len(self.nodes) > tasks) or (size is not None and self._size > size)
+
+    def _forget(self, number: int) -> None:
+        node = self.nodes.pop(number, None)
+        if node is None:
+            return
+        if self._size_limit is not None:
+            self._size -= node.size
+        if node.parent is None:
+            self._roots.pop(node.id, None)
+        else:
+            node.parent._parts.pop(node.id, None)  # noqa: SLF001  one module
+            node.parent.forgotten += 1
 
     def walk(self) -> Iterator[tuple[int, Node]]:
         """All tasks with their depth from 0, each before its parts; as deep as plans nest."""

@@ -13,6 +13,7 @@ import pytest
 import replay
 from recorder import geometry
 from recorder.records import Mutation, Query, Run, Task
+from recorder.tasks import State
 
 REPO = Path(__file__).parent.parent
 GOALS = {"milk": [-0.8, 1, 0.93], "bowl": [-0.8, 1.2, 0.9], "cereal": [-1, 1, 0.94], "spoon": [-0.8, 1.2, 0.94]}
@@ -61,7 +62,7 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
 def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)
     assert ended.returncode == 1
-    assert "the milk can't be fetched" in ended.stderr
+    assert all(f"{arm} arm can't reach" in ended.stderr for arm in ("left", "right"))
     with replay.open(tmp_path / "fails.mcap") as log:
         assert log.complete
         failed = [r for r in log.records(Task) if r.status == Task.FAILED]
@@ -70,7 +71,10 @@ def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Pat
         last = log[-1]
         assert isinstance(last, Run)
         assert not last.succeeded
-        assert last.failure.type == "ReasoningError"
+        assert last.failure.type == "Unreachable"
+        (handling,) = log.tree().roots
+        assert [dict(attempt.parameters)["arm"] for attempt in handling.attempts] == ["left", "right"] * 2
+        assert {attempt.status for attempt in handling.attempts} == {State.FAILED}
 
 
 def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:

@@ -8,13 +8,17 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import bullet_world_reasoning as btr
+from pycram import tasks
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.language import par
 from pycram.process_module import ProcessModule
+from recorder.records import Mutation
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from tests.conftest import MemorySink
 
 targets = {
     "milk": ([-0.8, 1, 0.93], "left"),
@@ -80,6 +84,61 @@ def test_listings_5_3_to_5_5_carry_the_milk(listing_5_1: dict[str, Object]) -> N
     assert det_obj == listing_5_1["milk"]
     assert math.dist(listing_5_1["milk"].get_position(), target) < 0.03
     assert s.state.name == "SUCCEEDED"
+
+
+def stretched_out(robot: Object) -> dict[str, dict[str, float]]:
+    """Turns both arms away from where they are parked; returns by arm where they would be."""
+    parked = {name: arm.posture("park") for name, arm in robot.description.arms.items()}
+    robot.set_joint_positions({joint: 0.9 * value - 0.05 for arm in parked.values() for joint, value in arm.items()})
+    return parked
+
+
+def joints_of(robot: Object, joints: dict[str, float]) -> dict[str, float]:
+    return {joint: robot.get_joint_position(joint) for joint in joints}
+
+
+def test_listing_5_3_moves_base_arms_and_head_in_branches(sink: MemorySink, listing_5_1: dict[str, Object]) -> None:
+    robot, object_type = listing_5_1["pr2"], "milk"
+    parked = stretched_out(robot)
+    sink.records.clear()
+    # fmt: off
+    with par as s:
+        ProcessModule.perform(MotionDesignator([('type', 'move-arm-joints'), ('left-arm', 'park'), ('right-arm', 'park')]))  # noqa: Q000
+        ProcessModule.perform(MotionDesignator([('type', 'moving'), ('target', [0.65, 0.7, 0]), ('orientation', [0, 0, 0, 1])]))  # noqa: Q000
+        ProcessModule.perform(MotionDesignator([('type', 'looking'), ('target', [1.3, 0.6, 1])]))  # noqa: Q000
+        det_obj = ProcessModule.perform(MotionDesignator([('type', 'detecting'), ('object', object_type)]))  # noqa: Q000
+    # fmt: on
+    assert det_obj == listing_5_1["milk"]
+    assert [branch.state.name for branch in s.branches] == ["SUCCEEDED"] * 4
+    for joints in parked.values():
+        assert joints_of(robot, joints) == pytest.approx(joints)
+    assert robot.get_position() == [0.65, 0.7, 0]
+    threads = {record.thread for record in sink.of(Mutation)}
+    assert threads == {"par-1 move-arm-joints", "par-2 moving", "par-3 looking"}
+
+
+def test_three_branches_move_the_base_and_each_arm(sink: MemorySink, listing_5_1: dict[str, Object]) -> None:
+    robot = listing_5_1["pr2"]
+    parked = stretched_out(robot)
+    sink.records.clear()
+    with par as s:
+        for arm in parked:
+            ProcessModule.perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
+        ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", [0.3, 0.7, 0])]))
+    assert s.state.name == "SUCCEEDED"
+    assert robot.get_position() == [0.3, 0.7, 0]
+    moved = {record.thread: record for record in sink.of(Mutation)}
+    assert sorted(moved) == ["par-1 move-arm-joints", "par-2 move-arm-joints", "par-3 moving"]
+    for (name, joints), thread in zip(parked.items(), sorted(moved), strict=False):
+        assert joints_of(robot, joints) == pytest.approx(joints)
+        assert set(moved[thread].move_joints.joints) == set(joints), name
+    assert moved["par-3 moving"].move_body.position == [0.3, 0.7, 0]
+    (block,) = [node for node in tasks.tree().roots if node.name == "par"]
+    assert [(child.kind, child.name, child.status.word) for child in block.children] == [
+        ("motion", "move-arm-joints", "succeeded"),
+        ("motion", "move-arm-joints", "succeeded"),
+        ("motion", "moving", "succeeded"),
+    ]
 
 
 def test_what_blocks_is_named_and_can_be_moved_first(listing_5_1: dict[str, Object]) -> None:

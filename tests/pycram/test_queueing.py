@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.blocks import current_block
 from pycram.cancellation import wait
 from pycram.claims import ClaimError, Claims
 from pycram.designator import MotionDesignator
 from pycram.failures import Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
+from pycram.open_block import current_block
 from pycram.process_module import ProcessModule
 from pycram.timeouts import TimedOut
 

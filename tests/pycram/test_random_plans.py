@@ -15,13 +15,13 @@ import pytest
 import recorder
 import replay
 from pycram import tasks
-from pycram.blocks import OpenBlock
 from pycram.bullet_world import BulletWorld, Object
 from pycram.cancellation import wait
 from pycram.claims import Claims
 from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
+from pycram.open_block import OpenBlock
 from pycram.process_module import ProcessModule
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def run(plans: int, first: int, file: Path) -> None:
         with chooser:
             for seed in range(first, first + plans):
                 made = Plan(seed, world, jugglers)
-                beside = [made.block(4, PARTS) for _ in range(3)]
+                beside = [made.block(4, PARTS) for _ in range(2)]
                 try:
                     par(*beside)
                 except PlanFailure:

@@ -1,0 +1,219 @@
+"""What a plan sees of a block: the body's side of it.
+
+Code in the body of a block asks the block around it, its *host*, for branches. Which one that is, the context carries:
+in a branch there is none, and things happen one after the other.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from pycram.branch import Branch, Handle, Result
+from pycram.cancellation import checkpoint
+from pycram.failures import BadArgument, PlanFailure, UsageError
+from recorder.tasks import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from recorder.span import Span
+
+
+class BlockClosed(UsageError):
+    """A branch was asked of a block that has ended.
+
+    Attributes:
+        block: what the block is.
+        branch: what was asked for.
+    """
+
+    def __init__(self, block: str, branch: str) -> None:
+        super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
+        self.block = block
+        self.branch = branch
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What makes one kind of block another than the others.
+
+    Attributes:
+        name: what it is called.
+        concurrent: whether its branches run side by side.
+        decided_by: a branch that ends so decides the block.
+    """
+
+    name: str
+    concurrent: bool
+    decided_by: frozenset[State]
+
+    @property
+    def stops_at_failure(self) -> bool:
+        """Whether a failure of one is the failure of all, at once."""
+        return State.FAILED in self.decided_by
+
+    @property
+    def takes_one(self) -> bool:
+        """Whether one success is enough."""
+        return State.SUCCEEDED in self.decided_by
+
+
+_host: ContextVar[OpenBlock | None] = ContextVar("pycram_block", default=None)
+
+
+def current_block() -> OpenBlock | None:
+    """The block whose branches are the actions here; None where actions happen one after the other and raise."""
+    return _host.get()
+
+
+@contextmanager
+def hosted(host: OpenBlock | None) -> Iterator[None]:
+    """Makes actions in its block branches of a block.
+
+    Args:
+        host: the block; None lets actions happen one after the other.
+    """
+    token = _host.set(host)
+    try:
+        yield
+    finally:
+        _host.reset(token)
+
+
+@contextmanager
+def alone() -> Iterator[Callable[[], None]]:
+    """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
+
+    Yields:
+        What to call at the block's end: waits for what it asked of a sequence around it.
+
+    Raises:
+        Cancelled: the block around it is decided, or told to stop.
+    """
+    host = current_block()
+    if host is not None:
+        host.catch_up()
+    checkpoint()
+    with hosted(None):
+        yield host.catch_up if host is not None else lambda: None
+
+
+def name_of(action: Callable[..., Result]) -> str:
+    """What people call a function: without its module, and without the function that it is defined in.
+
+    Args:
+        action: anything that can be called.
+    """
+    name = getattr(action, "__qualname__", None) or type(action).__qualname__
+    return str(name).rpartition("<locals>.")[2]
+
+
+class OpenBlock(ABC):
+    """What the plan has of a block: ``s`` in ``with par as s``.
+
+    Attributes:
+        rule: what kind of block it is.
+        branches: its branches, in the order in which they were asked for.
+    """
+
+    def __init__(self, rule: Rule) -> None:
+        """Makes a block.
+
+        Args:
+            rule: what kind.
+        """
+        self.rule = rule
+        self.branches: list[Branch] = []
+
+    @property
+    def name(self) -> str:
+        """What it is: "par", ..."""
+        return self.rule.name
+
+    @property
+    @abstractmethod
+    def state(self) -> State:
+        """How far it is, or how it ended."""
+
+    @property
+    @abstractmethod
+    def failures(self) -> tuple[PlanFailure, ...]:
+        """The failures of its branches and of its body so far."""
+
+    @property
+    @abstractmethod
+    def prompt(self) -> bool:
+        """Whether an action begins at once, whatever was asked for before it."""
+
+    def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Handle:
+        """Asks for a branch.
+
+        Args:
+            action: a function.
+            args: its arguments.
+            kwargs: its named arguments.
+
+        Returns:
+            A handle that serves as its result.
+
+        Raises:
+            BadArgument: it can't be called.
+            BlockClosed: the block has ended.
+            PlanFailure: the function failed, in a ``seq`` block.
+        """
+        if not callable(action):
+            raise BadArgument("action", action, "a function to run as a branch")
+        return self.start(name_of(action), lambda: action(*args, **kwargs))
+
+    def start(
+        self,
+        name: str,
+        action: Callable[[], Result],
+        *,
+        ordered: bool = False,
+        dropped: Callable[[], None] = lambda: None,
+        span: Span | None = None,
+    ) -> Handle:
+        """Asks for a branch.
+
+        Args:
+            name: what it is called.
+            action: what it does.
+            ordered: whether it waits only for what was asked for before it.
+            dropped: called once if it is never begun.
+            span: its node of the task tree, if it isn't just a branch.
+
+        Returns:
+            A handle that serves as its result.
+        """
+        branch = Branch(name, action, ordered=ordered, dropped=dropped, span=span)
+        self.take(branch)
+        return Handle(branch)
+
+    @abstractmethod
+    def take(self, branch: Branch) -> None:
+        """Runs a branch, now or later, here or in another thread.
+
+        Args:
+            branch: one that has not begun.
+        """
+
+    def catch_up(self) -> None:  # noqa: B027  most blocks have nothing to wait for
+        """Waits until the body itself may act: in a block whose body is only read, that is when its turn has come."""
+
+    @abstractmethod
+    def __enter__(self) -> Self:
+        """Begins it; what its body asks for are its branches."""
+
+    @abstractmethod
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        """Ends it; returns whether what came out of the body is taken care of."""
