@@ -49,7 +49,3 @@ class Body:
     joints: Mapping[str, Joint]
     offset: Pose | None
     indices: tuple[int, ...]
-
-    def link_name(self, index: int) -> str:
-        """The name of a link index."""
-        return next(name for name, i in self.links.items() if i == index)

@@ -291,6 +291,8 @@ class Object:
     def get_AABB(self, name: str | None = None) -> tuple[list[float], list[float]]:  # noqa: N802  the original's name
         """Lowest and highest corner of the box around it, or around one of its links, along the world's axes.
 
+        The engine pads shapes: the box is up to 3 mm larger on each side.
+
         Raises:
             UnknownName: there is no such link.
         """
