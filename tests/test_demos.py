@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +38,10 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
     assert "the table is set" in ended.stdout
     assert [file.name for file in tmp_path.iterdir()] == ["set_the_table.mcap"]
     assert "set_the_table.mcap" in ended.stderr.splitlines()[-1]
+    shown = (REPO / "README.md").read_text().partition("$ pycram demo\n")[2].partition("```")[0].splitlines()
+    printed = [*ended.stdout.splitlines(), *ended.stderr.splitlines()]
+    size = re.compile(r"\d+\.\d MB")
+    assert [size.sub("", line) for line in shown] == [size.sub("", line) for line in printed], "README shows it"
     with replay.open(tmp_path / "set_the_table.mcap") as log:
         assert log.complete
         closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
