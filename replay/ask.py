@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram import bullet_world_reasoning as btr
 from pycram.failures import PycramError
+from pycram.reasoning.query import Verdict
 from recorder.records import Query, to_json
 from replay.errors import NoSuchName
 from replay.question import BadQuestion, Name, Question, Term, parse
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from pycram.bullet_world import BulletWorld
     from pycram.objects import Object
-    from pycram.reasoning.query import Found, Verdict
+    from pycram.reasoning.query import Found
     from recorder.geometry import Quaternion, Vector
     from replay.log import Log
     from replay.plain import Plain
@@ -32,8 +33,8 @@ if TYPE_CHECKING:
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
 
-#: Parameters that take an object; a pose may be one, or a position.
-_OBJECTS: Final = ("object", "object1", "object2", "robot", "pose")
+#: Parameters that take an object, or several; a pose may be one, or a position.
+_OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
 _RECORDED: Final = {"gripper": "gripper_name"}  # arguments whose name on record isn't the parameter's
 
 
@@ -61,14 +62,14 @@ class Answer:
         world: name of the world.
         question: what was asked.
         moves: what was put elsewhere before.
-        answer: true or false, or names of objects.
+        answer: true or false, names of objects, or true or false for each of several.
         evidence: what it rests on.
     """
 
     step: int
     world: str
     question: Question
-    answer: bool | list[str]
+    answer: bool | list[str | bool]
     evidence: Mapping[str, Plain]
     moves: tuple[Move, ...] = field(default=())
 
@@ -102,7 +103,7 @@ def ask(
             found = _call(restored, asked)
         except PycramError as error:
             raise BadQuestion(str(asked), str(error)) from error
-        answer = [body.name for body in found] if isinstance(found, list) else bool(found)
+        answer = [_told(item) for item in found] if isinstance(found, list) else bool(found)
         evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
         title = restored.name.rpartition("@")[0]
     return Answer(number, title, asked, answer, evidence, tuple(moves))
@@ -158,8 +159,8 @@ def _put(world: BulletWorld, move: Move) -> None:
         raise BadQuestion(f"moving {move.body}", str(error)) from error
 
 
-def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object]:
-    query: Callable[..., Verdict | Found[Object]] = getattr(btr, question.query)
+def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | Found[Verdict]:
+    query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
     signature = inspect.signature(query)
     try:
         bound = signature.bind(*question.arguments, **question.keywords)
@@ -170,6 +171,11 @@ def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object]:
     return query(**given)
 
 
+def _told(item: Object | Verdict) -> str | bool:
+    """An item of a list that was found."""
+    return bool(item) if isinstance(item, Verdict) else item.name
+
+
 def _value(world: BulletWorld, parameter: str, term: object) -> object:
     """What a query gets for a term."""
     if parameter == "world":
@@ -177,7 +183,7 @@ def _value(world: BulletWorld, parameter: str, term: object) -> object:
     if parameter in _OBJECTS and isinstance(term, Name | str):
         return _object(world, term.text if isinstance(term, Name) else term)
     if isinstance(term, list):
-        return [_value(world, "", item) for item in term]
+        return [_value(world, parameter, item) for item in term]
     return term.text if isinstance(term, Name) else term
 
 

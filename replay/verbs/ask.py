@@ -89,10 +89,10 @@ def _plain(found: Answer) -> Plain:
     }
 
 
-def _told(answer: bool | list[str]) -> str:
+def _told(answer: bool | str | list[str | bool]) -> str:
     if isinstance(answer, list):
-        return ", ".join(answer) or "nothing"
-    return "yes" if answer else "no"
+        return ", ".join(map(_told, answer)) or "nothing"
+    return answer if isinstance(answer, str) else "yes" if answer else "no"
 
 
 def _lines(evidence: object, indent: str) -> Iterator[str]:

@@ -24,7 +24,9 @@ CAMERA = "wide_stereo_optical_frame"
 
 def names(answer_json: str) -> bool | list[str]:
     answer = json.loads(answer_json)
-    return [body["object"] for body in answer] if isinstance(answer, list) else answer
+    if isinstance(answer, list):
+        return [item["object"] if isinstance(item, dict) else item for item in answer]
+    return answer
 
 
 @pytest.mark.slow
@@ -100,6 +102,7 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
         ("reachable([1.2, 0.9, 1], BulletWorld.robot, l_gripper_tool_frame, world, 0.02)", True),
         ("reachable_object(milk, pr2, 'l_gripper_tool_frame', threshold=0.05, grasp=front)", True),
         ("reachable_pose([1.2, 9, -1], pr2, l_gripper_tool_frame)", False),
+        ("reachable_poses([[1.2, 0.9, 1], [9, 9, 9]], pr2, l_gripper_tool_frame, ignoring=[milk])", [True, False]),
         ("blocking(cereal, pr2, r_gripper_tool_frame, grasp=None)", []),
     ],
 )
