@@ -282,7 +282,7 @@ def reachable_poses(
         found: Found[Verdict] = Found()
         with rehearsal:
             for (at, turn, base), ways in zip(everything, solver.at_once(everything), strict=True):
-                options = ways or solver.postures(at, turn, thorough=collision_free, base=base)
+                options = ways or solver.postures(at, turn, thorough=collision_free, base=base, threshold=near)
                 rehearsed = rehearsal if collision_free else None
                 found.append(_reachability.judge(options, near, rehearsed, oriented=turn is not None, base=base))
         asked.evidence = {"reached": sum(found), "distances": [verdict.evidence["distance"] for verdict in found]}
@@ -384,7 +384,7 @@ def _reaches(
     """The common part of the reachable queries."""
     near = checks.at_least("threshold", threshold, 0.0)
     solver = _reach.Solver(robot, link)
-    options = solver.postures(target, orientation, thorough=collision_free)
+    options = solver.postures(target, orientation, thorough=collision_free, threshold=near)
     oriented = orientation is not None
     if collision_free:
         with _rehearsal.Rehearsal(robot, solver.joints, [] if body is None else [body]) as rehearsal:

@@ -8,6 +8,7 @@ is deterministic.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final
@@ -36,6 +37,7 @@ _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are
 _STALE: Final = (8, 0.9)  # iterations in which the nearest start's error has to fall by so much, or the search ends
 _CLOSE: Final = 0.02  # m or rad of error below which a search is never given up
 _CHUNK: Final = 16  # targets that are solved at once
+_COMPARED: Final = 60  # misses of the closed form
 _NEAREST: Final = 6  # misses of the closed form that are searched from
 _DIFFERENT: Final = 0.35  # rad or m in some joint between postures that count as two
 _MOST: Final = 16  # postures that are told of
@@ -221,6 +223,7 @@ class ArmKinematics:
         *,
         thorough: bool = False,
         quick: bool = False,
+        enough: float = POSITION_TOLERANCE,
     ) -> list[Posture]:
         """As :meth:`solve`, but all distinct postures found: those that reach, nearest to the first seed first.
 
@@ -230,6 +233,7 @@ class ArmKinematics:
             seeds: postures to start from first.
             thorough: start from all starting postures even if some reach soon.
             quick: start from a few only; a miss then proves nothing.
+            enough: m to the target that a miss has to come near for being of any use.
 
         Returns:
             At least one; if the first doesn't reach, none does.
@@ -239,7 +243,7 @@ class ArmKinematics:
         first = [np.array([seed.get(name, 0.0) for name in self.joints]) for seed in seeds]
         home = self._limited(first[0] if first else np.zeros(len(self.joints)))
         if self._closed is not None:
-            found, batches = self._written(self._closed, goal, turn, home)
+            found, batches = self._written(self._closed, goal, turn, home, enough)
         else:
             found, batches = self._scattered(goal, home, first)
         if quick:
@@ -257,20 +261,23 @@ class ArmKinematics:
             return self._told(self._distinct(reaching, home), goal, turn)
         return self._told(found[[int(np.argmin(misses.sum(axis=1)))]], goal, turn)
 
-    def _written(self, closed: ClosedForm, goal: Array, turn: Array | None, home: Array) -> tuple[Array, list[Array]]:
+    def _written(
+        self, closed: ClosedForm, goal: Array, turn: Array | None, home: Array, enough: float
+    ) -> tuple[Array, list[Array]]:
         """Postures in closed form: solutions, or else misses and from which of them to search."""
+        patience = math.inf if enough > _HOPELESS else 1.0
         (found,), (strain,) = closed.postures(goal[None], None if turn is None else turn[None], home)
         if (strain == 0.0).any():
             return self._distinct(found[strain == 0.0], home), []
-        misses = self._least_strained(found, strain)
-        if strain.min() > _STRAINED or closed.miss(goal, turn) > _HOPELESS:
+        misses = self._nearest(found, strain, goal, turn)
+        if strain.min() > patience * _STRAINED or closed.miss(goal, turn) > max(_HOPELESS, enough):
             return misses[:1], []
         if turn is not None:
             narrow, strain = closed.closer(goal, turn, misses)
             if (strain == 0.0).any():
                 return self._distinct(narrow[strain == 0.0], home), []
-            misses = self._least_strained(narrow, strain)
-        return misses, [misses] if strain.min() < _SEARCHED else []
+            misses = self._nearest(narrow, strain, goal, turn)
+        return misses, [misses] if strain.min() < patience * _SEARCHED else []
 
     def _scattered(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
         """Where to search from if nothing is known: the stretched arm if that is too short, else all over its range."""
@@ -319,9 +326,11 @@ class ArmKinematics:
         """Postures that differ from each other, nearest to another first."""
         return self._different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MOST)
 
-    def _least_strained(self, found: Array, strain: Array) -> Array:
-        """Misses of the closed form, within the limits, that differ from each other, the least strained first."""
-        return self._different(self._limited(found[np.argsort(strain, kind="stable")]), _NEAREST)
+    def _nearest(self, found: Array, strain: Array, goal: Array, turn: Array | None) -> Array:
+        """Of the least strained misses those that come nearest within the limits, and differ from each other."""
+        found = self._limited(found[np.argsort(strain, kind="stable")[:_COMPARED]])
+        misses = self._misses(found, goal, turn).sum(axis=1)
+        return self._different(found[np.argsort(misses, kind="stable")], _NEAREST)
 
     @staticmethod
     def _different(found: Array, most: int) -> Array:

@@ -153,15 +153,16 @@ class Solver:
         quick: bool = False,
         seed: Mapping[str, float] | None = None,
         base: PoseLike | None = None,
+        threshold: float = THRESHOLD,
     ) -> list[Reach]:
-        """See :func:`postures`; ``base`` is where the robot's base is taken to be."""
+        """See :func:`postures`; ``base`` is where the robot's base is taken to be, ``threshold`` m are near enough."""
         if not self.joints:
             away = math.dist(geometry.transform(self._root_T_world, position), self._root_T_link)
             return [Reach(Posture({}, away, 0.0, away < THRESHOLD), self._link)]
         start = self._now if seed is None else seed
         seeds = [start, *(self._arm.posture(name) for name in self._arm.poses)] if self._arm else [start]
         target, turn = self._in_root(position, orientation, base)
-        found = self._kinematics.solve_all(target, turn, seeds, thorough=thorough, quick=quick)
+        found = self._kinematics.solve_all(target, turn, seeds, thorough=thorough, quick=quick, enough=threshold)
         return [Reach(posture, self._link) for posture in found]
 
     def at_once(self, targets: Sequence[Target]) -> list[list[Reach]]:

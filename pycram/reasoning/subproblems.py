@@ -60,23 +60,25 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
         first: the outer axis.
         second: the inner axis, about which the vector is turned first.
         start: the vector before.
-        end: the vector after.
+        end: the vector after; its direction counts.
 
     Returns:
         Angles (2, n) about the outer and about the inner axis, of both solutions, and their strain (n,).
     """
+    lengths = (start * start).sum(axis=0)
+    end = end * np.sqrt(lengths / np.maximum((end * end).sum(axis=0), 1e-12))
     between = float(first @ second)
     square = 1.0 - between * between
     along_first, along_second = first @ end, second @ start
     a = (along_first - between * along_second) / square
     b = (along_second - between * along_first) / square
-    rest = ((end * end).sum(axis=0) - a * a - b * b - 2.0 * a * b * between) / square
+    rest = (lengths - a * a - b * b - 2.0 * a * b * between) / square
     middle = first[:, None] * a + second[:, None] * b
     aside = np.cross(first, second)[:, None] * np.sqrt(np.maximum(rest, 0.0))
     way = np.concatenate([middle + aside, middle - aside], axis=1)
     inner = angle_between(second, _twice(start), way)
     outer = -angle_between(first, _twice(end), way)
-    short = -rest / np.maximum((end * end).sum(axis=0), 1e-12)
+    short = -rest / np.maximum(lengths, 1e-12)
     return outer.reshape(2, -1), inner.reshape(2, -1), np.sqrt(np.maximum(short - _SLACK, 0.0))
 
 
