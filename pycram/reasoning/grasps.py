@@ -7,6 +7,7 @@ middle between its fingers. Of the candidates that the arm reaches, the one that
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -214,7 +215,7 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         found = iter([(Grasp("any", at, (0.0, 0.0, 0.0, 1.0), 0.0), solver.postures(at, None))])
         opened, hand = {}, {link}
     else:
-        found = _reaches(list(candidates(body, robot, arm, names)), solver)
+        found = _reaches(candidates(body, robot, arm, names), solver)
         opened, hand = arm.gripper.positions("open"), {arm.gripper.palm, *arm.gripper.fingers}
     nearest: Reach | None = None
     least: GraspPlan | None = None
@@ -241,9 +242,24 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
     return least or GraspPlan(None, nearest)
 
 
-def _reaches(options: Sequence[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:
+def _reaches(options: Iterator[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:
     """Postures for grasps. Those that have to be searched for are at the edge of what the arm can: for need only."""
-    known = solver.at_once([(grasp.position, grasp.orientation, None) for grasp in options])
-    for grasp, ways in zip(options, known, strict=True):
-        if ways or not any(known):
-            yield grasp, ways or solver.postures(grasp.position, grasp.orientation)
+    missed: list[Grasp] = []
+    reached = False
+    for group in _first_and_rest(options):
+        poses = [(grasp.position, grasp.orientation, None) for grasp in group]
+        for grasp, ways in zip(group, solver.at_once(poses), strict=True):
+            if ways:
+                reached = True
+                yield grasp, ways
+            else:
+                missed.append(grasp)
+    if not reached:
+        for grasp in missed:
+            yield grasp, solver.postures(grasp.position, grasp.orientation)
+
+
+def _first_and_rest(options: Iterator[Grasp]) -> Iterator[list[Grasp]]:
+    """The best one alone, as mostly it will do, and the others at once."""
+    yield list(itertools.islice(options, 1))
+    yield list(options)

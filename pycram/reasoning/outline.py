@@ -69,9 +69,8 @@ class Outline:
         Returns:
             (len(xs), 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
-        places = [(x, z) for x in xs for z in zs]
-        near = np.array([geometry.transform(frame, (x, -self._far, z)) for x, z in places])
-        far = np.array([geometry.transform(frame, (x, self._far, z)) for x, z in places])
+        near = _in_world(frame, [(x, -self._far, z) for x in xs for z in zs])
+        far = _in_world(frame, [(x, self._far, z) for x in xs for z in zs])
         shape = (len(xs), len(zs))
         hits = self._engine.rays(np.concatenate([near, far]), np.concatenate([far, near])).reshape(2, *shape)
         lowest = np.where(np.isnan(hits[0]), np.inf, -self._far + hits[0] * 2 * self._far).min(axis=1)
@@ -92,11 +91,17 @@ class Outline:
             (len(zs), 2), m: x of the wall's inside and outside at each z; inside is nan where it isn't hollow, both
             where there is nothing.
         """
-        places = [(y, z) for z in zs for y in ys]
-        inner = np.array([geometry.transform(frame, (0.0, y, z)) for y, z in places])
-        outer = np.array([geometry.transform(frame, (self._far, y, z)) for y, z in places])
+        inner = _in_world(frame, [(0.0, y, z) for z in zs for y in ys])
+        outer = _in_world(frame, [(self._far, y, z) for z in zs for y in ys])
         shape = (len(zs), len(ys))
         hits = self._engine.rays(np.concatenate([inner, outer]), np.concatenate([outer, inner])).reshape(2, *shape)
         inside = (hits[0] * self._far).min(axis=1)  # nan where any ray begins within the solid
         outside = np.where(np.isnan(hits[1]), -np.inf, self._far - hits[1] * self._far).max(axis=1)
         return np.stack([inside, np.where(np.isfinite(outside), outside, np.nan)], axis=1)
+
+
+def _in_world(frame: Pose, points: Sequence[Vector]) -> NDArray[np.float64]:
+    """Points (n, 3) of a frame in the world."""
+    position, turn = frame
+    moved: NDArray[np.float64] = np.array(points) @ geometry.to_matrix(turn).T + np.asarray(position)
+    return moved

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 import pytest
 
 import recorder
-from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
 from recorder import journal
@@ -166,30 +165,3 @@ def test_attaching_and_leaving(tmp_path: Path) -> None:
     print(f"exit of the full scene: {ending * 1e3:.1f} ms ({ending / step:.1f} steps)")
     assert holding < step
     assert ending < 50 * step
-
-
-def test_queries() -> None:
-    with redirect_stdout(StringIO()):
-        kitchen = set_the_table.build_scene()
-        set_the_table.go(set_the_table.COUNTER)
-    world = BulletWorld.current_bullet_world
-    robot = world.robot
-    milk, cereal = world.get_object("milk"), world.get_object("cereal")
-    step = seconds(lambda: world.engine.step(100)) / 100
-    asked: dict[str, Callable[[], object]] = {
-        "contact": lambda: btr.contact(kitchen, milk),
-        "supporting": lambda: btr.supporting(kitchen, milk),
-        "stable": lambda: btr.stable(milk),
-        "visible": lambda: btr.visible(milk, "wide_stereo_optical_frame"),
-        "occluding": lambda: btr.occluding(cereal, [0.3, 0.6, 1.3]),
-        "reachable": lambda: btr.reachable(milk, robot, "l_gripper_tool_frame"),
-        "not reachable": lambda: btr.reachable([1.8, 1, 1], robot, "l_gripper_tool_frame"),
-        "blocking": lambda: btr.blocking(milk, robot, "l_gripper_tool_frame"),
-    }
-    print(f"\none full-scene step: {step * 1e3:.2f} ms")
-    for name, query in asked.items():
-        query()
-        took = statistics.median(seconds(query) for _ in range(5))
-        print(f"{name:14} {took * 1e3:7.2f} ms {took / step:7.2f} steps")
-        assert took < 100 * step, name
-    world.exit()

@@ -1,0 +1,202 @@
+"""What the reasoning queries cost, against calls of the engine in the same run: ``make bench`` prints the table.
+
+Units are the engine's own work in the same world: one step of the whole scene, one default call of inverse kinematics,
+one camera image of 256x256. Machines are noisy, and noise only adds: each query is timed in turn with its unit, and the
+fastest of each are compared.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.engine import bullet
+from pycram.reasoning import visibility
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+sys.path.insert(0, str(Path(__file__).parent.parent.parent / "demos"))
+
+import set_the_table
+
+pytestmark = pytest.mark.slow
+
+LEFT, FRAME = "l_gripper_tool_frame", "wide_stereo_optical_frame"
+FAR = 40  # objects: ten times those that are near
+
+
+@pytest.fixture
+def kitchen() -> Iterator[Object]:
+    """The demo's scene, the robot before the counter."""
+    with redirect_stdout(StringIO()):
+        made = set_the_table.build_scene()
+        set_the_table.go(set_the_table.COUNTER)
+    made.world.simulate(0.5)
+    yield made
+    made.world.exit()
+
+
+def seconds(action: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    action()
+    return time.perf_counter() - start
+
+
+def ratio(query: Callable[[], object], unit: Callable[[], object], times: int = 11) -> float:
+    """What a query costs, in units that are measured in turn with it."""
+    query()
+    pairs = [(seconds(query), seconds(unit)) for _ in range(times)]
+    return min(pair[0] for pair in pairs) / min(pair[1] for pair in pairs)
+
+
+def units(world: BulletWorld) -> dict[str, Callable[[], object]]:
+    client, body = world.engine._client, world.robot.handle
+    view = bullet.computeViewMatrix([0.3, 0.6, 1.3], [1.4, 1, 0.9], [0, 0, 1])
+    lens = bullet.computeProjectionMatrixFOV(60, 1, 0.02, 20)
+
+    def image() -> object:
+        return bullet.getCameraImage(256, 256, view, lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=client)
+
+    def kinematics() -> object:
+        return bullet.calculateInverseKinematics(
+            body.id, body.links[LEFT], [1.4, 1, 0.9], [0, 0, 0, 1], physicsClientId=client
+        )
+
+    return {"step": lambda: world.engine.step(1), "IK call": kinematics, "image": image}
+
+
+def queries(kitchen: Object) -> dict[str, tuple[Callable[[], object], str, float]]:
+    """Each query with its unit and its goal."""
+    world = kitchen.world
+    robot, milk, cereal = world.robot, world.get_object("milk"), world.get_object("cereal")
+    x, y, z = milk.get_position()
+    within = [x - 0.75, y + 0.3, z + 0.2]  # inside of what the arm could reach, but for the hand's orientation
+    falling = Object("falling", "box", "milk.stl", [1.5, 0, 1.4])
+    return {
+        "contact": (lambda: btr.contact(kitchen, milk), "step", 0.1),
+        "supporting": (lambda: btr.supporting(kitchen, milk), "step", 0.1),
+        "stable, falls": (lambda: btr.stable(falling), "step", 5),
+        "visible": (lambda: btr.visible(milk, FRAME), "image", 0.2),
+        "occluding": (lambda: btr.occluding(cereal, [0.3, 0.6, 1.3]), "image", 0.2),
+        "reachable": (lambda: btr.reachable(milk, robot, LEFT), "IK call", 3),
+        "not reachable, far": (lambda: btr.reachable([1.8, 1, 1], robot, LEFT), "IK call", 3),
+        "reachable pose": (
+            lambda: btr.reachable_pose([x, y, z], robot, LEFT, orientation=[0, 0, 0, 1]),
+            "IK call",
+            3,
+        ),
+        "not reachable, turned": (
+            lambda: btr.reachable_pose(within, robot, LEFT, orientation=[0, 0, 1, 0]),
+            "IK call",
+            3,
+        ),
+        "blocking": (lambda: btr.blocking(cereal, robot, LEFT), "IK call", 5),
+        "blocking, blocked": (lambda: btr.blocking(milk, robot, LEFT), "IK call", 5),
+    }
+
+
+def test_what_queries_cost(kitchen: Object) -> None:
+    world = kitchen.world
+    milk, unit = world.get_object("milk"), units(world)
+    print()
+    rows = {"stable": (lambda: btr.stable(milk), "step", 40.0)}  # before anything falls nearby
+    costs = {}
+    for name, (query, of, goal) in rows.items():
+        costs[name] = ratio(query, unit[of]), of, goal
+    rows = queries(kitchen)
+    for name, (query, of, goal) in rows.items():
+        costs[name] = ratio(query, unit[of]), of, goal
+    for name, (cost, of, goal) in costs.items():
+        print(f"{name:24} {cost:7.2f} {of}s, goal {goal:g}")
+    missed = {name: cost for name, (cost, _, goal) in costs.items() if cost > 2.5 * goal}
+    assert not missed
+
+
+def test_what_is_far_away_costs_little(kitchen: Object) -> None:
+    """The same queries before and after ten times as many things stand 20 m away."""
+    world = kitchen.world
+    milk = world.get_object("milk")
+    asked = {"stable": lambda: btr.stable(milk)}
+    asked |= {name: query for name, (query, _, _) in queries(kitchen).items()}
+    world.get_object("falling").remove()
+    del asked["stable, falls"]
+    unit = units(world)["IK call"]  # which sees nothing of other bodies
+    before = {name: ratio(query, unit) for name, query in asked.items()}
+    for index in range(FAR):
+        Object(f"far_{index}", "box", "milk.stl", [20 + index % 7, 20 + index // 7, 0.098])
+    world.simulate(0.1)
+    after = {name: ratio(query, unit) for name, query in asked.items()}
+    print()
+    for name, cost in after.items():
+        print(f"{name:24} {before[name]:7.2f} IK calls, with {FAR} far things {cost:7.2f}: {cost / before[name]:.2f}")
+    assert all(cost < 2.5 * before[name] + 0.1 for name, cost in after.items())
+
+
+def test_verdicts_are_those_of_full_size_images(kitchen: Object) -> None:
+    """500 random views against two images of 256x256, counted as the thesis does."""
+    world = kitchen.world
+    things = [body for body in world.objects if not body.fixed]
+    rng = np.random.default_rng(0)
+    client = world.engine._client
+    lens = bullet.computeProjectionMatrixFOV(60, 1, visibility._NEAR, visibility._FAR)
+    same = asked = 0
+    with BulletWorld() as lone:  # the object alone
+        copies = {body.name: Object(body.name, body.type, body.path) for body in things}
+        while asked < 500:
+            body = things[int(rng.integers(len(things)))]
+            low, high = body.get_AABB()
+            middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+            eye = [float(c) for c in middle + rng.uniform([-1.2, -1, -0.1], [0.2, 1, 0.9])]
+            if np.linalg.norm(np.subtract(eye, middle)) < 0.3:
+                continue
+            asked += 1
+            position, turn = geometry.invert((eye, geometry.look_at(eye, middle)))
+            view = np.diag([1.0, -1.0, -1.0, 1.0]) @ geometry.pose_matrix((position, turn))
+            copies[body.name].set_position_and_orientation(*body.get_position_and_orientation())
+
+            def pixels(number: int, where: int, view: np.ndarray = view) -> int:
+                picture = bullet.getCameraImage(
+                    256, 256, view.T.ravel().tolist(), lens, renderer=bullet.ER_TINY_RENDERER, physicsClientId=where
+                )
+                return int((np.asarray(picture[4]) == number).sum())
+
+            for name, copy in copies.items():
+                if name != body.name:
+                    copy.set_position([0, 0, -500])
+            alone, seen = pixels(copies[body.name].id, lone.engine._client), pixels(body.id, client)
+            same += bool(btr.visible(body, eye)) == (seen > 0.8 * alone)
+    print(f"\n{same} of {asked} verdicts are those of full-size images")
+    assert same >= 0.98 * asked
+
+
+def test_200_places_of_the_robot(kitchen: Object) -> None:
+    world = kitchen.world
+    robot, milk = world.robot, world.get_object("milk")
+    rng = np.random.default_rng(1)
+    bases = [
+        ([float(x), float(y), 0.0], geometry.from_rpy(0, 0, float(yaw)))
+        for x, y, yaw in rng.uniform([0.2, 0.3, -0.6], [0.9, 1.7, 0.6], (200, 3))
+    ]
+    at = milk.get_position()
+    print()
+    for name, options in {
+        "any orientation": {},
+        "from the front": {"orientations": [[0, 0, 0, 1]]},
+        "and free": {"orientations": [[0, 0, 0, 1]], "collision_free": True, "ignoring": [milk]},
+    }.items():
+        took = seconds(lambda options=options: btr.reachable_poses([at], robot, LEFT, bases=bases, **options))
+        step = statistics.median(seconds(lambda: world.engine.step(1)) for _ in range(30))
+        print(f"{name:20} {took:.2f} s, {took / step:.0f} steps")
+        assert took < 2500 * step
