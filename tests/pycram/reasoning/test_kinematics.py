@@ -1,0 +1,133 @@
+"""Inverse kinematics of arms of any make: in closed form where axes meet, searched for elsewhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from pycram.reasoning import subproblems
+from pycram.reasoning.closed_form import ClosedForm
+from pycram.reasoning.kinematics import ArmKinematics
+from recorder import geometry
+from recorder.urdf import Urdf
+
+numbers = st.floats(-1, 1)
+vectors = st.tuples(numbers, numbers, numbers).map(np.array)
+units = vectors.filter(lambda v: np.linalg.norm(v) > 0.2).map(lambda v: v / np.linalg.norm(v))
+angles = st.floats(-3.1, 3.1)
+
+
+def chain(axes: list[str], lengths: list[float], limit: float = 2.5) -> ArmKinematics:
+    """An arm of joints with given axes, each so many metres from the one before along x."""
+    links = "".join(f'<link name="l{i}"/>' for i in range(len(axes) + 2))
+    joints = "".join(
+        f'<joint name="j{i}" type="{"prismatic" if axis.startswith("slide") else "revolute"}">'
+        f'<parent link="l{i}"/><child link="l{i + 1}"/><origin xyz="{lengths[i]} 0 0"/>'
+        f'<axis xyz="{axis.removeprefix("slide ")}"/><limit lower="{-limit}" upper="{limit}" effort="1" velocity="1"/>'
+        "</joint>"
+        for i, axis in enumerate(axes)
+    )
+    last = len(axes)
+    tool = f'<joint name="tool" type="fixed"><parent link="l{last}"/><child link="l{last + 1}"/><origin xyz="{lengths[last]} 0 0"/></joint>'
+    urdf = Urdf.parse(f'<robot name="arm">{links}{joints}{tool}</robot>')
+    return ArmKinematics(urdf, "l0", f"l{last + 1}", [f"j{i}" for i in range(len(axes))])
+
+
+X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
+IIWA = ([Z, Y, Z, Y, Z, Y, Z], [0.0, 0.0, 0.0, 0.42, 0.4, 0.0, 0.0, 0.15])
+PR2 = ([Z, Y, X, Y, X, Y, X], [0.0, 0.1, 0.0, 0.4, 0.0, 0.32, 0.0, 0.18])
+SKEWED = (["0.6 0 0.8", Y, "1 0 0", "0 0.8 0.6", X, "0 0.6 0.8", X], [0.0, 0.1, 0.0, 0.4, 0.0, 0.3, 0.0, 0.2])
+PLANAR = ([Z, Z, Z], [0.0, 0.4, 0.3, 0.2])
+SIX = ([Z, Y, Y, X, Y, X], [0.0, 0.1, 0.4, 0.1, 0.3, 0.0, 0.15])
+SLIDING = (["slide 0 0 1", Z, Y, Y, X, Y, X], [0.0, 0.1, 0.0, 0.4, 0.1, 0.3, 0.0, 0.15])
+
+
+@pytest.mark.parametrize(
+    "arm", [PR2, IIWA, SKEWED, SIX, SLIDING, PLANAR], ids=["pr2", "iiwa", "skewed", "six", "sliding", "planar"]
+)
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
+    arm: tuple[list[str], list[float]], data: st.DataObject
+) -> None:
+    solver = chain(*arm)
+    limit = 1.0 if arm is SLIDING else 2.3
+    posture = np.array(data.draw(st.lists(st.floats(-limit, limit), min_size=len(arm[0]), max_size=len(arm[0]))))
+    pose = solver.poses(posture[None])[0]
+    turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
+    found = solver.solve_all(pose[:3, 3], turn)
+    if arm in (PR2, IIWA, SKEWED):
+        assert found[0].reached
+    for way in found:
+        values = np.array([[way.positions[name] for name in solver.joints]])
+        assert (np.abs(values) <= 2.5 + 1e-9).all()
+        there = solver.poses(values)[0]
+        assert np.linalg.norm(there[:3, 3] - pose[:3, 3]) == pytest.approx(way.position_error, abs=1e-6)
+        assert way.position_error < 1e-3 or not way.reached
+
+
+def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> None:
+    for arm in (SIX, SLIDING, PLANAR):
+        solver = chain(*arm)
+        postures = np.random.default_rng(4).uniform(-1.5, 1.5, (25, len(arm[0])))
+        reached = 0
+        for pose in solver.poses(postures):
+            turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
+            reached += solver.solve(pose[:3, 3], turn).reached
+        assert reached >= 23, arm
+
+
+def test_closed_form_is_for_arms_with_shoulder_and_wrist() -> None:
+    assert chain(*PR2)._closed is not None
+    assert chain(*SKEWED)._closed is not None
+    for arm in (SIX, SLIDING, PLANAR):
+        assert chain(*arm)._closed is None
+    offset = chain(PR2[0], [0.0, 0.1, 0.05, 0.4, 0.0, 0.32, 0.0, 0.18])  # axis 3 along x still meets axis 2
+    assert isinstance(offset._closed, ClosedForm)
+    bent = chain(PR2[0], [0.0, 0.1, 0.0, 0.4, 0.0, 0.32, 0.02, 0.18])
+    assert isinstance(bent._closed, ClosedForm)  # axis 7 along x still meets the wrist
+    assert chain([Z, Y, X, Y, X, Y, Z], PR2[1])._closed is not None
+    assert chain([Z, Y, X, Y, X, Y, Y], PR2[1])._closed is None  # axes 6 and 7 are one
+
+
+@settings(max_examples=60, deadline=None)
+@given(units, units, vectors, angles, angles)
+def test_two_turns_bring_a_vector_where_two_turns_brought_it(
+    first: np.ndarray, second: np.ndarray, start: np.ndarray, outer: float, inner: float
+) -> None:
+    assume(np.linalg.norm(np.cross(first, second)) > 0.1)
+    assume(np.linalg.norm(start) > 0.05)
+    column = start[:, None]
+    end = subproblems.turned(first, np.array([outer]), subproblems.turned(second, np.array([inner]), column))
+    outers, inners, strain = subproblems.two_turns(first, second, column, end)
+    assert strain == pytest.approx(0.0, abs=1e-3)
+    for one, other in zip(outers, inners, strict=True):
+        again = subproblems.turned(first, one, subproblems.turned(second, other, column))
+        assert np.allclose(again, end, atol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(units, vectors, vectors, angles)
+def test_a_turn_to_a_distance(axis: np.ndarray, start: np.ndarray, end: np.ndarray, angle: float) -> None:
+    assume(np.linalg.norm(np.cross(axis, start)) > 0.05)
+    assume(np.linalg.norm(np.cross(axis, end)) > 0.05)
+    moved = subproblems.turned(axis, np.array([angle]), start[:, None])
+    distance = np.linalg.norm(moved - end[:, None], axis=0)
+    assume(distance > 1e-3)
+    found, strain = subproblems.to_distance(axis, start[:, None], end[:, None], distance)
+    assert strain == pytest.approx(0.0, abs=1e-3)
+    for way in found:
+        again = subproblems.turned(axis, way, start[:, None])
+        assert np.linalg.norm(again - end[:, None], axis=0) == pytest.approx(distance, abs=1e-5)
+
+
+def test_what_is_too_far_is_pointed_at() -> None:
+    solver = chain(*PR2)
+    found = solver.solve([1.3, 0.0, 0.0])
+    assert not found.reached
+    assert found.position_error == pytest.approx(0.3, abs=0.01)
+    assert not solver.solve([0.0, 0.0, 5.0], geometry.from_rpy(0, math.pi, 0)).reached
