@@ -1,8 +1,8 @@
 """What the reasoning queries cost, against calls of the engine in the same run: ``make bench`` prints the table.
 
 Units are the engine's own work in the same world: one step of the whole scene, one default call of inverse kinematics,
-one camera image of 256x256. Machines are noisy, and noise only adds: each query is timed in turn with its unit, and the
-fastest of each are compared.
+one camera image of 256x256. It is the processor's time that counts, since others run on the machine as well, and noise only
+adds: each query is timed in turn with its unit, and the fastest of each are compared.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def kitchen() -> Iterator[Object]:
 
 
 def seconds(action: Callable[[], object]) -> float:
-    start = time.perf_counter()
+    start = time.thread_time()
     action()
-    return time.perf_counter() - start
+    return time.thread_time() - start
 
 
 def ratio(query: Callable[[], object], unit: Callable[[], object], times: int = 11) -> float:
@@ -199,4 +199,4 @@ def test_200_places_of_the_robot(kitchen: Object) -> None:
         took = seconds(lambda options=options: btr.reachable_poses([at], robot, LEFT, bases=bases, **options))
         step = statistics.median(seconds(lambda: world.engine.step(1)) for _ in range(30))
         print(f"{name:20} {took:.2f} s, {took / step:.0f} steps")
-        assert took < 2500 * step
+        assert took < 2000 * step
