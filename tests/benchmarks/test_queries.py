@@ -1,8 +1,8 @@
 """What the reasoning queries cost, against calls of the engine in the same run: ``make bench`` prints the table.
 
 Units are the engine's own work in the same world: one step of the whole scene, one default call of inverse kinematics,
-one camera image of 256x256. Machines are noisy, and noise only adds: each query is timed in turn with its unit, and the
-fastest of each are compared.
+one camera image of 256x256. It is the processor's time that counts, since others run on the machine as well, and noise only
+adds: each query is timed in turn with its unit, and the fastest of each are compared.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
+from pycram.camera import FAR, NEAR
 from pycram.engine import bullet
-from pycram.reasoning import visibility
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ import set_the_table
 pytestmark = pytest.mark.slow
 
 LEFT, FRAME = "l_gripper_tool_frame", "wide_stereo_optical_frame"
-FAR = 40  # objects: ten times those that are near
+MANY = 40  # objects far away: ten times those that are near
 
 
 @pytest.fixture
@@ -49,9 +49,9 @@ def kitchen() -> Iterator[Object]:
 
 
 def seconds(action: Callable[[], object]) -> float:
-    start = time.perf_counter()
+    start = time.thread_time()
     action()
-    return time.perf_counter() - start
+    return time.thread_time() - start
 
 
 def ratio(query: Callable[[], object], unit: Callable[[], object], times: int = 11) -> float:
@@ -134,13 +134,13 @@ def test_what_is_far_away_costs_little(kitchen: Object) -> None:
     del asked["stable, falls"]
     unit = units(world)["IK call"]  # which sees nothing of other bodies
     before = {name: ratio(query, unit) for name, query in asked.items()}
-    for index in range(FAR):
+    for index in range(MANY):
         Object(f"far_{index}", "box", "milk.stl", [20 + index % 7, 20 + index // 7, 0.098])
     world.simulate(0.1)
     after = {name: ratio(query, unit) for name, query in asked.items()}
     print()
     for name, cost in after.items():
-        print(f"{name:24} {before[name]:7.2f} IK calls, with {FAR} far things {cost:7.2f}: {cost / before[name]:.2f}")
+        print(f"{name:24} {before[name]:7.2f} IK calls, with {MANY} far things {cost:7.2f}: {cost / before[name]:.2f}")
     assert all(cost < 2.5 * before[name] + 0.1 for name, cost in after.items())
 
 
@@ -150,7 +150,7 @@ def test_verdicts_are_those_of_full_size_images(kitchen: Object) -> None:
     things = [body for body in world.objects if not body.fixed]
     rng = np.random.default_rng(0)
     client = world.engine._client
-    lens = bullet.computeProjectionMatrixFOV(60, 1, visibility._NEAR, visibility._FAR)
+    lens = bullet.computeProjectionMatrixFOV(60, 1, NEAR, FAR)
     same = asked = 0
     with BulletWorld() as lone:  # the object alone
         copies = {body.name: Object(body.name, body.type, body.path) for body in things}
@@ -199,4 +199,4 @@ def test_200_places_of_the_robot(kitchen: Object) -> None:
         took = seconds(lambda options=options: btr.reachable_poses([at], robot, LEFT, bases=bases, **options))
         step = statistics.median(seconds(lambda: world.engine.step(1)) for _ in range(30))
         print(f"{name:20} {took:.2f} s, {took / step:.0f} steps")
-        assert took < 2500 * step
+        assert took < 2000 * step

@@ -102,6 +102,7 @@ def test_a_world_that_was_asked_goes_on_as_one_that_was_not(seed: int, robot: bo
     assert futures[0] == futures[1]
 
 
+@pytest.mark.slow
 def test_one_worlds_queries_leave_others_alone() -> None:
     with build(5, robot=False) as first, build(6, robot=False) as second:
         told = bits(first), bits(second)

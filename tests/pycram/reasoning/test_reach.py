@@ -96,6 +96,7 @@ def test_spheres_around_the_shoulder_against_dense_sampling(robot: Object, link:
     assert not all(verdicts)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-0.2, 1.0), st.floats(-0.9, 0.9), st.floats(-0.8, 0.8), st.floats(-1.5, 1.5), st.floats(-1.5, 1.5))
 def test_the_arms_are_mirrors_and_solutions_hold(
@@ -166,6 +167,7 @@ def test_collisions_count_if_asked(scene: BulletWorld) -> None:
     assert kitchen.get_joint_position(DRAWER) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_many_at_once_are_as_one_by_one(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     at = milk.get_position()

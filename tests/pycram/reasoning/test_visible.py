@@ -77,7 +77,7 @@ def test_half_out_of_the_image_is_half_seen(milk: Object) -> None:
         assert share(milk, camera(eye, at)) == pytest.approx(expected, abs=0.06)
 
 
-@pytest.mark.parametrize("step", range(10))
+@pytest.mark.parametrize("step", [4, *(pytest.param(step, marks=pytest.mark.slow) for step in range(10) if step != 4)])
 def test_shares_are_those_of_a_picture_with_fifty_times_the_pixels(
     milk: Object, monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
@@ -157,6 +157,7 @@ def stage() -> Iterator[tuple[Object, Object]]:
         assert world.robot is None
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.floats(-0.95, -0.06), min_size=2, max_size=4, unique=True).map(sorted),
