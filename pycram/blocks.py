@@ -74,7 +74,7 @@ class Block(OpenBlock):
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
-        errors = [branch.error for branch in list(self.branches)]
+        errors = [branch.error for branch in list(self.branches)] if not self.rule.plain else []
         if not any(error is self._body_failure for error in errors):
             errors.append(self._body_failure)
         return tuple(error for error in errors if isinstance(error, PlanFailure))
@@ -108,7 +108,7 @@ class Block(OpenBlock):
         else:
             branch.context.run(self._run, branch)
             error = branch.error
-            if error is not None and (self.rule.stops_at_failure or not isinstance(error, PlanFailure)):
+            if error is not None and (self.rule.plain or not isinstance(error, PlanFailure)):
                 raise error
         if self._outer is not None and self._outer.cancelled:
             raise Cancelled
@@ -141,7 +141,7 @@ class Block(OpenBlock):
 
     def _settle(self, branch: Branch, state: State, result: Result = None, error: BaseException | None = None) -> None:
         with self._lock:
-            decides = self.decider is None and state in self.rule.decided_by
+            decides = self.decider is None and state in self.rule.decided_by and not self.rule.plain
             if decides:
                 self.decider = branch
         branch.settle(state, result, error)
@@ -167,8 +167,7 @@ class Block(OpenBlock):
         if self._owns_span:
             self._exits.enter_context(self._span.running())
         self._exits.enter_context(entered(self.scope))
-        alone = self.rule.stops_at_failure and not self.rule.concurrent  # what fails in there raises by itself
-        self._exits.enter_context(hosted(None if alone else self))
+        self._exits.enter_context(hosted(None if self.rule.plain else self))
         self._state = State.RUNNING
         return self
 

@@ -55,9 +55,9 @@ class Rule:
     decided_by: frozenset[State]
 
     @property
-    def stops_at_failure(self) -> bool:
-        """Whether a failure of one is the failure of all, at once."""
-        return State.FAILED in self.decided_by
+    def plain(self) -> bool:
+        """Whether a failure rises through the body as in plain Python, where it ends the block unless it is handled."""
+        return not self.concurrent and State.FAILED in self.decided_by
 
     @property
     def takes_one(self) -> bool:

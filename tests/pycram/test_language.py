@@ -391,6 +391,21 @@ def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others()
     assert [branch.state for branch in s.branches] == [C]
 
 
+def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
+    done = []
+    with seq as s:
+        try:
+            s(fails)
+        except Unreachable:
+            done.append("handled")
+        s(done.append, "next")
+    assert done == ["handled", "next"]
+    assert s.state is S
+    assert s.failures == ()
+    with pytest.raises(ZeroDivisionError), seq as s, suppress(ZeroDivisionError):
+        s(has_a_bug)
+
+
 def test_interrupting_the_body_stops_the_branches() -> None:
     gate = Gate()
     for kind in (par, pursue, try_all):
