@@ -129,7 +129,7 @@ class Block(OpenBlock):
         """Runs a branch in this thread; its errors are its own."""
         result: Result = None
         try:
-            with hosted(None), entered(self.scope), branch.span.running():
+            with hosted(None), entered(self.scope), branch.span:
                 checkpoint()
                 branch.span.result = result = branch.begin()
         except Cancelled:
@@ -165,7 +165,7 @@ class Block(OpenBlock):
     def __enter__(self) -> Self:
         checkpoint()
         if self._owns_span:
-            self._exits.enter_context(self._span.running())
+            self._exits.enter_context(self._span)
         self._exits.enter_context(entered(self.scope))
         self._exits.enter_context(hosted(None if self.rule.plain else self))
         self._state = State.RUNNING
@@ -231,15 +231,6 @@ class Block(OpenBlock):
 
     def _leave(self, error: BaseException | None) -> None:
         """Ends the block's node of the task tree as the block ended."""
-        if error is None:
-            if self._state is State.FAILED:  # collected instead of raised; the tree tells it
-                self._span.error = BranchesFailed(self.name, self.failures)
-            self._exits.close()
-            return
-        trace = error.__traceback__
-        try:
-            self._exits.__exit__(type(error), error, trace)
-        except BaseException as same:
-            if same is not error:
-                raise
-        error.__traceback__ = trace
+        if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
+            self._span.error = BranchesFailed(self.name, self.failures)
+        self._exits.__exit__(type(error) if error is not None else None, error, None)
