@@ -74,7 +74,7 @@ class Block(OpenBlock):
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
-        errors = [branch.error for branch in list(self.branches)]
+        errors = [branch.error for branch in list(self.branches)] if not self.rule.plain else []
         if not any(error is self._body_failure for error in errors):
             errors.append(self._body_failure)
         return tuple(error for error in errors if isinstance(error, PlanFailure))
@@ -108,7 +108,7 @@ class Block(OpenBlock):
         else:
             branch.context.run(self._run, branch)
             error = branch.error
-            if error is not None and (self.rule.stops_at_failure or not isinstance(error, PlanFailure)):
+            if error is not None and (self.rule.plain or not isinstance(error, PlanFailure)):
                 raise error
         if self._outer is not None and self._outer.cancelled:
             raise Cancelled
@@ -129,7 +129,7 @@ class Block(OpenBlock):
         """Runs a branch in this thread; its errors are its own."""
         result: Result = None
         try:
-            with hosted(None), entered(self.scope), branch.span.running():
+            with hosted(None), entered(self.scope), branch.span:
                 checkpoint()
                 branch.span.result = result = branch.begin()
         except Cancelled:
@@ -141,7 +141,7 @@ class Block(OpenBlock):
 
     def _settle(self, branch: Branch, state: State, result: Result = None, error: BaseException | None = None) -> None:
         with self._lock:
-            decides = self.decider is None and state in self.rule.decided_by
+            decides = self.decider is None and state in self.rule.decided_by and not self.rule.plain
             if decides:
                 self.decider = branch
         branch.settle(state, result, error)
@@ -165,10 +165,9 @@ class Block(OpenBlock):
     def __enter__(self) -> Self:
         checkpoint()
         if self._owns_span:
-            self._exits.enter_context(self._span.running())
+            self._exits.enter_context(self._span)
         self._exits.enter_context(entered(self.scope))
-        alone = self.rule.stops_at_failure and not self.rule.concurrent  # what fails in there raises by itself
-        self._exits.enter_context(hosted(None if alone else self))
+        self._exits.enter_context(hosted(None if self.rule.plain else self))
         self._state = State.RUNNING
         return self
 
@@ -232,15 +231,6 @@ class Block(OpenBlock):
 
     def _leave(self, error: BaseException | None) -> None:
         """Ends the block's node of the task tree as the block ended."""
-        if error is None:
-            if self._state is State.FAILED:  # collected instead of raised; the tree tells it
-                self._span.error = BranchesFailed(self.name, self.failures)
-            self._exits.close()
-            return
-        trace = error.__traceback__
-        try:
-            self._exits.__exit__(type(error), error, trace)
-        except BaseException as same:
-            if same is not error:
-                raise
-        error.__traceback__ = trace
+        if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
+            self._span.error = BranchesFailed(self.name, self.failures)
+        self._exits.__exit__(type(error) if error is not None else None, error, None)

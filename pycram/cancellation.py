@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
+from pycram.binding import Binding
 from recorder.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
 
 __all__ = [
     "Cancelled",
@@ -120,21 +120,16 @@ def current_scope() -> Scope | None:
     return _scope.get()
 
 
-@contextmanager
-def entered(scope: Scope | None) -> Iterator[None]:
+def entered(scope: Scope | None) -> Binding[Scope | None]:
     """Runs its block in a scope.
 
     Args:
         scope: the scope; None for outside of all.
     """
-    token = _scope.set(scope)
-    try:
-        yield
-    finally:
-        _scope.reset(token)
+    return Binding(_scope, scope)
 
 
-def shielded() -> AbstractContextManager[None]:
+def shielded() -> Binding[Scope | None]:
     """Runs its block so that no cancellation reaches it: for what must be done although the branch is told to stop."""
     return entered(None)
 

@@ -379,8 +379,8 @@ class BranchesFailed(PlanFailure):
         return {**super().data, "failures": told}
 
     def __str__(self) -> str:
-        told = "; ".join(f"{type(failure).__name__}: {failure}" for failure in self.failures)
-        return f"{self.block} failed: {told}"
+        told = (str(failure) if isinstance(failure, BranchesFailed) else _told(failure) for failure in self.failures)
+        return f"{self.block} failed: {'; '.join(told)}"
 
 
 class Tracebacks(PycramError):
@@ -402,6 +402,10 @@ class Tracebacks(PycramError):
         return "\n".join(lines)
 
 
+def _told(failure: PlanFailure) -> str:
+    return f"{type(failure).__name__}: {failure}"
+
+
 def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
     for failure in failures:
         if isinstance(failure, BranchesFailed):
@@ -421,6 +425,8 @@ def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
     if not common:
         return BranchesFailed
     try:
-        return type("BranchesFailed", (BranchesFailed, *common), {"__module__": __name__})
+        made = type("BranchesFailed", (BranchesFailed, *common), {"__module__": __name__})
+        BaseException.__new__(made)
     except TypeError:  # types that can't be combined
         return BranchesFailed
+    return made

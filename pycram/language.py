@@ -1,14 +1,14 @@
 """The plan language (thesis 3.5.3, table 3.4): what runs at the same time, and what becomes of failures.
 
-=============== ========== ============================================ ===============================================
-block           branches   is decided by                                fails with
-=============== ========== ============================================ ===============================================
-``par``         at once    nothing: all run to their end                the failures of all that failed
-``pursue``      at once    the first that ends, well or badly           the failure of that one
-``try_all``     at once    the first that succeeds                      the failures of all, when all have failed
-``seq``         in order   the first that fails                         the failure of that one
-``try_in_order`` in order  the first that succeeds                      the failures of all, when all have failed
-=============== ========== ============================================ ===============================================
+================ ========== =========================================== ===========================================
+block            branches   is decided by                               fails with
+================ ========== =========================================== ===========================================
+``par``          at once    nothing: all run to their end               the failures of all that failed
+``pursue``       at once    the first that ends, well or badly          the failure of that one
+``try_all``      at once    the first that succeeds                     the failures of all, when all have failed
+``seq``          in order   the first that fails                        the failure of that one
+``try_in_order`` in order   the first that succeeds                     the failures of all, when all have failed
+================ ========== =========================================== ===========================================
 
 Each can be written in four ways::
 
@@ -25,7 +25,8 @@ Each can be written in four ways::
     par(function, other)                 # the results, as a list
 
 Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-gives a handle that serves as its result (:mod:`pycram.branch`). A block that is decided tells its other branches to
+gives a handle that serves as its result (:mod:`pycram.branch`). In ``seq`` a failure rises through the body as in plain
+Python, which may handle it. A block that is decided tells its other branches to
 stop: they do so at their next action or wait, and the block ends when all its threads have. An empty block succeeds.
 
 A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are.

@@ -135,6 +135,9 @@ class Deferred(OpenBlock):
                     self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
+            except BaseException:
+                block.scope.cancel()  # there is no use in reading on
+                raise
             finally:
                 self._asked.close()
                 self._asked.wait_for_end()  # what the body does itself is part of this block too

@@ -12,6 +12,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pycram.binding import Binding
 from pycram.branch import Branch, Handle, Result
 from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument, PlanFailure, UsageError
@@ -55,9 +56,9 @@ class Rule:
     decided_by: frozenset[State]
 
     @property
-    def stops_at_failure(self) -> bool:
-        """Whether a failure of one is the failure of all, at once."""
-        return State.FAILED in self.decided_by
+    def plain(self) -> bool:
+        """Whether a failure rises through the body as in plain Python, where it ends the block unless it is handled."""
+        return not self.concurrent and State.FAILED in self.decided_by
 
     @property
     def takes_one(self) -> bool:
@@ -73,18 +74,13 @@ def current_block() -> OpenBlock | None:
     return _host.get()
 
 
-@contextmanager
-def hosted(host: OpenBlock | None) -> Iterator[None]:
+def hosted(host: OpenBlock | None) -> Binding[OpenBlock | None]:
     """Makes actions in its block branches of a block.
 
     Args:
         host: the block; None lets actions happen one after the other.
     """
-    token = _host.set(host)
-    try:
-        yield
-    finally:
-        _host.reset(token)
+    return Binding(_host, host)
 
 
 @contextmanager

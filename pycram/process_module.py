@@ -182,7 +182,7 @@ class ProcessModule(ABC):
         motion = _Motion(designator, _level.get() or _Level(_state(_world())[0]))
         block = current_block()
         if block is None:
-            with motion.span.running():
+            with motion.span:
                 motion.span.result = result = motion.carry_out()
                 return result
         # its place in the queue is taken here if nothing but earlier ones can then keep it waiting

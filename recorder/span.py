@@ -14,7 +14,7 @@ import itertools
 import sys
 import time
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -26,6 +26,9 @@ from recorder.tasks import Tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from types import TracebackType
+
+    from typing_extensions import Self
 
 #: A plan may run for days: its tree keeps the latest tasks, so many of them and so many bytes of records.
 KEPT: Final = 20_000
@@ -73,7 +76,7 @@ def tree() -> Tree:
 
 @dataclass(slots=True)
 class Span:
-    """A task in the making.
+    """A task in the making: its block is the task, from its start to its end, however that comes.
 
     Attributes:
         kind: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
@@ -99,6 +102,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     _start: int = 0
+    _tokens: tuple[Token[Span | None], Token[int]] = field(init=False, repr=False)
 
     def ask(self) -> None:
         """Says that it is going to run, for what is asked for in one thread and runs in another."""
@@ -139,7 +143,7 @@ class Span:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Runs its block as this task: what happens inside is its part."""
+        """Runs its block as part of this task, which begins and ends elsewhere."""
         token = _current.set(self)
         id_token = journal.task_id.set(self.id)
         try:
@@ -148,18 +152,25 @@ class Span:
             _current.reset(token)
             journal.task_id.reset(id_token)
 
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Runs its block as this task, from its start to its end, however it ends."""
-        with self.entered():
-            try:
-                self.start()
-                yield
-            except BaseException as error:
-                self.finish(error)
-                raise
-            else:
-                self.finish(self.error)
+    def __enter__(self) -> Self:
+        """Begins, as the current task of this context."""
+        self._tokens = _current.set(self), journal.task_id.set(self.id)
+        try:
+            self.start()
+        except BaseException as error:
+            self.__exit__(type(error), error, error.__traceback__)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.finish(self.error if error is None else error)
+        finally:
+            current, number = self._tokens
+            _current.reset(current)
+            journal.task_id.reset(number)
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
         file, line = plan_line() if self.source is None else self.source
@@ -216,18 +227,15 @@ def _is_demo(file: str) -> bool:
     return Path(file).parent.name == "demos"
 
 
-@contextmanager
-def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Iterator[Span]:
-    """Runs its block as a task: on record when it starts and, however it ends, when it ends.
+def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
+    """A task for a ``with`` statement: on record when its block begins and, however that ends, when it ends.
 
     Args:
         kind: kind of the node.
         name: name of the node.
         parameters: what it was given.
 
-    Yields:
+    Returns:
         The span; set ``solution`` and ``result`` on it.
     """
-    task = Span(kind, name, parameters=parameters or {})
-    with task.running():
-        yield task
+    return Span(kind, name, parameters=parameters or {})

@@ -224,7 +224,7 @@ def _alike(one: Failure, other: Failure | None) -> bool:
 class Tree:
     """All tasks of a plan or recording. Equal to another one that tells the same, record for record.
 
-    Any thread may read it while others add to it.
+    Any thread may look at it, with all its methods, while others add to it.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows

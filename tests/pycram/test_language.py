@@ -366,6 +366,18 @@ def test_a_failed_block_can_be_caught_as_what_all_its_failures_are() -> None:
     assert told[0]["data"]["arm"] == "left"
 
 
+def test_types_that_cannot_be_combined_still_come_in_one_failure() -> None:
+    class Odd(PlanFailure, OSError):
+        pass
+
+    def odd() -> None:
+        raise Odd("odd")
+
+    with pytest.raises(BranchesFailed, match="par failed: Odd: odd") as raised:
+        par(odd)
+    assert isinstance(raised.value.failures[0], Odd)
+
+
 def test_failures_of_all_levels_are_told() -> None:
     with pytest.raises(BranchesFailed) as raised, par as s:
         s(fails)
@@ -375,6 +387,8 @@ def test_failures_of_all_levels_are_told() -> None:
         raise InCollision([0, 0, 0], [0, 0, 0, 1], ["kitchen"])
     assert [type(one) for one in raised.value.leaves] == [Unreachable, LookingFailed, InCollision]
     assert all(word in str(raised.value) for word in ("can't reach", "can't look", "kitchen"))
+    with pytest.raises(Unreachable, match=r"^par failed: seq failed: Unreachable: left arm"):
+        par(lambda: seq(fails))
 
 
 def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others() -> None:
@@ -389,6 +403,21 @@ def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others()
         s(gate.pass_through)
         fails()
     assert [branch.state for branch in s.branches] == [C]
+
+
+def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
+    done = []
+    with seq as s:
+        try:
+            s(fails)
+        except Unreachable:
+            done.append("handled")
+        s(done.append, "next")
+    assert done == ["handled", "next"]
+    assert s.state is S
+    assert s.failures == ()
+    with pytest.raises(ZeroDivisionError), seq as s, suppress(ZeroDivisionError):
+        s(has_a_bug)
 
 
 def test_interrupting_the_body_stops_the_branches() -> None:
