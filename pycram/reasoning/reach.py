@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Target = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
 _KEPT: Final = 16  # chains of a robot
-THRESHOLD: Final = 0.01  # m between tool and target that count as reached
+THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
 
 
 def approach(grasp: str, robot: Object) -> Quaternion:
