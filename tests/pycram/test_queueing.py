@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pycram.branch import NoResult
 from pycram.cancellation import wait
 from pycram.claims import ClaimError, Claims
 from pycram.designator import MotionDesignator
@@ -98,15 +99,17 @@ def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
 
 
 def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting() -> None:
-    order = []
+    order, asked = [], threading.Event()
 
     def find() -> str:
+        asked.wait(20)
         do(lambda: order.append(1), "left-arm")
         return "milk"
 
     with par as s:
         found = s(find)
         do(lambda: order.append(2), "left-arm", object=found)
+        asked.set()
     assert order == [1, 2]
 
 
@@ -120,6 +123,12 @@ def test_a_motion_that_never_began_gives_its_place_up() -> None:
     do(lambda: order.append("free"), "left-arm")
     assert order == ["decides", "free"]
     assert [branch.state for branch in s.branches] == [State.CANCELLED, State.CANCELLED, State.SUCCEEDED]
+    with pursue as s:
+        s(order.append, "decides at once")
+        s.branches[0].wait()
+        late = do(lambda: order.append("never"), "left-arm")
+    with pytest.raises(NoResult):
+        late.result()
     with pytest.raises(TimedOut), timeout(0.02), par:
         do(lambda: wait(gate, lambda: False), "left-arm")
         do(lambda: None, "left-arm")
