@@ -193,11 +193,11 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
     motion = task.motion
     told = words.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(found.tries) > 1:
-        about = f"{motion.started.name} was tried {len(found.tries)} times, and failed each time."
-        if found.same is not None:
-            last = _end(found.same.task)
-            about = f"{motion.started.name} failed {len(found.tries)} times; it last succeeded at step {last}."
-        yield about
+        name, times = motion.started.name, len(found.tries)
+        if found.same is None:
+            yield f"{name} was tried {times} times, and failed each time."
+        else:
+            yield f"{name} failed {times} times; it last succeeded at step {_end(found.same.task)}."
         yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
         return
     lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
