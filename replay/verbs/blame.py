@@ -34,7 +34,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     """Prints who did it."""
     found = blame(log, options.object, options.at, options.world)
     if options.json:
-        print(json.dumps(facts(found), ensure_ascii=False))
+        print(json.dumps(facts(found)))
     else:
         print("\n".join(lines(found)))
     return 0

@@ -46,7 +46,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
-            print(json.dumps(facts(found), ensure_ascii=False))
+            print(json.dumps(facts(found)))
         else:
             print("\n".join(lines(found, whole=options.all)))
         return _FINE
@@ -56,7 +56,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
         compared = compare(log, other, options.tolerance)
         missing = other.missing
     if options.json:
-        print(json.dumps(_run_facts(compared), ensure_ascii=False))
+        print(json.dumps(_run_facts(compared)))
     else:
         print("\n".join(_run_lines(compared, whole=options.all)))
     code = _PARTED if compared.parting is not None or compared.world else _FINE

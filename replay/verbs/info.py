@@ -26,7 +26,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     facts = summary(log)
     if options.json:
         told = dataclasses.asdict(facts) | {"file": str(log.path), "started": facts.started.isoformat()}
-        print(json.dumps(told, ensure_ascii=False))
+        print(json.dumps(told))
     else:
         print("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
     return 0

@@ -42,7 +42,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     found = follow(log, search, start) if options.follow else search.matches(start, stop)
     for record, line in found:
         if options.json:
-            print(json.dumps(plain_record(record) | {"text": line}, ensure_ascii=False), flush=options.follow)
+            print(json.dumps(plain_record(record) | {"text": line}), flush=options.follow)
         else:
             clock = f"{record.sim_step / 240:.3f}s" if record.world else ""
             print(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)

@@ -29,7 +29,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     record = log[log.step(options.step)]
     told = plain_record(record)
     if options.json:
-        print(json.dumps(told, ensure_ascii=False))
+        print(json.dumps(told))
         return 0
     print(f"step {record.seq}: {kind_of(record)}: {words.line(record)}")
     told.pop("step")

@@ -35,7 +35,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
         print(f"pycram-replay: {state.doubt}", file=sys.stderr)
     told = plain_state(state, options.object, options.world)
     if options.json:
-        print(json.dumps(told, ensure_ascii=False))
+        print(json.dumps(told))
         return 0
     print(f"after step {state.step}")
     for world in state.worlds.values():

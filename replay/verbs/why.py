@@ -46,7 +46,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     found = why(log, options.step)
     pictures, refused = _pictures(log, found, options.pictures)
     if options.json:
-        print(json.dumps(facts(found) | {"pictures": pictures}, ensure_ascii=False))
+        print(json.dumps(facts(found) | {"pictures": pictures}))
     else:
         print("\n".join(lines(found, str(log.path))))
         if pictures:

@@ -241,3 +241,21 @@ def test_every_verb_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
     for verb in VERBS:
         assert main([verb, "--help"]) == 0
         assert "LOG" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", ["info", "log", "state last", "why", "show 3"])
+def test_names_that_a_terminal_has_no_letters_for(tmp_path: Path, verb: str) -> None:
+    with recorder.record(tmp_path / "x.mcap"), span("motion", "hole Löffel 🥄"):
+        journal.emit(Mutation(move_body=MoveBody(body="Löffel 🥄")), world="Küche")
+    name, *rest = verb.split()
+    for more in ([], ["--json"]):
+        ended = subprocess.run(
+            [sys.executable, "-m", "replay", name, str(tmp_path / "x.mcap"), *rest, *more],
+            env=os.environ | {"PYTHONIOENCODING": "ascii"},
+            capture_output=True,
+            check=False,
+        )
+        assert (ended.returncode, ended.stderr) == (0, b"")
+        if more:
+            for line in ended.stdout.decode("ascii").splitlines():
+                json.loads(line)
