@@ -117,6 +117,32 @@ def test_what_only_one_run_did_is_found(tmp_path: Path) -> None:
         assert change.after[0][2] > 8
 
 
+def test_what_only_one_run_did_comes_before_what_it_led_to(tmp_path: Path) -> None:
+    """Records are numbered differently from there on, and still compared with their like."""
+
+    def run(file: Path, *, looks: bool, height: float) -> None:
+        with recorder.record(file), BulletWorld(name="lab"):
+            ball = Object("ball", "ball", "apple.stl")
+            if looks:
+                with span("motion", "look"):
+                    pass
+            for place in (1.0, height, 3.0):
+                with span("motion", "drop", {"height": place}):
+                    ball.set_position([0, 0, place])
+
+    run(tmp_path / "a.mcap", looks=False, height=2.0)
+    run(tmp_path / "b.mcap", looks=True, height=2.5)
+    run(tmp_path / "c.mcap", looks=True, height=2.0)
+    with (
+        replay.open(tmp_path / "a.mcap") as first,
+        replay.open(tmp_path / "b.mcap") as second,
+        replay.open(tmp_path / "c.mcap") as third,
+    ):
+        assert compare(first, second).parting.second.name == "look"
+        assert compare(first, third).parting.second.name == "look"
+        assert compare(second, third).parting.fields == {"parameters.height": (2.5, 2.0)}
+
+
 def test_diff_of_runs_that_part_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drop(tmp_path / "a.mcap", [1])
     drop(tmp_path / "b.mcap", [2])
@@ -232,7 +258,8 @@ def test_why_of_another_failure(small: Log) -> None:
 
 
 def take_what_is_gone(file: Path) -> None:
-    with recorder.record(file), BulletWorld():
+    with recorder.record(file), BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
         Object("floor", "environment", "plane.urdf")
         ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
         btr.stable(ball)
@@ -247,6 +274,7 @@ def test_an_answer_that_is_out_of_date_says_so(tmp_path: Path) -> None:
     with replay.open(tmp_path / "x.mcap") as log:
         found = why(log)
         (asked,) = found.asked
+        assert asked.query.answer_json == "false"
         assert asked.moved == ("ball",)
         assert found.warning is None
         assert main(["why", str(log.path)]) == 0

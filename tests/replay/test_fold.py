@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 JOINTS = ("lift", "turn")
-AT_REST = (0.0, 0.0, 0.0, 1.0)
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+AT_REST = (0.0,) * 6
 finite = st.floats(-1e6, 1e6, allow_nan=False)
 vectors = st.tuples(finite, finite, finite)
 bodies = st.sampled_from(["cup", "box", "arm"])
@@ -57,6 +58,9 @@ actions = st.one_of(
     st.tuples(st.just("event"), worlds),
 )
 
+#: Most actions need an open world with bodies; the first action of all opens it.
+BEGINNING = [("load", world, body, (0.0, 0.0, 0.0)) for world in ("a", "b") for body in ("cup", "cup", "box", "arm")]
+
 
 @dataclass
 class Model:
@@ -66,6 +70,7 @@ class Model:
     sim_step: int = 0
     gravity: tuple[float, ...] = (0.0, 0.0, 0.0)
     positions: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    speeds: dict[str, tuple[float, ...]] = field(default_factory=dict)
     joints: dict[str, dict[str, float]] = field(default_factory=dict)
     held: dict[str, str] = field(default_factory=dict)  # carrier by body
     open: bool = False
@@ -76,6 +81,7 @@ class Model:
             "sim_step": self.sim_step,
             "gravity": self.gravity,
             "positions": dict(self.positions),
+            "speeds": dict(self.speeds),
             "joints": {body: dict(values) for body, values in self.joints.items()},
             "held": dict(self.held),
         }
@@ -89,7 +95,8 @@ class Model:
                 BodyState(
                     body=body,
                     position=position,
-                    orientation=AT_REST,
+                    orientation=UPRIGHT,
+                    velocity=self.speeds[body],
                     joints=JOINTS,
                     joint_positions=[self.joints[body][joint] for joint in JOINTS],
                 )
@@ -100,7 +107,7 @@ class Model:
 
 
 def attachment(carrier: str, body: str) -> Attachment:
-    return Attachment(carrier=carrier, body=body, position=(0, 0, 0), orientation=AT_REST)
+    return Attachment(carrier=carrier, body=body, position=(0, 0, 0), orientation=UPRIGHT)
 
 
 def perform(model: Model, action: tuple[object, ...]) -> Record | None:
@@ -117,16 +124,16 @@ def perform(model: Model, action: tuple[object, ...]) -> Record | None:
 def load(model: Model, body: str, position: tuple[float, ...]) -> Record | None:
     if body in model.positions:
         return None
-    model.positions[body], model.joints[body] = position, dict.fromkeys(JOINTS, 0.0)
+    model.positions[body], model.speeds[body], model.joints[body] = position, AT_REST, dict.fromkeys(JOINTS, 0.0)
     return Mutation(
-        load_body=LoadBody(body=body, joints=JOINTS, position=position, orientation=AT_REST), effect=Effect()
+        load_body=LoadBody(body=body, joints=JOINTS, position=position, orientation=UPRIGHT), effect=Effect()
     )
 
 
 def remove(model: Model, body: str) -> Record | None:
     if body not in model.positions:
         return None
-    del model.positions[body], model.joints[body]
+    del model.positions[body], model.speeds[body], model.joints[body]
     model.held = {held: carrier for held, carrier in model.held.items() if body not in (held, carrier)}
     return Mutation(remove_body=RemoveBody(body=body), effect=Effect(removed=[body]))
 
@@ -134,11 +141,11 @@ def remove(model: Model, body: str) -> Record | None:
 def move(model: Model, body: str, position: tuple[float, ...]) -> Record | None:
     if body not in model.positions:
         return None
-    model.positions[body] = position
-    states = [BodyState(body=body, position=position, orientation=AT_REST)]
+    model.positions[body], model.speeds[body] = position, AT_REST
+    states = [BodyState(body=body, position=position, orientation=UPRIGHT)]
     for held in [held for held, carrier in model.held.items() if carrier == body]:
-        model.positions[held] = position
-        states.append(BodyState(body=held, position=position))
+        model.positions[held], model.speeds[held] = position, AT_REST
+        states.append(BodyState(body=held, position=position, orientation=UPRIGHT))
     return Mutation(move_body=MoveBody(body=body, position=position), effect=Effect(bodies=states))
 
 
@@ -175,15 +182,20 @@ def gravity(model: Model, value: tuple[float, ...]) -> Record:
 
 def simulate(model: Model, moved: list[tuple[str, tuple[float, ...]]], steps: int) -> Record:
     model.sim_step += steps
-    states = [BodyState(body=body, position=place) for body, place in dict(moved).items() if body in model.positions]
+    states = [
+        BodyState(body=body, position=place, orientation=UPRIGHT, velocity=(*place, 0, 0, 0))
+        for body, place in dict(moved).items()
+        if body in model.positions
+    ]
     for state in states:
-        model.positions[state.body] = tuple(state.position)
+        model.positions[state.body], model.speeds[state.body] = tuple(state.position), tuple(state.velocity)
     return Mutation(simulate=Simulate(steps=steps), effect=Effect(bodies=states))
 
 
 def close(model: Model) -> Record:
     model.open = False
     model.positions.clear()
+    model.speeds.clear()
     model.joints.clear()
     model.held.clear()
     return Mutation(close_world=CloseWorld())
@@ -210,6 +222,7 @@ def told(state: replay.State) -> dict[str, dict[str, object]]:
             "sim_step": world.sim_step,
             "gravity": world.gravity,
             "positions": {body.name: body.position for body in world.bodies.values()},
+            "speeds": {body.name: body.velocity for body in world.bodies.values()},
             "joints": {body.name: dict(body.joints) for body in world.bodies.values()},
             "held": {held.body: held.carrier for held in world.attachments.values()},
         }
@@ -227,7 +240,7 @@ def test_any_step_is_what_happened_whatever_keyframe_it_is_folded_from(steps: li
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "x.mcap"
         journal = Journal([McapSink(file, {"plan": "laws"})], clock_ns=lambda: next(clock))
-        for action in steps:
+        for action in (*BEGINNING, *steps):
             model = models[str(action[1])]
             record = perform(model, action)
             if record is None:
