@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -48,13 +49,13 @@ def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911
     if isinstance(record, Mutation):
         return mutation_text(record), Log.DEBUG
     if isinstance(record, Event):
-        return f"event {record.name}({_values(record.arguments)}), {len(record.handlers)} handlers", Log.INFO
+        return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", Log.INFO
     if isinstance(record, Fluent):
         return _fluent(record), Log.DEBUG
     if isinstance(record, Query):
         if record.HasField("failure"):
-            return f"{record.name}({_values(record.arguments)}) raised {record.failure.type}", Log.WARNING
-        return f"{record.name}({_values(record.arguments)}) -> {record.answer_json}", Log.INFO
+            return f"{record.name}({values(record.arguments)}) raised {record.failure.type}", Log.WARNING
+        return f"{record.name}({values(record.arguments)}) -> {by_name(record.answer_json)}", Log.INFO
     return f"keyframe of {record.world}", Log.DEBUG
 
 
@@ -71,7 +72,7 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Task.ASKED:
         return f"{name} asked for", Log.DEBUG
     if record.phase == Task.STARTED:
-        return f"{name}({_values(record.parameters)})", Log.INFO
+        return f"{name}({values(record.parameters)})", Log.INFO
     took = f"{record.duration_ns / _MS:.1f} ms"
     if record.status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}", Log.INFO
@@ -129,5 +130,22 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn'
 }
 
 
-def _values(arguments: Iterable[Argument]) -> str:
-    return ", ".join(f"{argument.name}={argument.json}" for argument in arguments)
+_OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
+
+
+def values(arguments: Iterable[Argument]) -> str:
+    """Named values in a line; objects go by their names.
+
+    Args:
+        arguments: as records carry them.
+    """
+    return ", ".join(f"{argument.name}={by_name(argument.json)}" for argument in arguments)
+
+
+def by_name(text: str) -> str:
+    """A recorded value with objects by their names.
+
+    Args:
+        text: JSON.
+    """
+    return _OBJECT.sub(r"\1", text) if '{"object":' in text else text

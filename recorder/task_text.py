@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from recorder.log_lines import values
 from recorder.tasks import Node, State
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def label(node: Node) -> str:
     Args:
         node: the task.
     """
-    parameters = ", ".join(f"{argument.name}={argument.json}" for argument in node.started.parameters)
+    parameters = values(node.started.parameters)
     if len(parameters) > _WIDTH:
         parameters = parameters[: _WIDTH - 3] + "..."
     # a process module is told what its motion was, a timeout says it in its name

@@ -251,7 +251,8 @@ def _what(found: Why) -> Iterator[str]:
         else:
             took = words.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
-        kind = "" if task.started.kind in ("motion", "process-module") else f" {task.started.kind}"
+        plain = task.started.kind in ("motion", "process-module", "failure-handling", "attempt")
+        kind = "" if plain else f" {task.started.kind}"
         called = task.started.name if task.started.kind == "process-module" else _call(task)
         yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
     if found.task.failure is not None:
