@@ -181,17 +181,15 @@ def test_words_stay_words() -> None:
     assert asked.keywords == {"camera": Name("wide"), "threshold": -0.5, "robot": None}
 
 
-def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path) -> None:
-    """In a process of its own, as people call it: what the engine prints doesn't get among the results."""
+def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """What the engine's native code prints doesn't get among the results."""
     with replay.open(demo_log) as log:
         step = str(first(log, "visible").seq)
-    command = [sys.executable, "-m", "replay", "ask", str(demo_log), step, f"visible(milk, {CAMERA})"]
-    text = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert text.startswith(f"visible(milk, {CAMERA}): yes\n  share")
-    moved = subprocess.run(
-        [*command, "--json", "--move", "milk=-2,0,1,0,0,0,1"], capture_output=True, text=True, check=True
-    )
-    told = json.loads(moved.stdout)
+    asked = ["ask", str(demo_log), step, f"visible(milk, {CAMERA})"]
+    assert main(asked) == 0
+    assert capfd.readouterr().out.startswith(f"visible(milk, {CAMERA}): yes\n  share")
+    assert main([*asked, "--json", "--move", "milk=-2,0,1,0,0,0,1"]) == 0
+    told = json.loads(capfd.readouterr().out)
     assert told["answer"] is False
     assert told["evidence"]["reason"]
     assert told["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]

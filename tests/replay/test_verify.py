@@ -451,11 +451,11 @@ def apart(a: float, b: float) -> float:
 
 
 def test_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(4):
+    for seed in range(3):
         check_random_plan(seed, tmp_path)
 
 
 @pytest.mark.slow
 def test_many_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(4, 200):
+    for seed in range(3, 200):
         check_random_plan(seed, tmp_path)
