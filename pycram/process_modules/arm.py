@@ -103,6 +103,9 @@ class PickUp(SimulatedModule):
                     raise GraspFailed(
                         arm.name, body.name, "it is too big for the gripper from any side that is allowed"
                     )
+                if plan.own:
+                    clash = " would hit ".join(plan.own[0])
+                    raise Unreachable(arm.name, grasps.middle(body), None, f"its own {clash}")
                 raise Unreachable(arm.name, grasps.middle(body), plan.reach.posture.position_error)
             if plan.obstacles:
                 blockers = ", ".join(other.name for other in plan.obstacles)

@@ -62,11 +62,13 @@ class GraspPlan:
         grasp: the grasp, None if nothing reaches.
         reach: the posture; the nearest miss if nothing reaches.
         obstacles: what the arm would touch there, deepest first, and how.
+        own: pairs of the robot's own links that would touch, if that is why nothing reaches.
     """
 
     grasp: Grasp | None
     reach: Reach | None
     obstacles: Mapping[Object, Mapping[str, object]] = field(default_factory=dict)
+    own: Sequence[tuple[str, str]] = ()
 
     def cost(self, links: Collection[str] | None = None) -> tuple[int, int, float]:
         """How much is in the way: furniture stays, other things can be moved first; little overlap is better.
@@ -92,6 +94,8 @@ class GraspPlan:
             told |= {"grasp": self.grasp.name, "position": self.grasp.position, "orientation": self.grasp.orientation}
         if self.reach is not None:
             told |= self.reach.evidence()
+        if self.own:
+            told["touches_itself"] = [list(pair) for pair in self.own]
         return told | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
 
 
@@ -219,6 +223,7 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         opened, hand = arm.gripper.positions("open"), {arm.gripper.palm, *arm.gripper.fingers}
     nearest: Reach | None = None
     least: GraspPlan | None = None
+    bent: GraspPlan | None = None
     rank: tuple[float, ...] = (math.inf,)
     with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
         for grasp, ways in found:
@@ -232,14 +237,18 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
                 pushed = touched.pop(body, None)  # the open hand would be in the object itself
                 plan = GraspPlan(grasp, way, touched)
                 mine = (pushed is not None, *plan.cost())
-                if mine < rank and not rehearsal.touches_itself():
-                    least, rank = plan, mine
+                if mine < rank:
+                    own = rehearsal.touches_itself()
+                    if own:
+                        bent = GraspPlan(None, way, own=own)
+                    else:
+                        least, rank = plan, mine
                 if rank <= (False, 0, 0, 0.0):
                     return plan
                 # the hand is where it is whatever the arm does: no other posture can be better than what it hits
                 if rank[:3] <= (_by(pushed, hand), *plan.cost(hand)[:2]):
                     break
-    return least or GraspPlan(None, nearest)
+    return least or bent or GraspPlan(None, nearest)
 
 
 def _reaches(options: Iterator[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:

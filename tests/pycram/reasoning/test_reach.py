@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import BadArgument
+from pycram.designator import MotionDesignator
+from pycram.failures import BadArgument, Unreachable
+from pycram.process_module import ProcessModule
 from pycram.reasoning.kinematics import ArmKinematics
 from recorder import geometry
 
@@ -240,3 +242,15 @@ def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld
     assert found == []
     assert found.evidence["reached"] is False
     assert found.evidence["distance"] > 0.5
+
+
+def test_what_only_a_contorted_arm_reaches_is_not_reached_and_the_pick_up_says_why(world: BulletWorld) -> None:
+    robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+    cup = Object("cup", "cup", "cup.stl", [0.1, 0, 0.6])  # before its belly
+    found = btr.blocking(cup, robot, LEFT)
+    assert found == []
+    assert found.evidence["reached"] is False
+    assert ["l_forearm_link", "base_link"] in found.evidence["touches_itself"]
+    with pytest.raises(Unreachable, match=r"its own l_.* would hit"):
+        ProcessModule.perform(MotionDesignator([("type", "pick-up"), ("object", cup), ("arm", "left")]))
+    assert robot.attachments == {}
