@@ -163,9 +163,10 @@ def why(log: Log, step: int | str | None = None) -> Why:
     end = log[-1]
     if isinstance(end, Run) and end.HasField("failure"):
         chain = _chain(end.failure, source)
-        task = _began(found, chain)
-        if task is not None:
-            return _of_task(log, source, run, task, end.failure, chain)
+        began = _began(found, chain)
+        if began is not None:
+            task, first = began
+            return _of_task(log, source, run, task, end.failure, chain[first:])
         return _of_plan(log, run, found, end.failure, chain)
     running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
     if found.origins:
@@ -192,12 +193,16 @@ def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
     return (*chain, Raised(failure.type, failure.message, last.lines))
 
 
-def _began(found: Failures, chain: Iterable[Raised]) -> Attempt | None:
-    """The task that raised one of the exceptions, the first cause if there are several; the last such task."""
-    for error in chain:
+def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
+    """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
+
+    What was raised before that had been dealt with, even if Python goes on telling it.
+    """
+    for number in range(len(chain) - 1, -1, -1):
+        error = chain[number].type, chain[number].message
         for task in reversed(found.origins):
-            if any(outer.error == (error.type, error.message) for outer in task.around()):
-                return task
+            if any(outer.error == error for outer in task.around()):
+                return task, number
     return None
 
 

@@ -257,7 +257,12 @@ def _what(found: Why) -> Iterator[str]:
         yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
     if found.task.failure is not None:
         yield f"{'  ' * len(path)}{found.task.failure.type}: {found.task.failure.message}"
-    siblings = [part for part in found.task.outermost.parts if part.failure is not None and part not in path]
+    told = {each.task for each in found.tries}  # in a section of their own
+    siblings = [
+        part
+        for part in found.task.outermost.parts
+        if part.failure is not None and part not in path and part.origin not in told
+    ]
     for part in siblings[:_LAST]:
         yield f"also failed: {_call(part)}: {part.error[1] if part.error else ''}"
 

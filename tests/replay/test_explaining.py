@@ -334,14 +334,14 @@ def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytes
     said = capsys.readouterr().out
     first, second, third, fourth = said.splitlines()[:4]
     assert first.startswith("fails_to_reach failed after")
-    assert "the milk can't be fetched" in first
+    assert "right arm can't reach" in first
     assert "pick-up was tried 4 times" in second
     assert "right arm can't reach" in third
     assert "reachable_object(milk, pr2, r_gripper_tool_frame) said no" in fourth
     for told in (
         " in try_to_take",
         'ProcessModule.perform(MotionDesignator([("type", "pick-up")',
-        'raise btr.ReasoningError("the milk can\'t be fetched") from last',
+        "failure-handling(retries=3)",
         "milk at [1.72, 0.85,",
         "arm=left, pr2 at [0.65, 0.9]",
         "arm=right, pr2 at [0.65, 0.6]",
@@ -357,7 +357,7 @@ def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytes
 def test_why_gives_machines_the_same(failed: Log, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["failure"]["type"] == "ReasoningError"
+    assert told["failure"]["type"] == "Unreachable"
     assert [each["parameters"]["arm"] for each in told["tries"]] == ["left", "right", "left", "right"]
     assert [asked["name"] for asked in told["asked"]] == ["visible", "reachable_object", "blocking"]
     queries = [query.seq for query in failed.records(Query)]
@@ -374,3 +374,23 @@ def test_why_shows_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.Cap
         with Image.open(file) as picture:
             assert picture.size == (640, 480)
             assert len(picture.getcolors(1 << 20)) > 50
+
+
+def try_another_way(file: Path) -> None:
+    with recorder.record(file):
+        try:
+            with span("motion", "take", {"arm": "left"}):
+                raise PlanFailure("too far")
+        except PlanFailure:
+            with span("motion", "take", {"arm": "right"}):
+                raise PlanFailure("too high")  # noqa: B904  as plans do
+
+
+def test_what_was_dealt_with_is_no_cause(tmp_path: Path) -> None:
+    with pytest.raises(PlanFailure):
+        try_another_way(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        assert found.task.parameters == {"arm": "right"}
+        assert [error.message for error in found.raised] == ["too high"]
+        assert len(found.tries) == 2
