@@ -261,6 +261,19 @@ class Engine:
         mass: float = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[0]
         return mass
 
+    def center_of_mass(self, body: Body) -> tuple[Vector, float]:
+        """Centre of mass of all its links in the world, m, and their mass in kg."""
+        c = self._client
+        masses = [bullet.getDynamicsInfo(body.id, index, physicsClientId=c)[0] for index in body.links.values()]
+        places = [
+            bullet.getBasePositionAndOrientation(body.id, physicsClientId=c)[0]
+            if index < 0
+            else bullet.getLinkState(body.id, index, computeForwardKinematics=1, physicsClientId=c)[0]
+            for index in body.links.values()
+        ]
+        x, y, z = np.average(places, axis=0, weights=masses).tolist()
+        return (x, y, z), sum(masses)
+
     # --- attachments -----------------------------------------------------------------------------------------------
 
     def fix(self, carrier: Body, link: str, body: Body, body_link: str, pose: Pose) -> int:
@@ -360,6 +373,11 @@ class Engine:
                 a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=self._client
             )
         return self._told(a, b, points)
+
+    def contacts(self, body: Body) -> list[tuple[int, int, Vector, Vector]]:
+        """Contacts of the last step: id and link index of the other body, point on it in m, normal to the body."""
+        points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
+        return [(point[2], point[4], point[6], point[7]) for point in points]
 
     def rays(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
         """What rays hit first.

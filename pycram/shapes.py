@@ -1,4 +1,4 @@
-"""What is seen of a model: the triangles and colours of its links' visual shapes, read once from its canonical URDF."""
+"""What a model looks like: triangles and colours of its links' shapes, read once from its canonical URDF."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import trimesh
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -26,7 +26,7 @@ _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """What is seen of a model's k links, those that have something to see.
+    """What a model's k links look like, those that have a shape.
 
     Attributes:
         links: their names.
@@ -44,17 +44,18 @@ class Shapes:
 
 
 @lru_cache(maxsize=256)
-def shapes_of(path: Path) -> Shapes:
+def shapes_of(path: Path, role: str = "visual") -> Shapes:
     """The shapes of a model's links.
 
     Args:
         path: its canonical URDF, beside its meshes (see :mod:`pycram.assets`).
+        role: "visual", what is seen, or "collision", what touches.
     """
     root = ET.parse(path).getroot()  # noqa: S314  canonical: written by PyCRAM
     palette = {str(element.get("name")): rgb for element in root.findall("material") if (rgb := _rgb(element))}
     links, triangles, colors = [], [], []
     for link in root.findall("link"):
-        parts = list(_parts(link, path.parent, palette))
+        parts = list(_parts(link.findall(role), path.parent, palette))
         if parts:
             links.append(link.get("name", ""))
             triangles.append(np.concatenate([part for part, _ in parts]))
@@ -65,15 +66,15 @@ def shapes_of(path: Path) -> Shapes:
 
 
 def _parts(
-    link: ET.Element, folder: Path, palette: dict[str, tuple[float, ...]]
+    elements: Iterable[ET.Element], folder: Path, palette: dict[str, tuple[float, ...]]
 ) -> Iterator[tuple[NDArray[np.float64], tuple[float, ...]]]:
-    for visual in link.findall("visual"):
-        shape = visual.find("geometry/*")
+    for element in elements:
+        shape = element.find("geometry/*")
         if shape is None:
             continue
-        material = visual.find("material")
+        material = element.find("material")
         rgb = None if material is None else _rgb(material) or palette.get(material.get("name", ""))
-        origin = visual.find("origin")
+        origin = element.find("origin")
         xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
         turn = geometry.to_matrix(geometry.from_rpy(*_numbers(rpy)))
         yield _triangles(shape, folder) @ turn.T + np.array(_numbers(xyz)), rgb or _GREY

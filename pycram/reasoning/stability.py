@@ -3,8 +3,8 @@
 The thesis simulates 2 s and compares positions to the millimetre. Solvers let things that lie still creep by that much,
 so that its own demo failed. Here an object is unstable if within 2 s it would move more than 1 cm or turn more than 5
 degrees: creep stays an order of magnitude below, a fall goes far beyond. The answer is certain earlier when the limit
-is passed, or when all that could matter has come to rest: slower than 2 mm/s and 0.02 rad/s, which could not add up to
-the limit in the time left, and not gaining speed, as something that begins to tip does.
+is passed, or when all that could matter has come to rest (slower than 2 mm/s and 0.02 rad/s, which could not add up to
+the limit in the time left, and not gaining speed) and stands firmly (:mod:`pycram.reasoning.footing`).
 
 What is simulated is a twin, never the world: PyBullet's saved states, even if restored at once, change the last bits of
 what contacts do next. In it is whatever could get to the object within that time: nothing gets faster than by falling
@@ -18,11 +18,12 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.engine import STEPS_PER_SECOND
+from pycram.reasoning.footing import Thing, firm
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from pycram.body import Body
     from pycram.engine import Engine
@@ -37,7 +38,7 @@ TURNED: Final = math.radians(5)
 _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _CHECK: Final = 6  # steps between looks
-_LOOKS: Final = 4  # at rest for so many looks in a row
+_LOOKS: Final = 4  # in a row, at which all must be at rest
 _GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
@@ -58,9 +59,17 @@ def simulate(body: Object) -> tuple[bool, Mapping[str, object]]:
     robots = any(other.is_robot for other in cast)
     copy = twin(body.world, "physics with robots" if robots else "physics")
     bodies = copy.sync(cast, holding=True)
-    movable = [bodies[other.name] for other in cast if not other.fixed]
+    free = [other for other in cast if not other.fixed]
+    standing = [other for other in free if not _root(other).fixed]
+    joined = any(other.attachments for other in standing)  # who carries whom there, contacts don't tell
+    things = {other: Thing(bodies[other.name], other.model.path) for other in cast}
+
+    def firmly() -> bool:
+        on_their_own = [things[other] for other in standing]
+        return not joined and firm(copy.engine, list(things.values()), on_their_own, body.world.gravity)
+
     try:
-        return _watch(copy.engine, bodies[body.name], movable)
+        return _watch(copy.engine, bodies[body.name], [bodies[other.name] for other in free], firmly)
     finally:
         copy.disturbed(*bodies)
 
@@ -96,6 +105,13 @@ def _holder(body: Object) -> Object | None:
     return above
 
 
+def _root(body: Object) -> Object:
+    """What carries an object in the end; itself if nothing does."""
+    while body.carrier is not None:
+        body = body.carrier
+    return body
+
+
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
     """How far anything could get in the time, m, with the speed of the fastest and of a fall to the object's foot."""
     world = body.world
@@ -121,7 +137,9 @@ def _gap(a: Box, b: Box) -> float:
     )
 
 
-def _watch(engine: Engine, body: Body, movable: list[Body]) -> tuple[bool, Mapping[str, object]]:
+def _watch(
+    engine: Engine, body: Body, movable: list[Body], firmly: Callable[[], bool]
+) -> tuple[bool, Mapping[str, object]]:
     start = engine.pose(body)
     looks: list[list[float]] = []
     steps = 0
@@ -135,7 +153,7 @@ def _watch(engine: Engine, body: Body, movable: list[Body]) -> tuple[bool, Mappi
         looks.append(
             [max(linear / _SLOW, turn / _SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
         )
-        if len(looks) >= _LOOKS and _at_rest(looks[-_LOOKS:]):
+        if len(looks) % _LOOKS == 0 and _at_rest(looks[-_LOOKS:]) and firmly():
             break
     return True, {"moved": moved, "turned": turned, "simulated_steps": steps}
 
