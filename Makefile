@@ -10,10 +10,11 @@ demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
 test: .venv/ready-dev  ## all tests
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --ignore=tests/benchmarks
+	$(BIN)/pytest tests/benchmarks
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
-	$(BIN)/pytest -m "not slow" --ignore=tests/benchmarks
+	$(BIN)/pytest -n auto -m "not slow" --ignore=tests/benchmarks
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gc
 import math
-import os
 import queue
+import subprocess
+import sys
 import threading
 from typing import TYPE_CHECKING
 
-import psutil
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
@@ -319,24 +318,34 @@ def test_removed_objects_say_so(world: BulletWorld) -> None:
 
 @pytest.mark.slow
 def test_200_worlds_leave_nothing_behind() -> None:
-    process = psutil.Process(os.getpid())
+    program = """
+import gc, threading
+import psutil
+from pycram.bullet_world import BulletWorld, Object
+process = psutil.Process()
 
-    def use() -> None:
-        with BulletWorld() as world:
-            Object("milk", "milk", "milk.stl", [0, 0, 1])
-            Object("bowl", "bowl", "bowl.stl", [0.3, 0, 1])
-            world.simulate(0.05)
+def use():
+    with BulletWorld() as world:
+        Object("milk", "milk", "milk.stl", [0, 0, 1])
+        Object("bowl", "bowl", "bowl.stl", [0.3, 0, 1])
+        world.simulate(0.05)
 
-    for _ in range(20):
-        use()
+def told():
     gc.collect()
-    threads, memory = threading.active_count(), process.memory_info().rss
-    for _ in range(200):
-        use()
-    gc.collect()
-    assert threading.active_count() == threads
-    assert process.num_threads() <= threads + 4
-    assert process.memory_info().rss - memory < 20e6
+    return threading.active_count(), process.num_threads(), process.num_fds(), process.memory_info().rss, len(gc.get_objects())
+
+for _ in range(20):
+    use()
+before = told()
+for _ in range(200):
+    use()
+print(*[after - then for then, after in zip(before, told())])
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    python_threads, threads, files, memory, objects = map(int, ended.stdout.split())
+    assert (python_threads, threads, files) == (0, 0, 0)
+    assert memory < 10e6
+    assert objects < 1000
 
 
 def furnished(name: str) -> BulletWorld:
