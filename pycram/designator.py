@@ -55,7 +55,7 @@ class Designator(Equated, ABC):
         """
         super().__init__()
         self._slots = pairs(description)
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
         self.timestamp: float | None = None
@@ -130,7 +130,7 @@ class Designator(Equated, ABC):
 
     @abstractmethod
     def _solution(self) -> Solution:
-        """Finds this designator's solution; called once at a time.
+        """Finds this designator's solution, in any thread.
 
         Raises:
             DesignatorError: there is none.
@@ -145,15 +145,15 @@ class Designator(Equated, ABC):
         Raises:
             DesignatorError: there is none.
         """
+        if self._data is not None:
+            solution: Solution = self._data
+            return solution
+        solution = self._solution()  # the user's code: no lock is held
         with self._lock:
-            if self._data is not None:
-                solution: Solution = self._data
-                return solution
-            solution = self._solution()
             self._effective = True
             if self.timestamp is None:
                 self.timestamp = time.time()
-            return own(solution)  # type: ignore[no-any-return]
+        return own(solution)  # type: ignore[no-any-return]
 
     def next_solution(self) -> Self | None:
         """Another solution.

@@ -14,8 +14,8 @@ Solution: TypeAlias = Mapping[str, Any]
 class Solutions:
     """What a designator and its next ones share; any number of threads may ask.
 
-    Finding is the resolvers' code, which runs with these solutions locked: one that asks for solutions of the same
-    description waits for nobody, since the lock is its own thread's.
+    Finding is the resolvers' code and runs without a lock: a resolver may wait for a thread that asks for the same
+    solutions. Threads that look at the same time each look themselves, and the first to find one decides.
     """
 
     def __init__(self, find: Callable[[], Iterator[Solution]]) -> None:
@@ -24,10 +24,11 @@ class Solutions:
         Args:
             find: gives the solutions; called again when it failed, and then the first ones are skipped.
         """
-        self._lock = threading.RLock()
+        self._lock = threading.Lock()
         self._find = find
-        self._found: Iterator[Solution] | None = None
+        self._rest: Iterator[Solution] | None = None  # gives what comes after those that are kept
         self._kept: list[Solution] = []
+        self._complete = False
 
     def at(self, index: int) -> Solution | None:
         """A solution.
@@ -38,16 +39,18 @@ class Solutions:
         Returns:
             The solution, None if there are fewer.
         """
-        with self._lock:
-            while len(self._kept) <= index:
-                if self._found is None:  # at first, and after an error: then what was found already is skipped
-                    self._found = itertools.islice(self._find(), len(self._kept), None)
-                try:
-                    solution = next(self._found, None)
-                except BaseException:
-                    self._found = None
-                    raise
-                if solution is None:
-                    return None
-                self._kept.append(solution)
-            return self._kept[index]
+        while True:
+            with self._lock:
+                count = len(self._kept)
+                if index < count or self._complete:
+                    return self._kept[index] if index < count else None
+                rest, self._rest = self._rest, None
+            if rest is None:
+                rest = itertools.islice(self._find(), count, None)
+            solution = next(rest, None)
+            with self._lock:
+                if len(self._kept) == count:  # nobody was faster
+                    self._rest = rest
+                    self._complete = solution is None
+                    if solution is not None:
+                        self._kept.append(solution)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+from typing import TYPE_CHECKING
+
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import BadArgument
 from pycram.process_module import ProcessModule, register
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 def looking(**more: object) -> MotionDesignator:
@@ -143,3 +149,43 @@ def test_what_is_no_process_module_serves_nobody(scene: BulletWorld) -> None:
 
     with ProcessModule.resolvers.added(careless), pytest.raises(BadArgument, match="careless"):
         ProcessModule.perform(looking())
+
+
+def test_a_resolver_may_wait_for_a_thread_that_asks_for_the_same() -> None:
+    asked: list[object] = []
+
+    def waiting(designator: MotionDesignator) -> list[dict[str, object]] | None:
+        if threading.current_thread() is not threading.main_thread():
+            return None
+        thread = threading.Thread(target=lambda: asked.append(designator.reference()["cmd"]))
+        thread.start()
+        thread.join(20)
+        return [{"cmd": "mine"}]
+
+    designator = looking()
+    with MotionDesignator.resolvers.added(waiting):
+        assert designator.reference()["cmd"] == "looking", "the first to find one decides"
+    assert asked == ["looking"]
+    assert designator.reference()["cmd"] == "looking"
+
+
+def test_eight_threads_find_the_same_solutions() -> None:
+    found: list[list[object]] = []
+    start = threading.Barrier(8)
+
+    def three(designator: MotionDesignator) -> Iterator[dict[str, object]]:
+        yield from ({"cmd": f"number {number}"} for number in range(3))
+
+    designator = looking()
+
+    def collect() -> None:
+        start.wait()
+        found.append([solution["cmd"] for solution in designator.solutions()])
+
+    with MotionDesignator.resolvers.added(three):
+        threads = [threading.Thread(target=collect) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert found == [["number 0", "number 1", "number 2", "looking"]] * 8
