@@ -205,9 +205,19 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
         Type, message, data and traceback.
     """
     data = getattr(error, "data", None)
+    try:
+        message = str(error)
+        lines = traceback.format_exception(error) if trace else []
+    except Exception as untold:  # noqa: BLE001  the error's own __str__
+        message, lines = f"<it can't be told: {type(untold).__qualname__}>", []
     return Failure(
         type=type(error).__qualname__,
-        message=str(error),
+        message=_sound(message),
         data=arguments(data) if isinstance(data, Mapping) else [],
-        traceback="".join(traceback.format_exception(error)) if trace else "",
+        traceback=_sound("".join(lines)),
     )
+
+
+def _sound(text: str) -> str:
+    """A text that a file can hold: lone surrogates as escapes."""
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -82,5 +82,14 @@ def test_failures_carry_their_data() -> None:
     assert data["value"] == 2.0
 
 
+def test_failures_that_can_t_be_told_are_recorded_all_the_same() -> None:
+    class Shy(Exception):
+        def __str__(self) -> str:
+            raise ZeroDivisionError
+
+    assert "ZeroDivisionError" in failure(Shy()).message
+    assert failure(ValueError("a\ud800")).message == "a\\ud800"
+
+
 def test_arguments_keep_their_order() -> None:
     assert [argument.name for argument in arguments([("b", 1), ("a", 2)])] == ["b", "a"]
