@@ -34,9 +34,10 @@ pytestmark = pytest.mark.slow
 
 
 def seconds(action: Callable[[], object]) -> float:
-    start = time.perf_counter()
+    """Processor time of all threads: others on the machine don't count."""
+    start = time.process_time()
     action()
-    return time.perf_counter() - start
+    return time.process_time() - start
 
 
 def demo_seconds(file: Path | None) -> tuple[float, float]:
@@ -53,14 +54,14 @@ def demo_seconds(file: Path | None) -> tuple[float, float]:
 def test_demo_costs_less_than_1000_steps_and_recording_little(tmp_path: Path) -> None:
     demo_seconds(None)  # what is made once: files laid out, code compiled
     pairs = [(demo_seconds(None), demo_seconds(tmp_path / f"{i}.mcap")) for i in range(5)]
-    bare = statistics.median(pair[0][0] for pair in pairs)
-    recorded = statistics.median(pair[1][0] for pair in pairs)
-    step = statistics.median(run[1] for pair in pairs for run in pair)
-    ratio = min(recorded / bare, statistics.median(pair[1][0] / pair[0][0] for pair in pairs))
+    bare = min(pair[0][0] for pair in pairs)  # noise only adds
+    recorded = min(pair[1][0] for pair in pairs)
+    step = min(run[1] for pair in pairs for run in pair)
+    ratio = recorded / bare
     print(f"\ndemo's plan: {bare:.3f} s bare, {recorded:.3f} s recorded, ratio {ratio:.3f}")
     print(f"one full-scene step: {step * 1e3:.2f} ms; the plan costs {recorded / step:.0f} steps")
     assert recorded / step < 1000
-    assert ratio < 1.25  # 1.05 is the goal; a noisy machine needs room
+    assert ratio < 1.15  # 1.05 is the goal; a noisy machine needs room
 
 
 def test_recorder_throughput(tmp_path: Path) -> None:
