@@ -39,6 +39,13 @@ _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _CHECK: Final = 6  # steps between looks
 _LOOKS: Final = 4  # in a row, at which all must be at rest
+_DECISIONS: Final = (
+    4,
+    8,
+    16,
+    32,
+    64,
+)  # looks after which it is asked whether all stands firmly, which isn't for nothing
 _GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
@@ -153,7 +160,7 @@ def _watch(
         looks.append(
             [max(linear / _SLOW, turn / _SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
         )
-        if len(looks) % _LOOKS == 0 and _at_rest(looks[-_LOOKS:]) and firmly():
+        if len(looks) in _DECISIONS and _at_rest(looks[-_LOOKS:]) and firmly():
             break
     return True, {"moved": moved, "turned": turned, "simulated_steps": steps}
 

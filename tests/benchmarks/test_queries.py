@@ -120,7 +120,7 @@ def test_what_queries_cost(kitchen: Object) -> None:
         costs[name] = ratio(query, unit[of]), of, goal
     for name, (cost, of, goal) in costs.items():
         print(f"{name:24} {cost:7.2f} {of}s, goal {goal:g}")
-    missed = {name: cost for name, (cost, _, goal) in costs.items() if cost > 2.5 * goal}
+    missed = {name: cost for name, (cost, _, goal) in costs.items() if cost > 3.5 * goal}
     assert not missed
 
 
