@@ -11,7 +11,7 @@ demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap
 
 test: .venv/ready-dev  ## all tests
 	$(BIN)/pytest -n auto --ignore=tests/benchmarks
-	$(BIN)/pytest -n auto --dist loadfile tests/benchmarks
+	$(BIN)/pytest tests/benchmarks -m "not long"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
 	$(BIN)/pytest -n auto -m "not slow" --ignore=tests/benchmarks

@@ -144,6 +144,7 @@ def test_what_is_far_away_costs_little(kitchen: Object) -> None:
     assert all(cost < 2.5 * before[name] + 0.1 for name, cost in after.items())
 
 
+@pytest.mark.long
 def test_verdicts_are_those_of_full_size_images(kitchen: Object) -> None:
     """500 random views against two images of 256x256, counted as the thesis does."""
     world = kitchen.world

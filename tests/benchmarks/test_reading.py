@@ -109,6 +109,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[int, Path]:
     return made
 
 
+@pytest.mark.long
 def test_a_million_records_are_read_as_ten_thousand_are(files: dict[int, Path]) -> None:
     small, large = (measured(files[count], count) for count in (SMALL, LARGE))
     print(f"\n{'':32}{SMALL:>12}{LARGE:>12}")
@@ -128,6 +129,7 @@ def test_a_million_records_are_read_as_ten_thousand_are(files: dict[int, Path]) 
     assert large["memory"] < 200
 
 
+@pytest.mark.long
 def test_info_from_the_shell(files: dict[int, Path]) -> None:
     for count, file in files.items():
         times, used = [], []
