@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from pycram import checks, toml
 from pycram.failures import AssetError, BadArgument, UnknownName
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from recorder.urdf import Urdf
 
 T = TypeVar("T")
+_FARTHEST: Final = 1e4  # m
+_WIDEST: Final = 3.1  # rad
+_MOST_PIXELS: Final = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +189,7 @@ class RobotDescription:
         """
         tables = toml.parse(text, source)
         try:
+            _only(tables, "robot", "base_link", "arms", "head", "camera", "torso")
             return cls(
                 robot=_text(tables, "robot"),
                 base_link=_text(tables, "base_link"),
@@ -279,6 +283,19 @@ def _number(table: Mapping[str, object], key: str) -> float:
     return checks.number(key, table[key])
 
 
+def _between(table: Mapping[str, object], key: str, low: float, high: float) -> float:
+    value = _number(table, key)
+    if not low <= value <= high:
+        raise BadArgument(key, value, f"a number from {low:g} to {high:g}")
+    return value
+
+
+def _only(table: Mapping[str, object], *keys: str) -> None:
+    for key in table:
+        if key not in keys:
+            raise BadArgument(key, table[key], f"only {', '.join(keys)} here")
+
+
 def _texts(table: Mapping[str, object], key: str) -> tuple[str, ...]:
     value = table[key]
     if not isinstance(value, list):
@@ -291,19 +308,23 @@ def _optional(tables: Mapping[str, object], key: str, read: Callable[[dict[str, 
 
 
 def _camera(table: dict[str, object]) -> CameraDescription:
+    _only(table, "frame", "horizontal_fov", "vertical_fov", "width", "height", "near", "far")
+    near = _between(table, "near", 1e-4, _FARTHEST)
     return CameraDescription(
         frame=_text(table, "frame"),
-        horizontal_fov=_number(table, "horizontal_fov"),
-        vertical_fov=_number(table, "vertical_fov"),
-        width=int(_number(table, "width")),
-        height=int(_number(table, "height")),
-        near=_number(table, "near"),
-        far=_number(table, "far"),
+        horizontal_fov=_between(table, "horizontal_fov", 1e-3, _WIDEST),
+        vertical_fov=_between(table, "vertical_fov", 1e-3, _WIDEST),
+        width=int(_between(table, "width", 1, _MOST_PIXELS)),
+        height=int(_between(table, "height", 1, _MOST_PIXELS)),
+        near=near,
+        far=_between(table, "far", near, _FARTHEST),
     )
 
 
 def _arm(name: str, table: dict[str, object]) -> Arm:
     gripper = _table(table, "gripper")
+    _only(table, "base_link", "tool_frame", "joints", "poses", "gripper")
+    _only(gripper, "joints", "closed", "open", "palm", "fingers", "aperture", "depth", "tips", "underside")
     joints = _texts(table, "joints")
     poses: dict[str, tuple[float, ...]] = {}
     for pose, values in _table(table, "poses").items():
@@ -321,10 +342,10 @@ def _arm(name: str, table: dict[str, object]) -> Arm:
             open=_number(gripper, "open"),
             palm=_text(gripper, "palm"),
             fingers=_texts(gripper, "fingers"),
-            aperture=_number(gripper, "aperture"),
-            depth=_number(gripper, "depth"),
-            tips=_number(gripper, "tips"),
-            underside=_number(gripper, "underside"),
+            aperture=_between(gripper, "aperture", 1e-3, 1.0),
+            depth=_between(gripper, "depth", 0.0, 1.0),
+            tips=_between(gripper, "tips", 0.0, 1.0),
+            underside=_between(gripper, "underside", 0.0, 1.0),
         ),
         poses=poses,
     )

@@ -1,0 +1,54 @@
+"""Descriptions of robots are read whole or refused with what is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import pycram.robots
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import AssetError
+from pycram.robots.description import RobotDescription
+
+PR2 = (Path(pycram.robots.__file__).parent / "pr2.toml").read_text()
+
+BROKEN = {
+    "not TOML": ("robot = ", "robot = = ", "TOML"),
+    "no base": ('base_link = "base_footprint"', "", "base_link"),
+    "unknown entry": ('robot = "pr2"', 'robot = "pr2"\nwheels = 4', "wheels = 4: expected only robot, base_link"),
+    "opening of less than nothing": ("aperture = 0.090", "aperture = -1", "aperture = -1"),
+    "camera without width": ("width = 640", "width = 0", "width = 0"),
+    "field of view of nothing": ("horizontal_fov = ", "horizontal_fov = -", "horizontal_fov = -"),
+    "far before near": ("far = 10.0", "far = 0.001", "far = 0.001"),
+    "poses that are no list": ("park = [1.712, ", "park = 1.712 # [", "park"),
+}
+
+
+def test_the_pr2_s_own_is_read_and_fits() -> None:
+    with BulletWorld():
+        RobotDescription.parse(PR2).check(Object("pr2", "robot", "pr2.urdf").urdf)
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_what_can_t_be_is_told(name: str) -> None:
+    good, bad, told = BROKEN[name]
+    assert good in PR2
+    with pytest.raises(AssetError, match=told) as raised:
+        RobotDescription.parse(PR2.replace(good, bad), "mine.toml")
+    assert raised.value.path == "mine.toml"
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "told"),
+    [
+        ('"l_gripper_tool_frame"', '"l_gripper_tol_frame"', "l_gripper_tool_frame"),
+        ("open = 0.548", "open = 5.48", "outside of its limits"),
+        ('    "l_shoulder_pan_joint", "l_shoulder_lift_joint",', '    "l_shoulder_lift_joint",', "numbers|joints"),
+    ],
+)
+def test_what_doesn_t_fit_the_robot_is_told(good: str, bad: str, told: str) -> None:
+    assert good in PR2
+    with BulletWorld() as world, pytest.raises(AssetError, match=told):
+        Object("pr2", "robot", "pr2.urdf", description=RobotDescription.parse(PR2.replace(good, bad)))
+    assert not world.objects
