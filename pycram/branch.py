@@ -7,6 +7,7 @@ type matters (``isinstance``, ``is``), :func:`unwrap` gives the result.
 
 from __future__ import annotations
 
+import copy
 import operator
 import threading
 from contextvars import copy_context
@@ -237,6 +238,24 @@ class Handle:
 
     def __getitem__(self, key: object) -> Result:
         return self._branch.result()[key]
+
+    def __setitem__(self, key: object, value: object) -> None:
+        self._branch.result()[unwrap(key)] = value
+
+    def __delitem__(self, key: object) -> None:
+        del self._branch.result()[unwrap(key)]
+
+    def __format__(self, spec: str) -> str:
+        return format(self._branch.result(), spec)
+
+    def __round__(self, digits: int | None = None) -> Result:
+        return round(self._branch.result(), digits)
+
+    def __copy__(self) -> Result:
+        return copy.copy(self._branch.result())
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Result:
+        return copy.deepcopy(self._branch.result(), memo)
 
     def __call__(self, *args: object, **kwargs: object) -> Result:
         """Calls the result."""

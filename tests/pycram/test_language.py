@@ -7,6 +7,7 @@ when it is cancelled.
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
+import copy
 import faulthandler
 import os
 import signal
@@ -777,3 +778,15 @@ def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
         s(branch)
         s(lambda: None)
     assert seen in ([1], [])  # it may have been cancelled before it began
+
+
+def test_handles_are_formatted_rounded_changed_and_copied_as_their_results() -> None:
+    with par as s:
+        number = s(lambda: 3.14159)
+        table = s(lambda: {"a": [1]})
+    assert f"{number:.2f} {round(number, 1)} {round(number)}" == "3.14 3.1 3"
+    table["b"] = 2
+    del table["a"]
+    assert table.result() == {"b": 2}
+    assert copy.copy(table) == copy.deepcopy(table) == {"b": 2}
+    assert type(copy.copy(table)) is dict
