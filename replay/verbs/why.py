@@ -382,6 +382,8 @@ def _again(query: Query) -> str:
 
 def _nearer(found: Why) -> str:
     """The same question with the thing nearer to the robot, if a robot is there to reach it."""
+    if not found.things:  # a damaged recording may have lost them
+        return ""
     robot = next((thing.body for thing in found.things if thing.robot), None)
     thing = found.things[-1]
     if robot is None or thing.distance is None or thing.distance <= _STEP:

@@ -394,3 +394,15 @@ def test_what_was_dealt_with_is_no_cause(tmp_path: Path) -> None:
         assert found.task.parameters == {"arm": "right"}
         assert [error.message for error in found.raised] == ["too high"]
         assert len(found.tries) == 2
+
+
+@pytest.mark.slow
+def test_why_makes_the_best_of_a_damaged_recording(failed_log: Path, tmp_path: Path) -> None:
+    content = failed_log.read_bytes()
+    copy = tmp_path / "damaged.mcap"
+    for number in range(30):
+        damaged = bytearray(content)
+        for place in range(number, len(damaged), len(damaged) // (2 + number % 7)):
+            damaged[place] ^= 0xFF
+        copy.write_bytes(damaged)
+        assert main(["why", str(copy)]) in (1, 2, 3), number
