@@ -27,8 +27,7 @@ with BulletWorld("GUI") as again:
     again.simulate(0.1)
 print("ended")
 """
-
-
+@pytest.mark.slow
 def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", PLAN],
