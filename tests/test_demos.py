@@ -30,6 +30,8 @@ def pycram(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         timeout=120,
         env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin"},
     )
+
+
 @pytest.mark.slow
 def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
     ended = pycram("demo", cwd=tmp_path)
@@ -127,6 +129,8 @@ def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, t
             )
             assert again.returncode == 0, again.stderr
             assert again.stdout
+
+
 @pytest.mark.slow
 def test_what_a_plan_s_threads_do_after_its_end_is_recorded(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text(

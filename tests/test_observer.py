@@ -89,6 +89,8 @@ def read(file: Path) -> Counter[tuple[str, str]]:
             elif kind == "Event":
                 found["event", record.name] += 1
     return found
+
+
 @pytest.mark.slow
 def test_what_an_observer_counts_is_what_the_recording_holds(tmp_path: Path, observer: Observer) -> None:
     file = tmp_path / "x.mcap"

@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import DisplayError
@@ -27,6 +29,8 @@ with BulletWorld("GUI") as again:
     again.simulate(0.1)
 print("ended")
 """
+
+
 @pytest.mark.slow
 def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:
     ended = subprocess.run(

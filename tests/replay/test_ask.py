@@ -66,6 +66,8 @@ def assert_near(found: object, wanted: object, where: str) -> None:
 
 def first(log: replay.Log, query: str) -> Query:
     return next(record for record in log.records(Query) if isinstance(record, Query) and record.name == query)
+
+
 @pytest.mark.slow
 def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
     with replay.open(demo_log) as log:

@@ -53,6 +53,8 @@ def test_it_shows_that_moment_from_that_place(file: Path) -> None:
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
     assert not worlds.opened()
+
+
 @pytest.mark.slow
 def test_the_robots_camera_sees_what_the_plan_looked_at(demo_log: Path) -> None:
     with replay.open(demo_log) as log:

@@ -366,6 +366,8 @@ def test_real_time_branches_and_failures_are_made_again(tmp_path: Path) -> None:
     with replay.open(file) as log:
         verdict = verify(log)
     assert verdict.exact, verdict
+
+
 @pytest.mark.slow
 def test_the_verb_prints_a_verdict(run_log: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(run_log)]) == 0
