@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram import attachments, cargo, checks, worlds
@@ -307,7 +308,7 @@ class BulletWorld(metaclass=CurrentWorld):
             for body, before in environment.items():
                 after = self.engine.joints(body.handle)[0]
                 if any(not math.isclose(a, b, abs_tol=_MOVED) for a, b in zip(before, after, strict=True)):
-                    change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
+                    change.events.append(partial(self._manipulation.prepare, body))
         if self._ending and change.command.simulate.steps < steps:
             raise WorldClosed(self.name, "simulate on")
 
@@ -354,7 +355,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 self.engine.set_pose(body.handle, body.original_pose)
                 change.touch(body)
                 if body.is_environment:
-                    change.events.append(lambda body=body: self._manipulation.prepare(body))  # type: ignore[misc]
+                    change.events.append(partial(self._manipulation.prepare, body))
 
     # --- recording and end -----------------------------------------------------------------------------------------
 

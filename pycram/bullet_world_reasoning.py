@@ -14,6 +14,7 @@ from pycram.branch import unwrap
 from pycram.failures import ReasoningError
 from pycram.reasoning import contact as _contact
 from pycram.reasoning import grasps as _grasps
+from pycram.reasoning import outline as _outline
 from pycram.reasoning import reach as _reach
 from pycram.reasoning import reachability as _reachability
 from pycram.reasoning import rehearsal as _rehearsal
@@ -179,7 +180,7 @@ def reachable_object(
     told = {"object": body, "robot": machine, "gripper": gripper_name, "threshold": threshold, "grasp": grasp}
     told["collision_free"] = collision_free
     with asking("reachable_object", place, told) as asked:
-        target = _grasps.middle(body)
+        target = _outline.middle(body)
         asked.answer = verdict = _reaches(
             asked, machine, gripper_name, target, orientation, threshold, body, collision_free
         )

@@ -69,6 +69,23 @@ class Sight:
 
 
 @dataclass(frozen=True, slots=True)
+class _Boxes:
+    """Boxes of k links, in their frames, and where these are in the world.
+
+    Attributes:
+        low: (k, 3) lowest corners, m.
+        high: (k, 3) highest corners, m.
+        positions: (k, 3) of the frames, m.
+        turns: (k, 3, 3) of the frames.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    turns: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class Camera:
     """A pinhole camera in the world.
 
@@ -125,34 +142,27 @@ class Camera:
             body.world.engine.link_frames(body.handle, shapes.links)
             for body, shapes in zip(bodies, models, strict=True)
         ]
-        positions = np.concatenate([found[0] for found in frames])
-        turns = geometry.to_matrices(np.concatenate([found[1] for found in frames]))
-        low = np.concatenate([shapes.low for shapes in models])
-        high = np.concatenate([shapes.high for shapes in models])
+        boxes = _Boxes(
+            low=np.concatenate([shapes.low for shapes in models]),
+            high=np.concatenate([shapes.high for shapes in models]),
+            positions=np.concatenate([found[0] for found in frames]),
+            turns=geometry.to_matrices(np.concatenate([found[1] for found in frames])),
+        )
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
-        shown = self._shown(low, high, positions, turns, window, far)
-        shown &= ~(of_robots & self._around(low, high, positions, turns))
+        shown = self._shown(boxes, window, far) & ~(of_robots & self._in(boxes))
         to_camera = geometry.to_matrix(self.pose[1]).T
         for place in np.flatnonzero(shown):
             index, link = links[place]
             colors, paint = models[index].colors[link], bodies[index].color
             if paint is not None:
                 colors = np.tile(paint[:3], (len(colors), 1))
-            turned = models[index].triangles[link] @ (to_camera @ turns[place]).T
-            yield index, turned + self.to_frame(positions[place]), colors
+            turned = models[index].triangles[link] @ (to_camera @ boxes.turns[place]).T
+            yield index, turned + self.to_frame(boxes.positions[place]), colors
 
-    def _shown(
-        self,
-        low: NDArray[np.float64],
-        high: NDArray[np.float64],
-        positions: NDArray[np.float64],
-        turns: NDArray[np.float64],
-        window: Window,
-        far: float,
-    ) -> NDArray[np.bool_]:
-        """Which boxes of links are in balls that reach into what the camera sees through a window."""
-        middles = np.einsum("kij,kj->ki", turns, (low + high) / 2) + positions
-        radii = np.linalg.norm(high - low, axis=1) / 2
+    def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
+        """Which boxes are in balls that reach into what the camera sees through a window."""
+        middles = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
+        radii = np.linalg.norm(boxes.high - boxes.low, axis=1) / 2
         x, y, z = self.to_frame(middles).T
         shown = (z + radii >= self.near) & (z - radii <= far)
         sides = ((x, window.left, 1), (x, window.right, -1), (y, window.top, 1), (y, window.bottom, -1))
@@ -160,13 +170,7 @@ class Camera:
             shown &= sign * (across - edge * z) / np.hypot(1.0, edge) >= -radii
         return np.asarray(shown)
 
-    def _around(
-        self,
-        low: NDArray[np.float64],
-        high: NDArray[np.float64],
-        positions: NDArray[np.float64],
-        turns: NDArray[np.float64],
-    ) -> NDArray[np.bool_]:
-        """Which boxes of links are around the camera."""
-        eye = np.einsum("kji,kj->ki", turns, np.asarray(self.pose[0]) - positions)
-        return np.asarray(((eye >= low - _HOUSING) & (eye <= high + _HOUSING)).all(axis=1))
+    def _in(self, boxes: _Boxes) -> NDArray[np.bool_]:
+        """Which boxes are around the camera."""
+        eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
+        return np.asarray(((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1))

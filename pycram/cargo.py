@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
 _DROP: Final = 0.03  # m that something put into a drawer may hang over its floor
-_UPWARD: Final = 0.5  # of a normal's length: steeper contacts don't carry
 
 
 def follow(carrier: Object, change: Change) -> None:
@@ -80,7 +79,7 @@ def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
             inside = all(low <= x <= high for low, x, high in zip(lower, at, upper, strict=True))
             gap = _DROP if inside else _GAP
             touches = engine.link_touches(container.handle, link, body.handle, gap)
-            if any(touch.normal[2] < -_UPWARD for touch in touches):
+            if any(touch.carries for touch in touches):
                 found[body] = link
     queue = list(found)
     while queue:
@@ -89,7 +88,7 @@ def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
             if body in found:
                 continue
             touches = engine.touches(below.handle, body.handle, _GAP)
-            if any(touch.normal[2] < -_UPWARD for touch in touches):
+            if any(touch.carries for touch in touches):
                 found[body] = found[below]
                 queue.append(body)
     return found

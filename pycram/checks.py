@@ -9,7 +9,7 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, SupportsFloat, cast
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def number(argument: str, value: object) -> float:
     if isinstance(value, bool | str | bytes):
         raise BadArgument(argument, value, "a number")
     try:
-        result = float(value)  # type: ignore[arg-type]
+        result = float(cast("SupportsFloat", value))
     except (TypeError, ValueError, OverflowError) as error:
         raise BadArgument(argument, value, "a number") from error
     if not math.isfinite(result):

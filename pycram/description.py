@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from pycram.failures import UsageError
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
 #: What a slot holds, or what a designator stands for: whatever the plan gave.
 Value: TypeAlias = Any
+T = TypeVar("T")
 
 
 class DesignatorError(UsageError):
@@ -58,13 +59,14 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
     return slots
 
 
-def own(value: Value) -> Value:
+def own(value: T) -> T:
     """The same value, in lists, dictionaries, sets and arrays of its own.
 
     Args:
         value: anything; what it holds beside containers stays what it is.
     """
-    return _own(value, {})
+    made: T = _own(value, {})
+    return made
 
 
 def _own(value: Value, known: dict[int, Value]) -> Value:

@@ -153,7 +153,7 @@ class Designator(Equated, ABC):
             self._effective = True
             if self.timestamp is None:
                 self.timestamp = time.time()
-        return own(solution)  # type: ignore[no-any-return]
+        return own(solution)
 
     def next_solution(self) -> Self | None:
         """Another solution.

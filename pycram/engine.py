@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -31,6 +31,7 @@ with quiet(1, 2):  # it announces its build time
     import pybullet as bullet
 
 STEPS_PER_SECOND: Final = 240
+_UPWARD: Final = 0.5  # of a normal's length
 
 # Groups of the collision filter. PyBullet lets a pair collide if either side wants to, so both have to refuse.
 _ROBOT_GROUP: Final = 64
@@ -66,6 +67,11 @@ class Touch:
     normal: Vector
     distance: float
     force: float
+
+    @property
+    def carries(self) -> bool:
+        """Whether the second body rests on the first there: steeper than 60 degrees carries nothing to speak of."""
+        return self.normal[2] < -_UPWARD
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -401,15 +407,12 @@ class Engine:
         return bullet.getOverlappingObjects(low, high, physicsClientId=self._client) or []
 
     @staticmethod
-    def _told(a: Body, b: Body, points: Sequence[Sequence[object]] | None) -> list[Touch]:
+    def _told(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[Touch]:
         if not points:
             return []
         names_a = {index: name for name, index in a.links.items()}
         names_b = {index: name for name, index in b.links.items()}
-        return [
-            Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9])  # type: ignore[arg-type,index]
-            for p in points
-        ]
+        return [Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9]) for p in points]
 
     def close(self) -> None:
         """Ends the client; a second call does nothing."""

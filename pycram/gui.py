@@ -5,10 +5,10 @@ The window has its own native thread inside PyBullet, which ends with its client
 
 from __future__ import annotations
 
+import ctypes
 import os
 import socket
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.failures import DisplayError
@@ -16,7 +16,6 @@ from pycram.failures import DisplayError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_X_SOCKETS = Path("/tmp/.X11-unix")  # noqa: S108  where every X server listens
 _TIMEOUT = 2.0  # s
 
 
@@ -40,15 +39,32 @@ def check_display(open_windows: Sequence[str]) -> None:
     screen = number.partition(".")[0]
     if not screen.isdigit():
         raise DisplayError(f"DISPLAY={display} names no display")
+    if host in ("", "unix"):
+        answers, why = _answers(display)
+    else:
+        answers, why = _listens(host, 6000 + int(screen))
+    if not answers:
+        raise DisplayError(f"no X server answers at DISPLAY={display}{why}")
+
+
+def _answers(display: str) -> tuple[bool, str]:
+    """Whether a display of this machine can be opened, by the library that PyBullet opens it with."""
     try:
-        if host in ("", "unix"):
-            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as connection:
-                connection.settimeout(_TIMEOUT)
-                try:
-                    connection.connect(str(_X_SOCKETS / f"X{screen}"))
-                except OSError:
-                    connection.connect(f"\0{_X_SOCKETS / f'X{screen}'}")  # the abstract socket of the same name
-        else:
-            socket.create_connection((host, 6000 + int(screen)), timeout=_TIMEOUT).close()
+        x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
-        raise DisplayError(f"no X server answers at DISPLAY={display} ({error.strerror})") from error
+        return False, f" ({error})"
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    opened = x11.XOpenDisplay(display.encode())
+    if opened:
+        x11.XCloseDisplay(opened)
+    return bool(opened), ""
+
+
+def _listens(host: str, port: int) -> tuple[bool, str]:
+    """Whether another machine's display takes connections; one that doesn't would keep the library waiting."""
+    try:
+        socket.create_connection((host, port), timeout=_TIMEOUT).close()
+    except OSError as error:
+        return False, f" ({error.strerror})"
+    return True, ""

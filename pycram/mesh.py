@@ -25,11 +25,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
 _FARTHEST: Final = 1e4  # m; what is larger was not measured in metres
 _CONVEX_SHARE: Final = 0.9  # of its hull's volume: less is concave
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 _STL_HEADER: Final = 84
-_STL_FACE: Final = 50
+_STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 
 
 def checked(file: Path) -> tuple[str, bytes]:
@@ -89,6 +91,19 @@ def parse(file: Path) -> trimesh.Trimesh:
     return loaded
 
 
+def stl_faces(content: bytes) -> NDArray[np.void]:
+    """The faces of a binary STL that is whole.
+
+    Args:
+        content: the file.
+
+    Returns:
+        (n,) with "numbers", (4, 3) each: the normal and three corners.
+    """
+    count = struct.unpack("<I", content[_STL_HEADER - 4 : _STL_HEADER])[0]
+    return np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
+
+
 def _bytes(file: Path) -> bytes:
     try:
         content = file.read_bytes()
@@ -107,21 +122,19 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
     if len(content) < _STL_HEADER:
         raise AssetError(file, f"is no STL: {len(content)} bytes are less than its header")
     faces = struct.unpack("<I", content[80:84])[0]
-    wanted = _STL_HEADER + faces * _STL_FACE
+    wanted = _STL_HEADER + faces * _STL_FACE.itemsize
     if faces == 0:
         raise AssetError(file, "is an STL without faces")
     if len(content) < wanted:
         raise AssetError(file, f"is truncated: {faces} faces take {wanted} bytes, it has {len(content)}")
-    table = np.frombuffer(content, dtype=np.dtype("12<f4, <u2"), count=faces, offset=_STL_HEADER)
-    if not np.isfinite(table["f0"]).all():
+    if not np.isfinite(stl_faces(content)["numbers"]).all():
         raise AssetError(file, "has vertices that are not finite numbers")
 
 
 def _with_normals(content: bytes) -> bytes:
     """Fills in normals that a binary STL leaves at zero, as many exporters do: the renderer would paint it black."""
-    count = struct.unpack("<I", content[80:84])[0]
-    table = np.frombuffer(content, dtype=np.dtype("12<f4, <u2"), count=count, offset=_STL_HEADER).copy()
-    numbers = table["f0"].reshape(count, 4, 3)
+    table = stl_faces(content).copy()
+    numbers = table["numbers"]
     missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # a unit vector's parts add up to 1 at least
     if not missing.any():
         return content

@@ -156,8 +156,9 @@ class ProcessModule(ABC):
         arrivals = self._arrivals if around is None else around.modules.setdefault(self, ResourceQueue())
         with arrivals.arrive(_MODULE).granted():
             checkpoint()
-            with span("process-module", type(self).__name__, designator.reference()) as task, whole():
-                task.solution = designator.reference()
+            solution = designator.reference()
+            with span("process-module", type(self).__name__, solution) as task, whole():
+                task.solution = solution
                 task.result = result = self._execute(designator)
                 return result
 

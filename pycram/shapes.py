@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import trimesh
 
+from pycram import mesh
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 _GREY: Final = (0.8, 0.8, 0.8)
 _ROUND: Final = 32  # sides of what is round
-_STL_HEADER: Final = 84
-_STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +88,8 @@ def _triangles(shape: ET.Element, folder: Path) -> NDArray[np.float64]:
     """Triangles of a shape in its own frame."""
     if shape.tag == "mesh":
         scale = np.array(_numbers(shape.get("scale", "1 1 1")))
-        mesh: NDArray[np.float64] = _mesh(folder / shape.get("filename", "")) * scale
-        return mesh
+        scaled: NDArray[np.float64] = _mesh(folder / shape.get("filename", "")) * scale
+        return scaled
     if shape.tag == "box":
         solid = trimesh.creation.box(_numbers(shape.get("size", "")))
     elif shape.tag == "sphere":
@@ -108,10 +107,7 @@ def _triangles(shape: ET.Element, folder: Path) -> NDArray[np.float64]:
 @lru_cache(maxsize=256)
 def _mesh(file: Path) -> NDArray[np.float64]:
     if file.suffix == ".stl":  # binary: ASCII ones were converted
-        content = file.read_bytes()
-        count = int.from_bytes(content[_STL_HEADER - 4 : _STL_HEADER], "little")
-        faces = np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
-        return np.array(faces["numbers"][:, 1:], dtype=np.float64)
+        return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     loaded = trimesh.load_mesh(file, process=False)
     return np.array(loaded.triangles, dtype=np.float64)
 

@@ -14,6 +14,7 @@ import numpy as np
 from pycram import checks
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
+from pycram.reasoning.reach import GRASPS
 
 if TYPE_CHECKING:
     from pycram.robots.description import Arm
@@ -22,7 +23,6 @@ Value: TypeAlias = Any
 Check: TypeAlias = Callable[[str, Value], Value]
 
 SIDES = ("left", "right")
-GRASPS = ("front", "top", "left", "right")
 
 
 def position(name: str, value: Value) -> Value:

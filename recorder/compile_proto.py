@@ -22,7 +22,7 @@ def compile_proto(output: Path) -> None:
     Raises:
         RuntimeError: the compiler refused the definition.
     """
-    from grpc_tools import protoc  # type: ignore[import-untyped]  # noqa: PLC0415  development tool
+    from grpc_tools import protoc  # noqa: PLC0415  development tool
 
     # The path is part of the descriptor's name, which has to be unique in a process: hence from the root.
     arguments = [f"--proto_path={ROOT}", f"--python_out={output}", f"--pyi_out={output}"]

@@ -34,6 +34,8 @@ Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
 """What the functions here take for a pose."""
 
+_Part: TypeAlias = "float | NDArray[np.float64]"
+
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
@@ -171,14 +173,7 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
     Returns:
         3 x 3, its columns are the turned axes.
     """
-    x, y, z, w = rotation
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ],
-    )
+    return _matrix(*rotation)
 
 
 def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -190,13 +185,18 @@ def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         (n, 3, 3).
     """
-    x, y, z, w = rotations.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.moveaxis(_matrix(*rotations.T), 2, 0)
+
+
+def _matrix(x: _Part, y: _Part, z: _Part, w: _Part) -> NDArray[np.float64]:
+    """The one formula, for numbers and for arrays of them."""
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ],
+    )
 
 
 def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:

@@ -98,7 +98,8 @@ class McapSink:
 
     def _begin(self, metadata: Mapping[str, str]) -> None:
         with self._guarded():
-            self._writer = McapWriter(self._file, f"pycram {versions()['pycram']}")
+            made_with = versions()
+            self._writer = McapWriter(self._file, f"pycram {made_with['pycram']}")
             for kind, topic in TOPICS.items():
                 self._schemas[topic] = self._schema(kind)
                 if topic not in _OF_WORLDS:
@@ -106,7 +107,7 @@ class McapSink:
             for topic, message in self._frames.channels():
                 self._schemas[topic] = self._schema(message)
                 self._register(topic, "")
-            self._writer.add_metadata("pycram", dict(versions()) | dict(metadata))
+            self._writer.add_metadata("pycram", made_with | dict(metadata))
             self._writer.flush()
 
     def _schema(self, message: type[Message]) -> int:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.failures import BadArgument, GraspFailed, PlaceFailed, PostureInCollision, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
-from pycram.reasoning import grasps, grip, placing, reach, rehearsal
+from pycram.reasoning import grasps, grip, outline, placing, reach, rehearsal
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
@@ -95,7 +95,7 @@ class PickUp(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
         with robot.world.lock:
-            _check_free(robot, arm, body)
+            self._check_free(robot, arm, body)
             names = (solution["grasp"],) if "grasp" in solution else None
             plan = grasps.best(body, robot, arm.tool_frame, names)
             if plan.grasp is None or plan.reach is None:
@@ -105,11 +105,11 @@ class PickUp(SimulatedModule):
                     )
                 if plan.own:
                     clash = " would hit ".join(plan.own[0])
-                    raise Unreachable(arm.name, grasps.middle(body), None, f"its own {clash}")
-                raise Unreachable(arm.name, grasps.middle(body), plan.reach.posture.position_error)
+                    raise Unreachable(arm.name, outline.middle(body), None, f"its own {clash}")
+                raise Unreachable(arm.name, outline.middle(body), plan.reach.posture.position_error)
             if plan.obstacles:
                 blockers = ", ".join(other.name for other in plan.obstacles)
-                raise Unreachable(arm.name, grasps.middle(body), None, f"{blockers} would be in the way")
+                raise Unreachable(arm.name, outline.middle(body), None, f"{blockers} would be in the way")
             closed = grip.closed_around(robot, arm.gripper, plan.reach.posture.positions, body)
             if closed is None:
                 raise GraspFailed(arm.name, body.name, "its fingers would close on nothing")
@@ -119,15 +119,14 @@ class PickUp(SimulatedModule):
             robot.attach(body, arm.tool_frame)
         return body
 
-
-def _check_free(robot: Object, arm: Arm, body: Object) -> None:
-    if body.fixed:
-        raise GraspFailed(arm.name, body.name, "it is fixed")
-    if body.carrier is not None:
-        raise GraspFailed(arm.name, body.name, f"{body.carrier.name} holds it already")
-    for attachment in robot.carried:
-        if attachment.carrier_link == arm.tool_frame:
-            raise GraspFailed(arm.name, body.name, f"it holds {attachment.body.name}")
+    def _check_free(self, robot: Object, arm: Arm, body: Object) -> None:
+        if body.fixed:
+            raise GraspFailed(arm.name, body.name, "it is fixed")
+        if body.carrier is not None:
+            raise GraspFailed(arm.name, body.name, f"{body.carrier.name} holds it already")
+        held = self.held(robot, arm)
+        if held is not None:
+            raise GraspFailed(arm.name, body.name, f"it holds {held.name}")
 
 
 class Place(SimulatedModule):

@@ -9,6 +9,7 @@ from pycram import cargo
 from pycram.failures import AccessFailed, BadArgument, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
 from pycram.reasoning import reach
+from pycram.reasoning.outline import half
 from pycram.reasoning.rehearsal import DEPTH, Rehearsal
 from pycram.reasoning.twin import twin
 from recorder import geometry
@@ -36,9 +37,9 @@ class Accessing(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         container, joint, handle = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
         with robot.world.lock:
-            held = next((held.body.name for held in robot.carried if held.carrier_link == arm.tool_frame), None)
+            held = self.held(robot, arm)
             if held is not None:
-                raise AccessFailed(joint, f"the {arm.name} gripper holds {held}")
+                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}")
             start = container.get_joint_position(joint)
             container.check_link(handle)
             if handle not in cargo.moved_links(container.urdf, [joint]):
@@ -127,11 +128,10 @@ def _grip(robot: Object, gripper: Gripper, container: Object, handle: str) -> Po
     low, high = container.get_AABB(handle)
     tool = reach.approach("front", robot)
     forward = geometry.rotate(tool, (1.0, 0.0, 0.0))
-    half = sum(abs(f) * (b - a) for f, a, b in zip(forward, low, high, strict=True)) / 2
     _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
     across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])
     if across > high[2] - low[2]:  # a bar that lies
         tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
-    back = max(half - gripper.depth, 0.0)
+    back = max(half(low, high, forward) - gripper.depth, 0.0)
     x, y, z = ((a + b) / 2 - back * f for a, b, f in zip(low, high, forward, strict=True))
     return (x, y, z), tool

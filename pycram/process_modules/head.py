@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.failures import LookingFailed
 from pycram.process_modules.simulated import NoDescription, SimulatedModule
-from pycram.reasoning import gaze, grasps
+from pycram.reasoning import gaze, outline
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class MoveHead(SimulatedModule):
         if description.head is None or description.camera is None:
             raise NoDescription(robot.name)
         with robot.world.lock:
-            target = solution["target"] if "target" in solution else grasps.middle(solution["object"])
+            target = solution["target"] if "target" in solution else outline.middle(solution["object"])
             point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
             joints = (description.head.pan, description.head.tilt)
             now = robot.get_joint_positions()

@@ -10,7 +10,7 @@ from pycram.process_module import ProcessModule
 
 if TYPE_CHECKING:
     from pycram.objects import Object
-    from pycram.robots.description import RobotDescription
+    from pycram.robots.description import Arm, RobotDescription
 
 
 class NoDescription(UsageError):
@@ -36,6 +36,11 @@ class SimulatedModule(ProcessModule):
             NoWorld: there is none.
         """
         return BulletWorld.current_robot()
+
+    @staticmethod
+    def held(robot: Object, arm: Arm) -> Object | None:
+        """What a robot holds with the gripper of an arm; None if nothing."""
+        return next((held.body for held in robot.carried if held.carrier_link == arm.tool_frame), None)
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 MARGIN: Final = 1e-3
 """m; bodies at rest keep up to half a millimetre of air in the engine, which a person would call touching."""
 
-_CARRYING: Final = 0.5  # of a normal's length pointing up: steeper than 60 degrees carries nothing to speak of
-
 
 def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
     """Where two objects touch.
@@ -51,7 +49,7 @@ def supports(lower: Object, upper: Object) -> tuple[bool, Mapping[str, object]]:
         The answer, and the links and normals that it rests on.
     """
     found = touches(lower, upper)
-    carrying = [touch for touch in found if -touch.normal[2] > _CARRYING]  # normals point from upper to lower
+    carrying = [touch for touch in found if touch.carries]
     return bool(carrying), {
         "links": sorted({touch.link_a for touch in carrying}),
         "normals": [[-x for x in touch.normal] for touch in carrying],

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning import reach
-from pycram.reasoning.outline import Outline
+from pycram.reasoning.outline import Outline, middle
 from pycram.reasoning.reach import Solver
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
@@ -103,12 +103,6 @@ def _by(hit: Mapping[str, object] | None, links: Collection[str]) -> bool:
     """Whether some of the robot's links touch what is hit."""
     names = hit["links"] if hit else []
     return isinstance(names, list) and any(name in links for name in names)
-
-
-def middle(body: Object) -> Vector:
-    """The middle of an object's bounds, m."""
-    (x0, y0, z0), (x1, y1, z1) = body.get_AABB()
-    return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
 
 
 def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None) -> Iterator[Grasp]:

@@ -22,6 +22,27 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
 
 
+def middle(body: Object) -> Vector:
+    """The middle of an object's bounds in the world, m.
+
+    Args:
+        body: the object.
+    """
+    (x0, y0, z0), (x1, y1, z1) = body.get_AABB()
+    return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
+
+
+def half(low: Sequence[float], high: Sequence[float], direction: Sequence[float]) -> float:
+    """Half of the size of a box along a direction, m.
+
+    Args:
+        low: its lowest corner.
+        high: its highest corner.
+        direction: a unit vector.
+    """
+    return sum(abs(d) * (b - a) for d, a, b in zip(direction, low, high, strict=True)) / 2
+
+
 class Outline:
     """The surface of one object, as it stands.
 
@@ -46,8 +67,7 @@ class Outline:
         low, high = body.get_AABB()
         self.low: Vector = (low[0], low[1], low[2])
         self.high: Vector = (high[0], high[1], high[2])
-        x, y, z = ((a + b) / 2 for a, b in zip(low, high, strict=True))
-        self.middle: Vector = (x, y, z)
+        self.middle = middle(body)
         self._far = float(np.linalg.norm(np.subtract(high, low))) + 0.05
 
     def half(self, direction: Sequence[float]) -> float:
@@ -56,7 +76,7 @@ class Outline:
         Args:
             direction: a unit vector in the world.
         """
-        return sum(abs(d) * (b - a) for d, a, b in zip(direction, self.low, self.high, strict=True)) / 2
+        return half(self.low, self.high, direction)
 
     def across(self, frame: Pose, xs: Sequence[float], zs: Sequence[float]) -> NDArray[np.float64]:
         """How far it extends along the y axis of a frame.

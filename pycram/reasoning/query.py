@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pycram.branch import unwrap
+from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, NoWorld, UsageError
 from recorder import journal, records
 
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from typing_extensions import Self
-
-    from pycram.bullet_world import BulletWorld
-    from pycram.objects import Object
 
 T = TypeVar("T")
 
@@ -122,9 +120,9 @@ def robot_of(robot: object) -> Object:
         BadArgument: it isn't one.
     """
     machine = unwrap(robot)
-    if not getattr(machine, "is_robot", False):
+    if not isinstance(machine, Object) or not machine.is_robot:
         raise BadArgument("robot", machine, 'an object of type "robot"')
-    return machine  # type: ignore[no-any-return]
+    return machine
 
 
 def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
@@ -138,9 +136,6 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
         BadArgument: something isn't an object, or objects are in different worlds.
         NoWorld: nothing says which world.
     """
-    from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of queries
-    from pycram.objects import Object  # noqa: PLC0415
-
     if world is not None and not isinstance(world, BulletWorld):
         raise BadArgument("world", world, "a BulletWorld")
     place = world

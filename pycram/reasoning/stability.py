@@ -106,10 +106,8 @@ def _cast(body: Object) -> list[Object]:
 
 def _holder(body: Object) -> Object | None:
     """The robot that holds an object, directly or through other things."""
-    above = body.carrier
-    while above is not None and not above.is_robot:
-        above = above.carrier
-    return above
+    root = _root(body)  # nothing carries a robot
+    return root if root.is_robot and root is not body else None
 
 
 def _root(body: Object) -> Object:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
 
@@ -18,11 +18,12 @@ from pycram import checks
 from pycram.camera import NEAR, Camera
 from pycram.failures import BadArgument, NoWorld
 from pycram.raster import Window
+from pycram.reasoning.outline import middle
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -74,16 +75,16 @@ def camera_at(where: object, target: Object, robot: Object | None = None) -> Cam
     if isinstance(where, str):
         return _of_robot(where, robot or target.world.robot)
     try:
-        parts = list(where)  # type: ignore[call-overload]
+        parts = list(cast("Iterable[object]", where))
     except TypeError:
         raise BadArgument("camera", where, "a position, a position and an orientation, or a frame's name") from None
     if len(parts) == 2:
         pose = (checks.vector("camera position", parts[0]), checks.quaternion("camera orientation", parts[1]))
     else:
         eye = checks.vector("camera position", parts)
-        middle = _middle(target)
-        inside = math.dist(eye, middle) < NEAR  # it is seen from nowhere then, whatever the direction
-        pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, middle))
+        aim = middle(target)
+        inside = math.dist(eye, aim) < NEAR  # it is seen from nowhere then, whatever the direction
+        pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
     wide = math.tan(_WIDE / 2)
     return Camera(pose, wide, wide)
 
@@ -99,11 +100,6 @@ def _of_robot(frame: str, robot: Object | None) -> Camera:
         return Camera(pose, wide, wide)
     camera = description.camera
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
-
-
-def _middle(body: Object) -> list[float]:
-    low, high = body.get_AABB()
-    return [(a + b) / 2 for a, b in zip(low, high, strict=True)]
 
 
 def view(body: Object, camera: Camera) -> View:
