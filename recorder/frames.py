@@ -1,4 +1,4 @@
-"""Coordinate frames of bodies and links as ``foxglove.FrameTransforms`` on /tf: those that a record changed.
+"""Coordinate frames of bodies and links: those that a record changed, and as ``foxglove.FrameTransforms`` on /tf.
 
 Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD/`` before them in all
 worlds but the first. The root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can
@@ -7,7 +7,7 @@ be watched although it is one record.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -22,8 +22,41 @@ if TYPE_CHECKING:
 
     from recorder.records import BodyState
 
+ROOT: Final = "world"
 _STEPS: Final = 240  # a simulated second
 _NS: Final = 1_000_000_000
+
+
+class Frame(NamedTuple):
+    """Where a body or link is.
+
+    Attributes:
+        parent: name of the frame that it is told in.
+        child: its own name.
+        position: xyz in m.
+        orientation: xyzw.
+        body: the body.
+        link: its link; "" for the base.
+    """
+
+    parent: str
+    child: str
+    position: Sequence[float]
+    orientation: Sequence[float]
+    body: str
+    link: str
+
+
+def frame_name(world: str, body: str, link: str = "") -> str:
+    """The name of a body's or link's frame.
+
+    Args:
+        world: name of the world.
+        body: name of the body.
+        link: name of the link; "" for the body's base.
+    """
+    name = body if world == "world_1" else f"{world}/{body}"
+    return f"{name}/{link}" if link else name
 
 
 class FrameTree:
@@ -47,56 +80,79 @@ class FrameTree:
         """
         self._models[sha256] = Urdf.parse(content)
 
-    def transforms(self, record: object) -> Iterator[tuple[str, FrameTransforms]]:
+    def model(self, world: str, body: str) -> Urdf | None:
+        """The model of a body that was loaded; None if it is not known.
+
+        Args:
+            world: name of the world.
+            body: name of the body.
+        """
+        return self._bodies.get((world, body))
+
+    def moved(self, record: object) -> Iterator[tuple[int, list[Frame]]]:
         """The frames that a record changed.
 
         Args:
             record: any.
 
         Yields:
-            Topic and message, one for each moment.
+            The simulated step and the frames, for each moment.
         """
         if isinstance(record, Keyframe):
             for loaded in record.loaded:
                 self._load(record.world, loaded)
-            yield from self._message(record.world, record.sim_step, record.bodies, whole=True)
+            yield record.sim_step, list(self._frames(record.world, record.bodies, whole=True))
         elif isinstance(record, Mutation):
             loading = record.WhichOneof("command") == "load_body"
             if loading:
                 self._load(record.world, record.load_body)
             for sample in record.effect.samples:
-                yield from self._message(record.world, sample.sim_step, sample.bodies)
-            yield from self._message(record.world, record.sim_step, record.effect.bodies, whole=loading)
+                yield sample.sim_step, list(self._frames(record.world, sample.bodies))
+            yield record.sim_step, list(self._frames(record.world, record.effect.bodies, whole=loading))
+
+    def transforms(self, record: object) -> Iterator[tuple[str, FrameTransforms]]:
+        """The frames that a record changed, as messages.
+
+        Args:
+            record: any.
+
+        Yields:
+            Topic and message, one for each moment in which something moved.
+        """
+        for step, frames in self.moved(record):
+            if frames:
+                yield "/tf", _message(step, frames)
 
     def _load(self, world: str, loaded: LoadBody) -> None:
         model = self._models.get(loaded.assets[0].sha256) if loaded.assets else None
         if model is not None:
             self._bodies[world, loaded.body] = model
 
-    def _message(
-        self, world: str, step: int, bodies: Iterable[BodyState], *, whole: bool = False
-    ) -> Iterator[tuple[str, FrameTransforms]]:
-        message = FrameTransforms()
-        seconds, steps = divmod(step, _STEPS)
-        nanos = steps * _NS // _STEPS
-
-        def add(parent: str, child: str, at: Sequence[float], turn: Sequence[float]) -> None:
-            frame = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
-            frame.timestamp.seconds, frame.timestamp.nanos = seconds, nanos
-            frame.translation.x, frame.translation.y, frame.translation.z = at
-            frame.rotation.x, frame.rotation.y, frame.rotation.z, frame.rotation.w = turn
-
+    def _frames(self, world: str, bodies: Iterable[BodyState], *, whole: bool = False) -> Iterator[Frame]:
         for state in bodies:
-            name = state.body if world == "world_1" else f"{world}/{state.body}"
+            body = state.body
+            name = frame_name(world, body)
             if state.position:
-                add("world", name, state.position, state.orientation)
-            model = self._bodies.get((world, state.body))
+                yield Frame(ROOT, name, state.position, state.orientation, body, "")
+            model = self._bodies.get((world, body))
             if model is None:
                 continue
             values = dict(zip(state.joints, state.joint_positions, strict=True))
             joints = model.joints.values() if whole else [model.joint(joint) for joint in values]
             for joint in joints:
                 parent = name if joint.parent == model.root else f"{name}/{joint.parent}"
-                add(parent, f"{name}/{joint.child}", *joint.pose(values.get(joint.name, 0.0)))
-        if message.transforms:
-            yield "/tf", message
+                position, orientation = joint.pose(values.get(joint.name, 0.0))
+                yield Frame(parent, f"{name}/{joint.child}", position, orientation, body, joint.child)
+
+
+def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:
+    message = FrameTransforms()
+    seconds, steps = divmod(step, _STEPS)
+    nanos = steps * _NS // _STEPS
+    for told in frames:
+        frame = message.transforms.add(parent_frame_id=told.parent, child_frame_id=told.child)
+        frame.timestamp.seconds, frame.timestamp.nanos = seconds, nanos
+        at, turn = frame.translation, frame.rotation
+        at.x, at.y, at.z = told.position
+        turn.x, turn.y, turn.z, turn.w = told.orientation
+    return message

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from recorder.task_text import Row
     from recorder.tasks import Node, Tree
 
-_COLORS: Final = {
+COLORS: Final = {
     State.SUCCEEDED: "#2e9e5b",
     State.FAILED: "#d0342c",
     State.CANCELLED: "#9a9a9a",
@@ -45,7 +45,7 @@ def dot(tree: Tree) -> str:
         text = f"{label(node)}\n{_outcome(node)}"
         width = 3 if node.id in way else 1
         out.append(
-            f"  t{node.id} [label={_quoted(text)}, color={_quoted(_COLORS[node.status])}, penwidth={width}, "
+            f"  t{node.id} [label={_quoted(text)}, color={_quoted(COLORS[node.status])}, penwidth={width}, "
             'fillcolor="white"];'
         )
         if node.parent is not None:
@@ -96,7 +96,7 @@ def _drawn(row: Row, top: int, begin: int, length: int) -> Iterator[str]:
         color = "#b02a24" if ": " in row.text else "#777"
         yield f'<text x="{x}" y="{top + 14}" fill="{color}" font-style="italic">{escape(text)}</text>'
         return
-    color = _COLORS[node.status]
+    color = COLORS[node.status]
     yield f"<g><title>{escape(_told(node))}</title>"
     if row.failing:
         yield f'<rect x="0" y="{top}" width="100%" height="{_ROW}" fill="#fdeceb"/>'

@@ -1,0 +1,141 @@
+"""Rows of an entity's components, gathered and sent as columns: one call for many moments.
+
+Every row stands on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
+Rows of one moment replace one another in the order in which they were added.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+import rerun as rr
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    Maker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
+
+_STEP: Final = "step"
+_SIM: Final = "sim"
+_WALL: Final = "wall"
+
+
+class Moment(NamedTuple):
+    """When something is so.
+
+    Attributes:
+        step: the record's number.
+        sim: simulated time in ns.
+        wall: ns since the Unix epoch.
+    """
+
+    step: int
+    sim: int
+    wall: int
+
+
+class Columns:
+    """What is to be sent; for one thread.
+
+    Args:
+        stream: where it goes.
+        root: the entity that all others are below; "" for none.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
+        self._stream = stream
+        self._root = [root] if root else []
+        self._rows: dict[str, dict[Maker, tuple[list[Moment], list[tuple[Any, ...]]]]] = {}
+        self._standing: set[str] = set()
+        self.waiting = 0  # rows
+
+    def path(self, *parts: str) -> str:
+        """The path of an entity.
+
+        Args:
+            parts: its name and those of the ones above it, from the top; anything may stand in them.
+        """
+        return rr.new_entity_path([*self._root, *parts])
+
+    def add(self, path: str, maker: Maker, moment: Moment, *row: Any) -> None:
+        """Adds a row of what comes often.
+
+        Args:
+            path: of the entity.
+            maker: makes columns of such rows.
+            moment: when.
+            row: what it takes.
+        """
+        moments, rows = self._rows.setdefault(path, {}).setdefault(maker, ([], []))
+        moments.append(moment)
+        rows.append(row)
+        self.waiting += 1
+
+    def put(self, path: str, moment: Moment, *archetypes: rr.AsComponents) -> None:
+        """Adds a row of what comes seldom.
+
+        Args:
+            path: of the entity.
+            moment: when.
+            archetypes: what it is from then on.
+        """
+        self._flush(path)  # rows of one entity keep their order
+        self._send(path, [moment], _single(archetypes))
+
+    def clear(self, path: str, moment: Moment) -> None:
+        """Takes away what an entity shows; what is below it stays.
+
+        Args:
+            path: of the entity.
+            moment: from when on.
+        """
+        self.put(path, moment, rr.Clear(recursive=False))
+
+    def fix(self, path: str, archetype: rr.AsComponents) -> None:
+        """Says what an entity is at all times.
+
+        Args:
+            path: of the entity.
+            archetype: what it is.
+        """
+        self._stream.log(path, archetype, static=True)
+
+    def stand(self, path: str, frame: str) -> None:
+        """Says in which frame an entity stands, at all times.
+
+        Args:
+            path: of the entity.
+            frame: name of the frame.
+        """
+        if path not in self._standing:
+            self._standing.add(path)
+            self.fix(path, rr.CoordinateFrame(frame))
+
+    def flush(self) -> None:
+        """Sends what waits."""
+        for path in list(self._rows):
+            self._flush(path)
+
+    def _flush(self, path: str) -> None:
+        for maker, (moments, rows) in self._rows.pop(path, {}).items():
+            self._send(path, moments, maker(rows))
+            self.waiting -= len(rows)
+
+    def _send(self, path: str, moments: Sequence[Moment], columns: Iterable[rr.ComponentColumn]) -> None:
+        times = np.array(moments, dtype=np.int64)
+        lines = (
+            rr.TimeColumn(_STEP, sequence=times[:, 0]),
+            rr.TimeColumn(_SIM, duration=times[:, 1].astype("timedelta64[ns]")),
+            rr.TimeColumn(_WALL, timestamp=times[:, 2].astype("datetime64[ns]")),
+        )
+        self._stream.send_columns(path, lines, columns)
+
+
+def _single(archetypes: Iterable[rr.AsComponents]) -> list[rr.ComponentColumn]:
+    """Columns with one row."""
+    return [
+        rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
+        for archetype in archetypes
+        for batch in archetype.as_component_batches()
+    ]

@@ -1,0 +1,44 @@
+"""What happened, a line each, with levels; one entity for each kind of record, so that kinds can be hidden."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import rerun as rr
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from recorder.log_lines import text_of
+from recorder.records import TOPICS, Keyframe, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from recorder.records import Record
+    from recorder.viewer.columns import Columns, Moment
+
+LOG: Final = "log"
+_LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
+
+
+class Lines:
+    """The log.
+
+    Args:
+        columns: where it goes.
+    """
+
+    def __init__(self, columns: Columns) -> None:
+        self._columns = columns
+        self._paths = {kind: columns.path(LOG, topic.removeprefix("/")) for kind, topic in TOPICS.items()}
+
+    def show(self, record: Record, now: Moment) -> None:
+        """Shows a record's line, where there is something to say."""
+        if isinstance(record, Keyframe) or (isinstance(record, Task) and record.phase == Task.ASKED):
+            return
+        text, level = text_of(record)
+        self._columns.add(self._paths[type(record)], _texts, now, text, _LEVELS[level])
+
+
+def _texts(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    text, level = zip(*rows, strict=True)
+    return rr.TextLog.columns(text=text, level=level)

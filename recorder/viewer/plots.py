@@ -1,0 +1,71 @@
+"""Curves: the heights of things, and the joints of robots and furniture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import rerun as rr
+
+from recorder.records import Keyframe
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from recorder.records import BodyState, Mutation
+    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.scene import Scene
+
+HEIGHTS: Final = "heights"
+JOINTS: Final = "joints"
+
+
+class Plots:
+    """All curves.
+
+    Args:
+        columns: where it goes.
+        scene: whose bodies they tell of.
+    """
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._columns = columns
+        self._scene = scene
+        self._last: dict[tuple[str, str, str], float] = {}
+        self._paths: dict[tuple[str, str, str], str] = {}
+
+    def show(self, record: Mutation | Keyframe, moments: Callable[[int], Moment]) -> None:
+        """Shows what a record changed; the scene has shown it before."""
+        there = self._scene.bodies.get(record.world, {})
+        for step, state in _states(record):
+            body = there.get(state.body)
+            if body is None:
+                continue
+            now = moments(step)
+            if state.position and not body.loaded.fixed_base:
+                self._add(record.world, state.body, "", state.position[2], now)
+            for joint, value in zip(state.joints, state.joint_positions, strict=True):
+                self._add(record.world, state.body, joint, value, now)
+
+    def _add(self, world: str, body: str, joint: str, value: float, now: Moment) -> None:
+        key = (world, body, joint)
+        if self._last.get(key) == value:
+            return
+        self._last[key] = value
+        path = self._paths.get(key)
+        if path is None:
+            told = (JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)
+            path = self._paths[key] = self._columns.path("plots", *told)
+        self._columns.add(path, _scalars, now, value)
+
+
+def _states(record: Mutation | Keyframe) -> Iterator[tuple[int, BodyState]]:
+    if isinstance(record, Keyframe):
+        yield from ((record.sim_step, state) for state in record.bodies)
+        return
+    for sample in record.effect.samples:
+        yield from ((sample.sim_step, state) for state in sample.bodies)
+    yield from ((record.sim_step, state) for state in record.effect.bodies)
+
+
+def _scalars(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    return rr.Scalars.columns(scalars=[value for (value,) in rows])

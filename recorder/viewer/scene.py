@@ -1,0 +1,265 @@
+"""Bodies in the viewer's 3D scene: their shapes where they are, as the records say it.
+
+A link's entity holds its transform, between frames named as on ``/tf``; entities below it hold shapes and name their
+frame. What isn't there yet, or no more, has no shapes; but its frames are there at any time, as the viewer complains of
+entities that have no way to the root.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+import rerun as rr
+
+from recorder import geometry
+from recorder.frames import ROOT, FrameTree, frame_name
+from recorder.records import BodyState, Keyframe
+from recorder.viewer.shapes import drawn, shapes_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from recorder.asset import AssetFile
+    from recorder.frames import Frame
+    from recorder.geometry import Pose, Vector
+    from recorder.records import LoadBody, Mutation
+    from recorder.viewer.columns import Columns, Moment
+
+BODIES: Final = "bodies"
+COLLISION: Final = "collision"
+_ROLES: Final = {BODIES: "visual", COLLISION: "collision"}
+_UNSEEN: Final = (0.9, 0.2, 0.9, 0.5)  # of collision shapes
+
+
+@dataclass(slots=True)
+class Body:
+    """A body that is there.
+
+    Attributes:
+        loaded: how it was loaded.
+        joints: values in rad or m by name.
+        pose: of its base in the world.
+        shapes: paths of the entities of its shapes.
+    """
+
+    loaded: LoadBody
+    joints: dict[str, float] = field(default_factory=dict)
+    pose: Pose = geometry.IDENTITY
+    shapes: set[str] = field(default_factory=set)
+
+    def change(self, state: BodyState) -> None:
+        """Makes true what was read back of it."""
+        if state.position:
+            x, y, z = state.position
+            self.pose = ((x, y, z), self.pose[1])
+        if state.orientation:
+            i, j, k, w = state.orientation
+            self.pose = (self.pose[0], (i, j, k, w))
+        self.joints.update(zip(state.joints, state.joint_positions, strict=True))
+
+
+class Scene:
+    """All worlds' bodies.
+
+    Args:
+        columns: where it goes.
+        prefix: before the names of all frames.
+    """
+
+    def __init__(self, columns: Columns, prefix: str = "") -> None:
+        self._columns = columns
+        self._prefix = prefix
+        self._frames = FrameTree()
+        self._files: dict[str, bytes] = {}
+        self._last: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}  # poses by frame
+        self._paths: dict[tuple[str, str, str], str] = {}  # of links' entities
+        self._begin: Moment | None = None
+        self.bodies: dict[str, dict[str, Body]] = {}  # by world, then name
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a model or mesh."""
+        self._files[asset.sha256] = asset.content
+        if asset.name.endswith(".urdf"):
+            self._frames.learn(asset.sha256, asset.content)
+
+    def frame(self, world: str, body: str = "", link: str = "") -> str:
+        """The name of a frame in the viewer.
+
+        Args:
+            world: name of the world.
+            body: name of a body; "" for the root.
+            link: name of a link; "" for the body's base.
+        """
+        model = self._frames.model(world, body)
+        if model is not None and link == model.root:
+            link = ""
+        return self._prefix + (frame_name(world, body, link) if body else ROOT)
+
+    def pose(self, world: str, body: str, link: str = "") -> Pose | None:
+        """Where a body or link is now; None if there is no such thing.
+
+        Args:
+            world: name of the world.
+            body: name of the body.
+            link: name of the link; "" for the base.
+        """
+        found = self.bodies.get(world, {}).get(body)
+        if found is None or not link:
+            return found.pose if found is not None else None
+        model = self._frames.model(world, body)
+        if model is None or link not in model.links:
+            return None
+        return geometry.multiply(found.pose, model.forward_kinematics(found.joints, link))
+
+    def middle(self, world: str) -> Vector:
+        """Where things and robots are on average, m; the origin if there are none.
+
+        Args:
+            world: name of the world.
+        """
+        bodies = self.bodies.get(world, {}).values()
+        places = [body.pose[0] for body in bodies if body.loaded.robot_description or not body.loaded.fixed_base]
+        x, y, z = (sum(place[axis] for place in places) / max(len(places), 1) for axis in range(3))
+        return x, y, z
+
+    def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
+        """Where the joints that lead to a link would be.
+
+        Args:
+            world: name of the world.
+            body: name of the body.
+            link: name of the link.
+            joints: values of some joints in rad or m; the others are as they are.
+
+        Returns:
+            Points in the world in m, from the first of these joints out to the link; empty if nothing is known of it.
+        """
+        found, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        if found is None or model is None or link not in model.links:
+            return []
+        points: list[Vector] = []
+        pose, values = found.pose, found.joints | joints
+        for joint in model.chain(model.root, link):
+            pose = geometry.multiply(pose, joint.pose(values.get(joint.name, 0.0)))
+            if points or joint.name in joints:
+                points.append(pose[0])
+        return points
+
+    def show(self, record: Mutation | Keyframe, moments: Callable[[int], Moment]) -> None:
+        """Shows what a record did.
+
+        Args:
+            record: the record.
+            moments: the moment of a simulated step within it.
+        """
+        now = moments(record.sim_step)
+        if self._begin is None:
+            self._begin = now
+        there = self.bodies.get(record.world)
+        if there is None:
+            there = self.bodies[record.world] = {}
+            self._columns.stand(self._columns.path(record.world), self.frame(record.world))
+        gone, came, states = _changes(record, there)
+        for name in gone:
+            self._remove(there.pop(name), record.world, now)
+        frames = list(self._frames.moved(record))  # which learns what came
+        for loaded in came:
+            there[loaded.body] = self._load(record.world, loaded, now)
+        for state in states:
+            if state.body in there:
+                there[state.body].change(state)
+        for step, moved in frames:
+            moment = moments(step)
+            for frame in moved:
+                self._move(record.world, frame, moment)
+        if not isinstance(record, Keyframe) and record.WhichOneof("command") == "set_color":
+            self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
+
+    def _move(self, world: str, frame: Frame, moment: Moment) -> None:
+        pose = (tuple(frame.position), tuple(frame.orientation))
+        child = frame.child
+        if self._last.get(child) == pose:
+            return
+        self._last[child] = pose
+        path = self._paths.get((world, frame.body, frame.link))
+        if path is None:
+            path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
+            self._paths[world, frame.body, frame.link] = path
+            if self._begin is not None and moment > self._begin:
+                self._columns.add(
+                    path, _transforms, self._begin, *pose, self._prefix + frame.parent, self._prefix + child
+                )
+        self._columns.add(path, _transforms, moment, *pose, self._prefix + frame.parent, self._prefix + child)
+
+    def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:
+        body = Body(loaded)
+        if loaded.position:
+            body.change(BodyState(body=loaded.body, position=loaded.position, orientation=loaded.orientation))
+        self._draw(world, body, tuple(loaded.color), now)
+        return body
+
+    def _draw(self, world: str, body: Body, color: tuple[float, ...], now: Moment) -> None:
+        loaded = body.loaded
+        model = self._files.get(loaded.assets[0].sha256) if loaded.assets else None
+        if model is None:
+            return
+        for place, role in _ROLES.items():
+            paint: Any = _UNSEEN if place == COLLISION else (color or None)
+            for link, shapes in shapes_of(model, role).items():
+                frame = self.frame(world, loaded.body, link)
+                for name, archetypes in drawn(shapes, self._mesh, paint):
+                    path = self._columns.path(world, place, loaded.body, link, name)
+                    self._columns.stand(path, frame)
+                    self._columns.put(path, now, *archetypes)
+                    body.shapes.add(path)
+
+    def _mesh(self, name: str) -> bytes | None:
+        """The content of a mesh; models in recordings name it ``<sha256>/<file>``."""
+        return self._files.get(name.partition("/")[0])
+
+    def _paint(self, world: str, name: str, color: tuple[float, ...], now: Moment) -> None:
+        body = self.bodies[world].get(name)
+        if body is not None:
+            self._draw(world, body, color, now)
+
+    def _remove(self, body: Body, world: str, now: Moment) -> None:
+        for path in body.shapes:
+            self._columns.clear(path, now)
+        name = frame_name(world, body.loaded.body)
+        for frame in [frame for frame in self._last if frame == name or frame.startswith(f"{name}/")]:
+            del self._last[frame]
+
+
+def _changes(
+    record: Mutation | Keyframe, there: dict[str, Body]
+) -> tuple[list[str], list[LoadBody], Iterable[BodyState]]:
+    """What goes, what comes, and how what is there then is."""
+    if isinstance(record, Keyframe):
+        came = [loaded for loaded in record.loaded if not _same(there.get(loaded.body), loaded)]
+        kept = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in came}
+        return [name for name in there if name not in kept], came, record.bodies
+    command = record.WhichOneof("command")
+    if command in ("open_world", "close_world"):
+        return list(there), [], record.effect.bodies
+    gone = [name for name in record.effect.removed if name in there]
+    came = [record.load_body] if command == "load_body" else []
+    gone += [loaded.body for loaded in came if loaded.body in there and loaded.body not in gone]
+    return gone, came, _states(record)
+
+
+def _states(record: Mutation) -> Iterator[BodyState]:
+    for sample in record.effect.samples:
+        yield from sample.bodies
+    yield from record.effect.bodies
+
+
+def _same(body: Body | None, loaded: LoadBody) -> bool:
+    return body is not None and [asset.sha256 for asset in body.loaded.assets] == [
+        asset.sha256 for asset in loaded.assets
+    ]
+
+
+def _transforms(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    position, orientation, parent, child = zip(*rows, strict=True)
+    return rr.Transform3D.columns(translation=position, quaternion=orientation, parent_frame=parent, child_frame=child)

@@ -1,0 +1,86 @@
+"""Where motions want to go while they run, and where a task failed, until the next one begins.
+
+A failure's mark and its line in the log are one entity: whoever selects the line sees the place.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import rerun as rr
+
+from recorder import geometry
+from recorder.records import Task
+from recorder.viewer.marks import BLUE, RED, Marks, arrow, points
+from recorder.viewer.places import eye, numbers, robot, target, values_of
+
+if TYPE_CHECKING:
+    from recorder.geometry import Vector
+    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.scene import Scene
+
+TARGETS: Final = "targets"
+FAILURES: Final = "failures"
+_ARROW: Final = 0.35  # m
+_ABOVE: Final = 1.8  # m above its base that a robot's failure is told
+_LARGE: Final = 0.04  # m
+
+
+class Targets:
+    """All motions' targets, and failures.
+
+    Args:
+        columns: where they go.
+        scene: whose bodies they speak of.
+    """
+
+    def __init__(self, columns: Columns, scene: Scene) -> None:
+        self._columns = columns
+        self._scene = scene
+        self._running: dict[int, Marks] = {}
+        self._failures = Marks(columns, scene)
+        self._told = ("", "")  # the last failure: those of what it was part of are the same
+
+    def show(self, record: Task, now: Moment) -> None:
+        """Shows what a task's start or end changes."""
+        if record.phase == Task.STARTED:
+            self._failures.clear(now)
+            if record.kind == "motion" and record.world:
+                self._aim(record, now)
+        elif record.phase == Task.FINISHED:
+            marks = self._running.pop(record.task, None)
+            if marks is not None:
+                marks.clear(now)
+            if record.status == Task.FAILED:
+                self._fail(record, now)
+
+    def _aim(self, record: Task, now: Moment) -> None:
+        values = values_of(record.parameters)
+        place = target(self._scene, record.world, values)
+        if place is None:
+            return
+        shapes = [points([place], BLUE, [record.name])]
+        turn = numbers(values.get("orientation"), 4)
+        start = eye(self._scene, record.world) if record.name == "looking" else None
+        if start is not None:
+            x, y, z = (end - begin for begin, end in zip(start, place, strict=True))
+            shapes.append(arrow(start, (x, y, z), BLUE))
+        elif turn is not None:
+            shapes.append(arrow(place, geometry.rotate(turn, (_ARROW, 0.0, 0.0)), BLUE))
+        marks = self._running[record.task] = Marks(self._columns, self._scene)
+        marks.put(record.world, (TARGETS, record.name), now, *shapes)
+
+    def _fail(self, record: Task, now: Moment) -> None:
+        told = (record.failure.type, record.failure.message)
+        if told == self._told:
+            return
+        self._told = told
+        shapes: list[rr.AsComponents] = [rr.TextLog(f"{record.name}: {told[0]}: {told[1]}", level="ERROR")]
+        place = target(self._scene, record.world, values_of(record.parameters)) or self._above_robot(record.world)
+        if place is not None:
+            shapes.append(points([place], RED, [f"{record.name} failed: {told[0]}"], _LARGE))
+        self._failures.put(record.world, (FAILURES,), now, *shapes)
+
+    def _above_robot(self, world: str) -> Vector | None:
+        found = robot(self._scene, world)
+        return geometry.transform(found[1].pose, (0.0, 0.0, _ABOVE)) if found is not None else None

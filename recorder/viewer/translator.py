@@ -1,0 +1,122 @@
+"""Turns records into what the viewer shows, live and afterwards."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Keyframe, Mutation, Query, Run, Task
+from recorder.viewer.answers import Answers
+from recorder.viewer.blueprint import blueprint
+from recorder.viewer.columns import Columns, Moment
+from recorder.viewer.graph import Graph
+from recorder.viewer.holds import Holds
+from recorder.viewer.lanes import Lanes
+from recorder.viewer.lines import Lines
+from recorder.viewer.plots import Plots
+from recorder.viewer.questions import Questions
+from recorder.viewer.scene import Scene
+from recorder.viewer.tables import Tables
+from recorder.viewer.targets import Targets
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+    from recorder.asset import AssetFile
+    from recorder.records import Record
+
+_STEP_NS: Final = 1_000_000_000 / 240  # of a simulated step
+_BATCH: Final = 20_000  # rows
+
+
+class Translator:
+    """Shows records in a viewer. For one thread.
+
+    Args:
+        stream: where it goes.
+        root: the entity that all others are below, and the prefix of all frames; "" for none.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
+        self._stream = stream
+        self._columns = Columns(stream, root)
+        self._scene = Scene(self._columns, f"{root}/" if root else "")
+        self._lanes, self._graph = Lanes(self._columns), Graph(self._columns)
+        self._lines, self._tables = Lines(self._columns), Tables(self._columns)
+        self._plots = Plots(self._columns, self._scene)
+        self._holds, self._targets = Holds(self._columns, self._scene), Targets(self._columns, self._scene)
+        self._answers, self._questions = Answers(self._columns, self._scene), Questions(self._columns)
+        self._root = root
+        self._worlds: list[str] = []
+        self._sim = 0  # ns, of the world that something happened in last
+        self._before = 0  # the clock at the record before
+        self._lay_out()
+
+    @property
+    def worlds(self) -> list[str]:
+        """Names of the worlds that were seen."""
+        return list(self._worlds)
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file.
+
+        Args:
+            asset: a model or mesh, before the records that use it, or anything else.
+        """
+        self._scene.attach(asset)
+
+    def show(self, topic: str, record: Record) -> None:  # noqa: ARG002  records know their type
+        """Takes a record; what it changes is sent in batches, at the latest by :meth:`flush`.
+
+        Args:
+            topic: its topic.
+            record: the next one.
+        """
+        if record.world:
+            self._sim = round(record.sim_step * _STEP_NS)
+        now = Moment(record.seq, self._sim, record.wall_time_ns)
+        self._lines.show(record, now)
+        self._tables.show(record, now)
+        if not isinstance(record, Mutation):
+            self._meet(record.world)
+        if isinstance(record, Task):
+            self._lanes.show(record, now)
+            self._graph.show(record, now)
+            self._targets.show(record, now)
+            self._answers.begin(record, now)
+        elif isinstance(record, Mutation | Keyframe):
+            moments = partial(_between, record, self._before)
+            self._scene.show(record, moments)
+            self._plots.show(record, moments)
+            self._holds.show(record, now)
+        elif isinstance(record, Run) and record.phase == Run.STARTED:
+            self._graph.begin(record)
+        elif isinstance(record, Query):
+            self._questions.show(record, now)
+            self._answers.show(record, now)
+        self._before = record.wall_time_ns
+        if self._columns.waiting > _BATCH:
+            self.flush()
+
+    def flush(self) -> None:
+        """Sends what was gathered; costs nothing if that is nothing."""
+        self._columns.flush()
+
+    def _meet(self, world: str) -> None:
+        """Lays the view out anew when a plan first does something in a world: then it is known what is there."""
+        if world and world not in self._worlds:
+            self._worlds.append(world)
+            self._lay_out()
+
+    def _lay_out(self) -> None:
+        if not self._root:
+            self._stream.send_blueprint(blueprint({world: self._scene.middle(world) for world in self._worlds}))
+
+
+def _between(record: Mutation | Keyframe, before: int, step: int) -> Moment:
+    """The moment of a simulated step within a record: the clock between the record before and this one."""
+    wall = record.wall_time_ns
+    if step != record.sim_step and isinstance(record, Mutation) and record.simulate.steps:
+        share = 1.0 - (record.sim_step - step) / record.simulate.steps
+        wall = before + round((wall - before) * min(max(share, 0.0), 1.0))
+    return Moment(record.seq, round(step * _STEP_NS), wall)
