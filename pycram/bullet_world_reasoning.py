@@ -116,6 +116,7 @@ def visible(
     told = {"object": body, "camera": camera, "threshold": share}
     with asking("visible", place, told) as asked:
         view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        asked.picture = view.picture()
         asked.evidence = view.evidence()
         asked.answer = verdict = Verdict(view.share > share, asked.evidence)
     return verdict
@@ -143,6 +144,7 @@ def occluding(
     place = world_of(body, world=world)
     with asking("occluding", place, {"object": body, "camera": camera}) as asked:
         view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        asked.picture = view.picture()
         asked.evidence = view.evidence()
         found = Found((place.get_object(name) for name in view.hiding), asked.evidence)
         asked.answer = found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -52,6 +53,8 @@ def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
 
 
 def _value(field: FieldDescriptor, value: object) -> Plain:
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
     if field.message_type is None:
         return list(value) if _is_repeated(value) else value  # type: ignore[call-overload, return-value]
     if field.message_type.full_name == Argument.DESCRIPTOR.full_name:

@@ -58,10 +58,11 @@ class Found(list[T], Generic[T]):
 
 @dataclass(slots=True)
 class Asking:
-    """A query that is running; it sets ``answer``."""
+    """A query that is running; it sets ``answer``, and ``picture`` if it looked at something."""
 
     answer: object = None
     evidence: dict[str, object] = field(default_factory=dict)
+    picture: records.Picture | None = None
 
 
 @contextmanager
@@ -106,6 +107,7 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
                     evidence=records.arguments(asked.evidence),
                     duration_ns=time.perf_counter_ns() - start,
                     failure=records.failure(error) if error is not None else None,
+                    picture=asked.picture,
                 )
                 journal.emit(record, world=world.name, sim_step=world.sim_step)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import zlib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, cast
 
@@ -21,16 +22,19 @@ from pycram.raster import Window
 from pycram.reasoning.outline import middle
 from recorder import geometry
 from recorder.geometry import IDENTITY
+from recorder.records import Picture
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from pycram.camera import Sight
     from pycram.objects import Object
 
 _PIXELS: Final = 80**2  # of the part that is looked at
 _WIDE: Final = math.radians(60)  # field of view where only a position is given
+_MOST_NAMES: Final = 250  # in a picture; beyond them it shows nothing
 _MARGIN: Final = 0.05  # of the part's size around the object
 
 
@@ -44,6 +48,8 @@ class View:
         seen: pixels of it that are seen.
         hiding: share of its pixels that each other object hides, most hiding first.
         reason: in words, where nothing is seen.
+        bodies: names of the object and of what is before it; empty if nothing was looked at.
+        pixels: (height, width) what was looked at: 0 where nothing is, n where the n-th body is.
     """
 
     share: float
@@ -51,6 +57,15 @@ class View:
     seen: int
     hiding: Mapping[str, float]
     reason: str = ""
+    bodies: Sequence[str] = ()
+    pixels: NDArray[np.uint8] | None = None
+
+    def picture(self) -> Picture | None:
+        """What was looked at, as records carry it."""
+        if self.pixels is None:
+            return None
+        height, width = self.pixels.shape
+        return Picture(width=width, height=height, bodies=self.bodies, pixels=zlib.compress(self.pixels.tobytes()))
 
     def evidence(self) -> dict[str, object]:
         """As records carry it."""
@@ -128,7 +143,17 @@ def view(body: Object, camera: Camera) -> View:
     seen = int(inside.sum() - hidden.sum())
     hiding = _hiding(others, before.bodies[hidden], pixels)
     reason = "" if seen else "is hidden" if hiding else "is out of view"
-    return View(seen / pixels, pixels, seen, hiding, reason)
+    return View(seen / pixels, pixels, seen, hiding, reason, *_seen(body, others, alone, before))
+
+
+def _seen(body: Object, others: Sequence[Object], alone: Sight, before: Sight) -> tuple[list[str], NDArray[np.uint8]]:
+    """Names of the bodies that are looked at, and which of them each pixel shows."""
+    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 nothing
+    near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MOST_NAMES]
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last one is that of -1
+    numbers[0] = 1
+    numbers[near] = range(2, len(near) + 2)
+    return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
 
 
 def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -> dict[str, float]:

@@ -11,7 +11,7 @@ from recorder.viewer.graph import GRAPH
 from recorder.viewer.lanes import LANES
 from recorder.viewer.lines import LOG
 from recorder.viewer.plots import HEIGHTS, JOINTS
-from recorder.viewer.questions import PAGE, QUERIES
+from recorder.viewer.questions import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
 from recorder.viewer.tables import RECORDS
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
 
 _WORLD: Final = "world_1"  # what the first one is called by default
-_FROM: Final = (-2.6, -2.4, 2.2)  # m, from where a world's middle is looked at
+_FROM: Final = (-2.2, -2.1, 1.9)  # m, from where a world's middle is looked at
 
 
 def blueprint(worlds: Mapping[str, Vector]) -> rrb.Blueprint:
@@ -44,7 +44,7 @@ def blueprint(worlds: Mapping[str, Vector]) -> rrb.Blueprint:
                 rrb.Tabs(
                     rrb.GraphView(origin=f"/tasks/{GRAPH}", name="Task tree"),
                     rrb.TextDocumentView(origin=f"/{QUERIES}/{PAGE}", name="Query"),
-                    rrb.Spatial2DView(origin=f"/{QUERIES}/picture", name="What it saw"),
+                    rrb.Spatial2DView(origin=f"/{QUERIES}/{PICTURE}", name="What it saw"),
                 ),
                 rrb.Tabs(
                     rrb.TextLogView(origin="/", contents=log, name="Log"),

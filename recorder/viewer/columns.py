@@ -35,6 +35,31 @@ class Moment(NamedTuple):
     wall: int
 
 
+class Series:
+    """Rows of one kind that wait to be sent.
+
+    Args:
+        maker: makes columns of them.
+    """
+
+    __slots__ = ("maker", "moments", "rows")
+
+    def __init__(self, maker: Maker) -> None:
+        self.maker = maker
+        self.moments: list[Moment] = []
+        self.rows: list[tuple[Any, ...]] = []
+
+    def add(self, moment: Moment, row: tuple[Any, ...]) -> None:
+        """Adds a row.
+
+        Args:
+            moment: when.
+            row: what the maker takes.
+        """
+        self.moments.append(moment)
+        self.rows.append(row)
+
+
 class Columns:
     """What is to be sent; for one thread.
 
@@ -46,9 +71,8 @@ class Columns:
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream
         self._root = [root] if root else []
-        self._rows: dict[str, dict[Maker, tuple[list[Moment], list[tuple[Any, ...]]]]] = {}
+        self._series: dict[str, dict[Maker, Series]] = {}
         self._standing: set[str] = set()
-        self.waiting = 0  # rows
 
     def path(self, *parts: str) -> str:
         """The path of an entity.
@@ -58,19 +82,28 @@ class Columns:
         """
         return rr.new_entity_path([*self._root, *parts])
 
+    def series(self, path: str, maker: Maker) -> Series:
+        """Where rows of what comes often are added; always the same for the same.
+
+        Args:
+            path: of the entity.
+            maker: makes columns of its rows.
+        """
+        makers = self._series.setdefault(path, {})
+        if maker not in makers:
+            makers[maker] = Series(maker)
+        return makers[maker]
+
     def add(self, path: str, maker: Maker, moment: Moment, *row: Any) -> None:
         """Adds a row of what comes often.
 
         Args:
             path: of the entity.
-            maker: makes columns of such rows.
+            maker: makes columns of its rows.
             moment: when.
-            row: what it takes.
+            row: what the maker takes.
         """
-        moments, rows = self._rows.setdefault(path, {}).setdefault(maker, ([], []))
-        moments.append(moment)
-        rows.append(row)
-        self.waiting += 1
+        self.series(path, maker).add(moment, row)
 
     def put(self, path: str, moment: Moment, *archetypes: rr.AsComponents) -> None:
         """Adds a row of what comes seldom.
@@ -114,13 +147,15 @@ class Columns:
 
     def flush(self) -> None:
         """Sends what waits."""
-        for path in list(self._rows):
+        for path in self._series:
             self._flush(path)
 
     def _flush(self, path: str) -> None:
-        for maker, (moments, rows) in self._rows.pop(path, {}).items():
-            self._send(path, moments, maker(rows))
-            self.waiting -= len(rows)
+        for series in self._series.get(path, {}).values():
+            if series.rows:
+                self._send(path, series.moments, series.maker(series.rows))
+                series.moments.clear()
+                series.rows.clear()
 
     def _send(self, path: str, moments: Sequence[Moment], columns: Iterable[rr.ComponentColumn]) -> None:
         times = np.array(moments, dtype=np.int64)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, Final
 import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.log_lines import text_of
 from recorder.records import TOPICS, Keyframe, Task
 
 if TYPE_CHECKING:
@@ -28,15 +27,20 @@ class Lines:
     """
 
     def __init__(self, columns: Columns) -> None:
-        self._columns = columns
-        self._paths = {kind: columns.path(LOG, topic.removeprefix("/")) for kind, topic in TOPICS.items()}
+        self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _texts) for kind, topic in TOPICS.items()}
 
-    def show(self, record: Record, now: Moment) -> None:
-        """Shows a record's line, where there is something to say."""
+    def show(self, record: Record, text: str, level: Log.Level.ValueType, now: Moment) -> None:
+        """Shows a record's line, where there is something to say.
+
+        Args:
+            record: the record.
+            text: what it tells; see :func:`recorder.log_lines.text_of`.
+            level: how grave that is.
+            now: when.
+        """
         if isinstance(record, Keyframe) or (isinstance(record, Task) and record.phase == Task.ASKED):
             return
-        text, level = text_of(record)
-        self._columns.add(self._paths[type(record)], _texts, now, text, _LEVELS[level])
+        self._lines[type(record)].add(now, (text, _LEVELS[level]))
 
 
 def _texts(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

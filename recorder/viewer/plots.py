@@ -9,10 +9,10 @@ import rerun as rr
 from recorder.records import Keyframe
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from recorder.records import BodyState, Mutation
-    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.columns import Columns, Moment, Series
     from recorder.viewer.scene import Scene
 
 HEIGHTS: Final = "heights"
@@ -31,31 +31,32 @@ class Plots:
         self._columns = columns
         self._scene = scene
         self._last: dict[tuple[str, str, str], float] = {}
-        self._paths: dict[tuple[str, str, str], str] = {}
+        self._series: dict[tuple[str, str, str], Series] = {}
 
-    def show(self, record: Mutation | Keyframe, moments: Callable[[int], Moment]) -> None:
+    def show(self, record: Mutation | Keyframe, moments: Mapping[int, Moment]) -> None:
         """Shows what a record changed; the scene has shown it before."""
         there = self._scene.bodies.get(record.world, {})
         for step, state in _states(record):
             body = there.get(state.body)
             if body is None:
                 continue
-            now = moments(step)
+            now = moments[step]
             if state.position and not body.loaded.fixed_base:
                 self._add(record.world, state.body, "", state.position[2], now)
-            for joint, value in zip(state.joints, state.joint_positions, strict=True):
-                self._add(record.world, state.body, joint, value, now)
+            if state.joints:
+                for joint, value in zip(state.joints, state.joint_positions, strict=True):
+                    self._add(record.world, state.body, joint, value, now)
 
     def _add(self, world: str, body: str, joint: str, value: float, now: Moment) -> None:
         key = (world, body, joint)
         if self._last.get(key) == value:
             return
         self._last[key] = value
-        path = self._paths.get(key)
-        if path is None:
+        series = self._series.get(key)
+        if series is None:
             told = (JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)
-            path = self._paths[key] = self._columns.path("plots", *told)
-        self._columns.add(path, _scalars, now, value)
+            series = self._series[key] = self._columns.series(self._columns.path("plots", *told), _scalars)
+        series.add(now, (value,))
 
 
 def _states(record: Mutation | Keyframe) -> Iterator[tuple[int, BodyState]]:

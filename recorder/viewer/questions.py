@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import colorsys
+import zlib
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import rerun as rr
 
 from recorder.log_lines import by_name, values
 
 if TYPE_CHECKING:
-    from recorder.records import Query
+    from collections.abc import Sequence
+
+    from recorder.records import Picture, Query
     from recorder.viewer.columns import Columns, Moment
 
 QUERIES: Final = "queries"
 PAGE: Final = "page"
+PICTURE: Final = "picture"
+_MOST_BODIES: Final = 60_000  # that have a colour; the viewer's classes are 16 bits
+_GOLDEN: Final = 0.618034  # steps of hue that keep neighbours apart
 
 
 class Questions:
@@ -26,10 +34,37 @@ class Questions:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._page = columns.path(QUERIES, PAGE)
+        self._picture = columns.path(QUERIES, PICTURE)
+        self._classes: dict[str, int] = {}  # by body; the same in all pictures
 
     def show(self, record: Query, now: Moment) -> None:
         """Shows a query."""
-        self._columns.put(self._page, now, rr.TextDocument(_page(record), media_type="text/markdown"))
+        self._columns.add(self._page, _pages, now, _page(record))
+        if record.HasField("picture"):
+            self._paint(record.picture, now)
+
+    def _paint(self, picture: Picture, now: Moment) -> None:
+        numbers = [0, *(self._class(body) for body in picture.bodies)]
+        pixels = np.frombuffer(zlib.decompress(picture.pixels), dtype=np.uint8)
+        image = np.array(numbers, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
+        self._columns.put(self._picture, now, rr.SegmentationImage(image))
+
+    def _class(self, body: str) -> int:
+        number = self._classes.get(body)
+        if number is None:
+            number = self._classes[body] = min(len(self._classes) + 1, _MOST_BODIES)
+            told = [rr.AnnotationInfo(id=one, label=name, color=_color(one)) for name, one in self._classes.items()]
+            self._columns.fix(self._picture, rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *told]))
+        return number
+
+
+def _color(number: int) -> tuple[int, int, int]:
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.65, 0.95)
+    return round(red * 255), round(green * 255), round(blue * 255)
+
+
+def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    return rr.TextDocument.columns(text=[text for (text,) in rows], media_type=["text/markdown"] * len(rows))
 
 
 def _page(record: Query) -> str:

@@ -18,13 +18,13 @@ from recorder.records import BodyState, Keyframe
 from recorder.viewer.shapes import drawn, shapes_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from recorder.asset import AssetFile
     from recorder.frames import Frame
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
-    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.columns import Columns, Moment, Series
 
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
@@ -52,11 +52,10 @@ class Body:
         """Makes true what was read back of it."""
         if state.position:
             x, y, z = state.position
-            self.pose = ((x, y, z), self.pose[1])
-        if state.orientation:
-            i, j, k, w = state.orientation
-            self.pose = (self.pose[0], (i, j, k, w))
-        self.joints.update(zip(state.joints, state.joint_positions, strict=True))
+            i, j, k, w = state.orientation or self.pose[1]
+            self.pose = ((x, y, z), (i, j, k, w))
+        if state.joints:
+            self.joints.update(zip(state.joints, state.joint_positions, strict=True))
 
 
 class Scene:
@@ -73,7 +72,7 @@ class Scene:
         self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
         self._last: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}  # poses by frame
-        self._paths: dict[tuple[str, str, str], str] = {}  # of links' entities
+        self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame
         self._begin: Moment | None = None
         self.bodies: dict[str, dict[str, Body]] = {}  # by world, then name
 
@@ -146,33 +145,32 @@ class Scene:
                 points.append(pose[0])
         return points
 
-    def show(self, record: Mutation | Keyframe, moments: Callable[[int], Moment]) -> None:
+    def show(self, record: Mutation | Keyframe, moments: Mapping[int, Moment]) -> None:
         """Shows what a record did.
 
         Args:
             record: the record.
-            moments: the moment of a simulated step within it.
+            moments: those of the simulated steps within it.
         """
-        now = moments(record.sim_step)
+        now = moments[record.sim_step]
         if self._begin is None:
             self._begin = now
         there = self.bodies.get(record.world)
         if there is None:
             there = self.bodies[record.world] = {}
             self._columns.stand(self._columns.path(record.world), self.frame(record.world))
-        gone, came, states = _changes(record, there)
-        for name in gone:
+        for name in _gone(record, there):
             self._remove(there.pop(name), record.world, now)
-        frames = list(self._frames.moved(record))  # which learns what came
+        frames = self._frames.moved(record)
+        came = _came(record, there)
+        if came:
+            frames = iter(list(frames))  # which learns their models
         for loaded in came:
             there[loaded.body] = self._load(record.world, loaded, now)
-        for state in states:
-            if state.body in there:
-                there[state.body].change(state)
+        _change(there, record)
         for step, moved in frames:
-            moment = moments(step)
             for frame in moved:
-                self._move(record.world, frame, moment)
+                self._move(record.world, frame, moments[step])
         if not isinstance(record, Keyframe) and record.WhichOneof("command") == "set_color":
             self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
 
@@ -182,15 +180,14 @@ class Scene:
         if self._last.get(child) == pose:
             return
         self._last[child] = pose
-        path = self._paths.get((world, frame.body, frame.link))
-        if path is None:
+        row = (*pose, self._prefix + frame.parent, self._prefix + child)
+        moves = self._moves.get((world, child))
+        if moves is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
-            self._paths[world, frame.body, frame.link] = path
+            moves = self._moves[world, child] = self._columns.series(path, _transforms)
             if self._begin is not None and moment > self._begin:
-                self._columns.add(
-                    path, _transforms, self._begin, *pose, self._prefix + frame.parent, self._prefix + child
-                )
-        self._columns.add(path, _transforms, moment, *pose, self._prefix + frame.parent, self._prefix + child)
+                moves.add(self._begin, row)
+        moves.add(moment, row)
 
     def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:
         body = Body(loaded)
@@ -231,27 +228,38 @@ class Scene:
             del self._last[frame]
 
 
-def _changes(
-    record: Mutation | Keyframe, there: dict[str, Body]
-) -> tuple[list[str], list[LoadBody], Iterable[BodyState]]:
-    """What goes, what comes, and how what is there then is."""
+def _gone(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[str]:
+    """Names of bodies that are no more, or are others than before."""
     if isinstance(record, Keyframe):
-        came = [loaded for loaded in record.loaded if not _same(there.get(loaded.body), loaded)]
-        kept = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in came}
-        return [name for name in there if name not in kept], came, record.bodies
+        kept = {loaded.body for loaded in record.loaded if _same(there.get(loaded.body), loaded)}
+        return [name for name in there if name not in kept]
     command = record.WhichOneof("command")
     if command in ("open_world", "close_world"):
-        return list(there), [], record.effect.bodies
-    gone = [name for name in record.effect.removed if name in there]
-    came = [record.load_body] if command == "load_body" else []
-    gone += [loaded.body for loaded in came if loaded.body in there and loaded.body not in gone]
-    return gone, came, _states(record)
+        return list(there)
+    lost = {*record.effect.removed, record.load_body.body} if command == "load_body" else record.effect.removed
+    return [name for name in lost if name in there]
 
 
-def _states(record: Mutation) -> Iterator[BodyState]:
-    for sample in record.effect.samples:
-        yield from sample.bodies
-    yield from record.effect.bodies
+def _came(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[LoadBody]:
+    """What was loaded and isn't there yet."""
+    if isinstance(record, Keyframe):
+        return [loaded for loaded in record.loaded if loaded.body not in there]
+    return [record.load_body] if record.WhichOneof("command") == "load_body" else []
+
+
+def _change(there: Mapping[str, Body], record: Mutation | Keyframe) -> None:
+    for state in _states(record):
+        body = there.get(state.body)
+        if body is not None:
+            body.change(state)
+
+
+def _states(record: Mutation | Keyframe) -> Iterable[BodyState]:
+    if isinstance(record, Keyframe):
+        return record.bodies
+    if not record.effect.samples:
+        return record.effect.bodies
+    return [state for sample in record.effect.samples for state in sample.bodies] + list(record.effect.bodies)
 
 
 def _same(body: Body | None, loaded: LoadBody) -> bool:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 
-from recorder.log_lines import by_name, mutation_text, values
+from recorder.log_lines import by_name, values
 from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task
 
 if TYPE_CHECKING:
@@ -53,11 +53,10 @@ _TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[
     ),
     Task: (("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "source"), _task),
     Mutation: (
-        ("command", "text", "bodies"),
+        ("command", "bodies"),
         lambda record: (
             str(record.WhichOneof("command") or "change"),
-            mutation_text(record),
-            ", ".join(state.body for state in record.effect.bodies),
+            ", ".join([state.body for state in record.effect.bodies]),
         ),
     ),
     Event: (
@@ -80,20 +79,25 @@ class Tables:
     """
 
     def __init__(self, columns: Columns) -> None:
-        self._columns = columns
-        self._makers = {
-            kind: (columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind.__name__, names), tell)
+        self._series = {
+            kind: (columns.series(columns.path(RECORDS, TOPICS[kind][1:]), partial(_rows, kind.__name__, names)), tell)
             for kind, (names, tell) in _TELL.items()
         }
 
-    def show(self, record: Record, now: Moment) -> None:
-        """Shows a record."""
-        found = self._makers.get(type(record))
+    def show(self, record: Record, text: str, now: Moment) -> None:
+        """Shows a record.
+
+        Args:
+            record: the record.
+            text: what it tells in a line.
+            now: when.
+        """
+        found = self._series.get(type(record))
         if found is not None:
-            path, maker, tell = found
-            self._columns.add(path, maker, now, record.world, record.task, record.thread, *tell(record))
+            series, tell = found
+            series.add(now, (record.world, record.task, record.thread, text, *tell(record)))
 
 
 def _rows(kind: str, names: tuple[str, ...], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    told = zip(("world", "task", "thread", *names), map(list, zip(*rows, strict=True)), strict=True)
+    told = zip(("world", "task", "thread", "text", *names), map(list, zip(*rows, strict=True)), strict=True)
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind}", components=dict(told))

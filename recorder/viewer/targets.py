@@ -38,6 +38,7 @@ class Targets:
         self._columns = columns
         self._scene = scene
         self._running: dict[int, Marks] = {}
+        self._places: dict[int, Vector] = {}  # targets of running tasks
         self._failures = Marks(columns, scene)
         self._told = ("", "")  # the last failure: those of what it was part of are the same
 
@@ -45,22 +46,22 @@ class Targets:
         """Shows what a task's start or end changes."""
         if record.phase == Task.STARTED:
             self._failures.clear(now)
-            if record.kind == "motion" and record.world:
-                self._aim(record, now)
+            place = target(self._scene, record.world, values_of(record.parameters))
+            if place is not None:
+                self._places[record.task] = place
+                if record.kind == "motion":
+                    self._aim(record, place, now)
         elif record.phase == Task.FINISHED:
             marks = self._running.pop(record.task, None)
             if marks is not None:
                 marks.clear(now)
+            place = self._places.pop(record.task, None)
             if record.status == Task.FAILED:
-                self._fail(record, now)
+                self._fail(record, place, now)
 
-    def _aim(self, record: Task, now: Moment) -> None:
-        values = values_of(record.parameters)
-        place = target(self._scene, record.world, values)
-        if place is None:
-            return
+    def _aim(self, record: Task, place: Vector, now: Moment) -> None:
         shapes = [points([place], BLUE, [record.name])]
-        turn = numbers(values.get("orientation"), 4)
+        turn = numbers(values_of(record.parameters).get("orientation"), 4)
         start = eye(self._scene, record.world) if record.name == "looking" else None
         if start is not None:
             x, y, z = (end - begin for begin, end in zip(start, place, strict=True))
@@ -70,13 +71,14 @@ class Targets:
         marks = self._running[record.task] = Marks(self._columns, self._scene)
         marks.put(record.world, (TARGETS, record.name), now, *shapes)
 
-    def _fail(self, record: Task, now: Moment) -> None:
+    def _fail(self, record: Task, goal: Vector | None, now: Moment) -> None:
         told = (record.failure.type, record.failure.message)
         if told == self._told:
             return
         self._told = told
         shapes: list[rr.AsComponents] = [rr.TextLog(f"{record.name}: {told[0]}: {told[1]}", level="ERROR")]
-        place = target(self._scene, record.world, values_of(record.parameters)) or self._above_robot(record.world)
+        told_of = target(self._scene, record.world, values_of(record.failure.data))
+        place = told_of or goal or self._above_robot(record.world)
         if place is not None:
             shapes.append(points([place], RED, [f"{record.name} failed: {told[0]}"], _LARGE))
         self._failures.put(record.world, (FAILURES,), now, *shapes)

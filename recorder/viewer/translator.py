@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from recorder.log_lines import text_of
 from recorder.records import Keyframe, Mutation, Query, Run, Task
 from recorder.viewer.answers import Answers
 from recorder.viewer.blueprint import blueprint
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 _STEP_NS: Final = 1_000_000_000 / 240  # of a simulated step
-_BATCH: Final = 20_000  # rows
+_BATCH: Final = 10_000  # records
 
 
 class Translator:
@@ -49,6 +49,7 @@ class Translator:
         self._root = root
         self._worlds: list[str] = []
         self._sim = 0  # ns, of the world that something happened in last
+        self._waiting = 0  # records
         self._before = 0  # the clock at the record before
         self._lay_out()
 
@@ -75,8 +76,9 @@ class Translator:
         if record.world:
             self._sim = round(record.sim_step * _STEP_NS)
         now = Moment(record.seq, self._sim, record.wall_time_ns)
-        self._lines.show(record, now)
-        self._tables.show(record, now)
+        text, level = text_of(record)
+        self._lines.show(record, text, level, now)
+        self._tables.show(record, text, now)
         if not isinstance(record, Mutation):
             self._meet(record.world)
         if isinstance(record, Task):
@@ -85,7 +87,7 @@ class Translator:
             self._targets.show(record, now)
             self._answers.begin(record, now)
         elif isinstance(record, Mutation | Keyframe):
-            moments = partial(_between, record, self._before)
+            moments = _moments(record, now, self._before)
             self._scene.show(record, moments)
             self._plots.show(record, moments)
             self._holds.show(record, now)
@@ -95,12 +97,14 @@ class Translator:
             self._questions.show(record, now)
             self._answers.show(record, now)
         self._before = record.wall_time_ns
-        if self._columns.waiting > _BATCH:
+        self._waiting += 1
+        if self._waiting >= _BATCH:
             self.flush()
 
     def flush(self) -> None:
         """Sends what was gathered; costs nothing if that is nothing."""
         self._columns.flush()
+        self._waiting = 0
 
     def _meet(self, world: str) -> None:
         """Lays the view out anew when a plan first does something in a world: then it is known what is there."""
@@ -113,10 +117,13 @@ class Translator:
             self._stream.send_blueprint(blueprint({world: self._scene.middle(world) for world in self._worlds}))
 
 
-def _between(record: Mutation | Keyframe, before: int, step: int) -> Moment:
-    """The moment of a simulated step within a record: the clock between the record before and this one."""
-    wall = record.wall_time_ns
-    if step != record.sim_step and isinstance(record, Mutation) and record.simulate.steps:
-        share = 1.0 - (record.sim_step - step) / record.simulate.steps
-        wall = before + round((wall - before) * min(max(share, 0.0), 1.0))
-    return Moment(record.seq, round(step * _STEP_NS), wall)
+def _moments(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
+    """The moments of the simulated steps within a record: by the clock between the record before and this one."""
+    moments = {record.sim_step: now}
+    if isinstance(record, Mutation) and record.effect.samples:
+        begin = record.sim_step - max(record.simulate.steps, 1)
+        for sample in record.effect.samples:
+            share = min(max((sample.sim_step - begin) / (record.sim_step - begin), 0.0), 1.0)
+            wall = before + round((now.wall - before) * share)
+            moments.setdefault(sample.sim_step, Moment(now.step, round(sample.sim_step * _STEP_NS), wall))
+    return moments
