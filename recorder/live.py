@@ -1,9 +1,9 @@
 """The process between a recording and its viewer: translates records and hands them over.
 
-Whatever a viewer does to those who talk to it (stall them, fill their memory, hang their exit), it does to this process.
-The recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it, or doesn't; it kills
-this process when it has waited long enough. Loading the viewer's library and translating cost the plan nothing either,
-but for the core that they run on.
+Whatever a viewer does to those who talk to it, it does to this process: stall it, fill its memory, hang its exit. The
+recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it, or doesn't; it kills this
+process when it has waited long enough. Loading the viewer's library and translating cost the plan nothing either, but
+for the core that they run on.
 
 On the socket between them, this side says ``Word.ABSENT`` perhaps, ``Word.READY`` when there is a viewer, and then how
 many records of each batch the viewer took. The other side sends batch after batch, lists of topics with payloads and of
