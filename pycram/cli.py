@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import runpy
 import sys
 import threading
@@ -13,11 +14,14 @@ from typing import TYPE_CHECKING
 from pycram.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
 from recorder.mcap_sink import versions
+from recorder.viewers import Kind, Wish
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_DONE, _FAILED, _USAGE = 0, 1, 2
+    from recorder import Recording
+
+_DONE, _FAILED, _USAGE, _INTERRUPTED = 0, 1, 2, 130
 
 
 def demos() -> Path:
@@ -40,6 +44,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would take our options for the plan's
+    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # it would take the plan for its value
     if given == ["--version"]:
         print(f"pycram {versions()['pycram']}")
         return _DONE
@@ -53,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
     log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
-    return run(plan, log, arguments, options.live)
+    return run(plan, log, arguments, options.rerun)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,8 +74,22 @@ def _parser() -> argparse.ArgumentParser:
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for command in (demo, plan):
         command.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
-        command.add_argument("--live", metavar="URL", help="address of a Rerun viewer that shows it live")
+        command.add_argument(
+            "--rerun",
+            metavar="VIEWER",
+            type=_viewer,
+            help="show it live: --rerun opens a viewer, --rerun=connect or =connect:URL takes one that is started "
+            "elsewhere, --rerun=serve makes a page for the browser",
+        )
     return parser
+
+
+def _viewer(text: str) -> str:
+    try:
+        Wish.parse(text)
+    except RecordingError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} {error.cause}") from error
+    return text
 
 
 def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None = None) -> int:
@@ -80,7 +99,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         plan: the Python file.
         log: the recording.
         arguments: of the plan.
-        live: address of a Rerun viewer.
+        live: who shows it live; see :func:`recorder.record`.
 
     Returns:
         The exit code: 0, 1 if the plan failed, 2 if it can't be recorded or ends with a wrong usage.
@@ -89,11 +108,10 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     sys.argv = [str(plan), *arguments]
     sys.path.insert(0, str(plan.parent.resolve()))
     file = log.absolute()  # a plan may change its folder
-    recorded = False
+    recording: Recording | None = None
     code = _DONE
     try:
-        with record(file, live, name=plan.stem, arguments=arguments, source=plan):
-            recorded = True
+        with record(file, live, name=plan.stem, arguments=arguments, source=plan) as recording:
             try:
                 runpy.run_path(str(plan), run_name="__main__")
             finally:
@@ -111,7 +129,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         code = _FAILED
     except KeyboardInterrupt:
         print("\npycram: interrupted", file=sys.stderr)
-        code = 130
+        code = _INTERRUPTED
     except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
         kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
@@ -119,9 +137,20 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         code = _FAILED
     finally:
         sys.argv, sys.path[:] = before
-    if recorded and file.is_file():
+    if recording is not None and file.is_file():
         _say_where(log, file.stat().st_size / 1e6, code)
+        if live == Kind.SERVE.value and code != _INTERRUPTED:
+            _keep_page(recording)
     return code
+
+
+def _keep_page(recording: Recording) -> None:
+    """Where somebody sits at a terminal, the page can be opened until they have seen enough."""
+    if recording.viewer is None or not sys.stdin.isatty():
+        return
+    print("pycram: the page stays until Ctrl-C", file=sys.stderr)
+    with contextlib.suppress(KeyboardInterrupt):
+        recording.viewer.wait()
 
 
 def _wait_for_threads() -> None:

@@ -18,6 +18,7 @@ from recorder.errors import RecordingError
 from recorder.journal import Journal
 from recorder.mcap_sink import McapSink
 from recorder.records import Run, failure
+from recorder.rerun_sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -30,10 +31,12 @@ class Recording:
     Attributes:
         path: its file.
         journal: its numbering.
+        viewer: who shows it live.
     """
 
     path: Path
     journal: Journal
+    viewer: RerunSink | None = None
 
     @property
     def length(self) -> int:
@@ -56,8 +59,10 @@ def record(
 
     Args:
         path: the MCAP file to write; a recording that is there is replaced.
-        live: address of a Rerun viewer that is to show it live ("rerun+http://127.0.0.1:9876/proxy"); a viewer that
-            stalls or dies costs the plan nothing.
+        live: how to show it live in Rerun. "spawn" opens the viewer, or takes one that is open; "connect" and
+            "connect:rerun+http://HOST:PORT/proxy" take one that somebody starts, now or later; "serve" makes a page for
+            browsers on this machine, says its address, and serves it until this process ends. A viewer that is slow,
+            stalls, dies or never comes costs the plan nothing.
         name: of the plan; by default that of the program.
         arguments: of the plan, for the record.
         source: the plan's file, which is attached; by default the program's, if it has one.
@@ -67,17 +72,17 @@ def record(
 
     Raises:
         RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
-            if there is no such source, or an argument isn't what it should be.
+            if there is no such source, or an argument isn't what it should be. That no viewer comes is no error.
     """
     _check(path, name=name, live=live, source=source, arguments=arguments)
     file = Path(path)
     program = _program() if source is None else Path(source)
     title = name or (program.stem if program else "plan")
     start = time.perf_counter_ns()
-    log = _begin(file, live, title, arguments, program)
+    log, viewer = _begin(file, live, title, arguments, program)
     owner = os.getpid()
     try:
-        yield Recording(file, log)
+        yield Recording(file, log, viewer)
     except BaseException as error:
         try:
             if os.getpid() == owner:
@@ -102,26 +107,25 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-def _begin(file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None) -> Journal:
+def _begin(
+    file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None
+) -> tuple[Journal, RerunSink | None]:
     """Opens the file and tells it what is there already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
-        viewers: list[journal.Sink] = []
-        if live is not None:
-            from recorder.rerun_sink import RerunSink  # noqa: PLC0415  heavy, and only for live viewing
-
-            viewers.append(RerunSink(live, title))
-            undoing.callback(viewers[0].close)
+        viewer = None if live is None else RerunSink(live, title)
+        if viewer is not None:
+            undoing.callback(viewer.close)
         metadata = {"plan": title, "plan_arguments": " ".join(map(str, arguments)), "started_ns": str(time.time_ns())}
         sink = McapSink(file, metadata)
         undoing.callback(sink.close)
-        log = Journal([sink, *viewers])
+        log = Journal([sink] if viewer is None else [sink, viewer])
         _leave_to_parent(sink, log)
         log.append(Run(phase=Run.STARTED, name=title))
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
         journal.open_journal(log)
         undoing.pop_all()
-    return log
+    return log, viewer
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:

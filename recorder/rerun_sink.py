@@ -1,145 +1,138 @@
-"""Shows a recording live in a Rerun viewer that runs already; a viewer that stalls or dies costs the plan nothing.
+"""Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
 
-Records are put into a bounded queue; a thread of its own turns them into frames (entity ``tf/BODY/LINK``) and lines
-(entity ``log``) on the timelines ``step`` and ``sim``. If the viewer can't follow, the oldest records are dropped and
-counted: the file has them all.
+Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
+(:mod:`recorder.live`) that translates them, and goes on when the viewer has taken a batch. When the recording ends,
+a viewer that takes what is left gets a moment to do so; then the process is killed. What the viewer missed is
+counted and said: the file has it all.
 """
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import socket
+import atexit
+import os
+import subprocess
 import sys
 import threading
-from collections import deque
+import time
+from multiprocessing import Pipe
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
-from urllib.parse import urlparse
 
-import rerun as rr
-
-from recorder.errors import RecordingError
-from recorder.frames import FrameTree
-from recorder.log_lines import text_of
-from recorder.records import TOPICS, Keyframe
+from recorder.backlog import Backlog, is_passing
+from recorder.viewers import Kind, Wish, Word
 
 if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
     from recorder.asset import AssetFile
     from recorder.records import Record
 
-_MOST_WAITING: Final = 10_000  # records
-_PATIENCE: Final = 2.0  # s for the viewer to take what is left at the end
-_STEPS: Final = 240  # a simulated second
-_KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
-_PORT: Final = 9876
-_SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
-_HINT: Final = "say rerun+http://127.0.0.1:9876/proxy"
+_AT_THE_END: Final = 1.5  # s for the viewer to take what is left
+_TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
+_RHYTHM: Final = 0.05  # s between batches: many small ones cost more than they show
+_MOST_ITEMS: Final = 500
+_MOST_BYTES: Final = 4 << 20
+_ROOT: Final = str(Path(__file__).parent.parent)
+_CODE: Final = """
+import sys
+sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
+from recorder.live import main
+main(sys.argv[1:])
+"""
 
 
 class RerunSink:
-    """A sink that is a running viewer.
+    """A sink that is a viewer.
 
     Args:
-        url: its address, "rerun+http://127.0.0.1:9876/proxy".
+        live: who is to show it: "spawn", "connect", "connect:URL", "serve" or a URL.
         title: name of the recording.
 
+    Attributes:
+        missed: how many records the viewer didn't get; known at the end.
+
     Raises:
-        RecordingError: nothing answers there.
+        RecordingError: ``live`` is none of these.
     """
 
-    def __init__(self, url: str, title: str) -> None:
-        self._url = url
-        _probe(url)
-        self._stream = rr.RecordingStream(title)
-        rr.unregister_shutdown()  # at exit it would wait for a viewer that doesn't answer any more
-        self._stream.set_sinks(rr.GrpcSink(url))
-        self._frames = FrameTree()
-        self._waiting: deque[tuple[str, bytes] | AssetFile] = deque()
-        self._changed = threading.Condition()
-        self._ended = False
-        self.dropped = 0
+    def __init__(self, live: str, title: str) -> None:
+        self._wish = Wish.parse(live)
+        self._backlog = Backlog()
+        self._records = 0
+        self._taken = 0
+        self._ended = threading.Event()
+        self._absent = False
+        self._started = time.monotonic()
+        self.missed = 0
+        self._connection, theirs = Pipe()
+        with theirs:
+            self._process = _start(theirs, live, title)
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
 
-    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  the record is not kept
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.journal.Sink`."""
-        self._put((topic, payload))
+        self._records += 1
+        self._backlog.put((topic, payload), passing=is_passing(record))
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.journal.Sink`."""
-        if asset.name.endswith(".urdf"):
-            self._put(asset)
-
-    def _put(self, item: tuple[str, bytes] | AssetFile) -> None:
-        with self._changed:
-            if len(self._waiting) >= _MOST_WAITING:
-                self._waiting.popleft()
-                self.dropped += 1
-            self._waiting.append(item)
-            self._changed.notify()
+        self._backlog.put(asset, passing=False)
 
     def close(self) -> None:
         """Ends; waits a moment for the viewer, but not for ever."""
-        with self._changed:
-            if self._ended:
-                return
-            self._ended = True
-            self._changed.notify()
-        self._thread.join(_PATIENCE)
-        self._abandon()
-        left = self.dropped + len(self._waiting)
-        if left:
-            print(f"recorder: the viewer at {self._url} missed {left} records; the file has them", file=sys.stderr)
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        self._backlog.close()
+        now = time.monotonic()
+        until = now if self._absent else max(now + _AT_THE_END, self._started + _TO_START[self._wish.kind])
+        self._thread.join(until - now)
+        if self._wish.kind is Kind.SERVE and not self._thread.is_alive() and self._process.poll() is None:
+            atexit.register(_stop, self._process)
+        else:
+            _stop(self._process)  # frees the thread, if it still waits
+            self._thread.join()
+        self._connection.close()
+        self.missed = self._records - self._taken
+        if self.missed:
+            print(
+                f"recorder: the viewer missed {self.missed} of {self._records} records; the file has them all",
+                file=sys.stderr,
+            )
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._waiting or self._ended)
-                if not self._waiting:
-                    break
-                item = self._waiting.popleft()
-            if isinstance(item, tuple):
-                topic, payload = item
-                self._show(_KINDS[topic].FromString(payload))
-            else:
-                self._frames.learn(item.sha256, item.content)
-        with contextlib.suppress(Exception):  # the viewer's library has its own errors; the viewer is gone or stalled
-            self._stream.flush(timeout_sec=_PATIENCE / 2)
+        """The thread's: one batch at a time."""
+        try:
+            while self._connection.recv() is not Word.READY:
+                self._absent = True
+            self._absent = False
+            while batch := self._backlog.take(_MOST_ITEMS, _MOST_BYTES):
+                self._connection.send(batch)
+                self._taken += self._connection.recv()
+                self._ended.wait(_RHYTHM)
+            self._connection.send([])
+            self._connection.recv()
+        except (EOFError, OSError):  # the process has ended, and has said why
+            self._backlog.clear()
 
-    def _abandon(self) -> None:
-        """Keeps the stream alive for ever: freed, it waits for its viewer without end, flushed or not."""
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._stream))
-
-    def _show(self, record: Record) -> None:
-        stream = self._stream
-        stream.set_time("step", sequence=record.seq)
-        if record.world:
-            stream.set_time("sim", duration=record.sim_step / _STEPS)
-        for _, message in self._frames.transforms(record):
-            for frame in message.transforms:
-                at, turn = frame.translation, frame.rotation
-                stream.set_time("sim", duration=frame.timestamp.seconds + frame.timestamp.nanos / 1e9)
-                transform = rr.Transform3D(
-                    translation=[at.x, at.y, at.z],
-                    quaternion=rr.Quaternion(xyzw=[turn.x, turn.y, turn.z, turn.w]),
-                    parent_frame=frame.parent_frame_id,
-                    child_frame=frame.child_frame_id,
-                )
-                stream.log(f"tf/{frame.child_frame_id}", transform)
-        if not isinstance(record, Keyframe):
-            stream.log("log", rr.TextLog(text_of(record)[0]))
+    def wait(self) -> None:
+        """Waits while pages can still be opened: after the end, until somebody ends their server or interrupts."""
+        self._process.wait()
 
 
-def _probe(url: str) -> None:
-    """Makes sure that somebody listens: the viewer's library would wait for seconds, and then say nothing."""
-    try:
-        place = urlparse(url)
-        port = place.port or _PORT
-    except ValueError as error:
-        raise RecordingError(url, f"is no address of a viewer ({error})", _HINT) from error
-    if place.scheme not in _SCHEMES or place.hostname is None or place.path.rstrip("/") != "/proxy":
-        raise RecordingError(url, "is no address of a viewer", _HINT)
-    try:
-        socket.create_connection((place.hostname, port), timeout=1.0).close()
-    except OSError as error:
-        raise RecordingError(url, f"no viewer answers ({error})", "start one: rerun") from error
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    with process:  # waits for it, and closes the pipe
+        process.kill()
+
+
+def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
+    """Starts the process between; its standard input is closed when this one ends, however it ends."""
+    return subprocess.Popen(  # noqa: S603  our own code
+        [sys.executable, "-c", _CODE, _ROOT, str(theirs.fileno()), live, title],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        pass_fds=[theirs.fileno()],
+        start_new_session=True,  # Ctrl-C is for the plan
+        env={"RUST_LOG": "off"} | os.environ,  # what matters it says itself
+    )

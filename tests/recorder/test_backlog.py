@@ -1,0 +1,111 @@
+"""What waits for a viewer: in order, bounded, and what matters stays longest."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from recorder.asset import AssetFile
+from recorder.backlog import Backlog, is_passing
+from recorder.records import (
+    AttachBody,
+    Event,
+    Fluent,
+    Keyframe,
+    LoadBody,
+    MoveBody,
+    MoveJoints,
+    Mutation,
+    Query,
+    RemoveBody,
+    Simulate,
+    Task,
+)
+
+if TYPE_CHECKING:
+    from recorder.backlog import Item
+
+ALL = 1_000_000
+
+
+def number(item: Item) -> int:
+    assert isinstance(item, tuple)
+    return int(item[0])
+
+
+@given(
+    puts=st.lists(st.tuples(st.booleans(), st.integers(0, 3000)), max_size=80),
+    most_items=st.integers(1, 30),
+    most_bytes=st.integers(4000, 20_000),
+)
+def test_laws(puts: list[tuple[bool, int]], most_items: int, most_bytes: int) -> None:
+    backlog = Backlog(most_items, most_bytes)
+    for count, (passing, size) in enumerate(puts):
+        before = len(backlog)
+        backlog.put((str(count), bytes(size)), passing=passing)
+        assert len(backlog) <= most_items
+        assert backlog.size <= most_bytes
+        assert 0 < len(backlog) <= before + 1, "the newest stays"
+    backlog.close()
+    left = [number(item) for item in backlog.take(ALL, ALL)]
+    assert backlog.size == len(backlog) == 0
+    assert left == sorted(left), "in order"
+    kept_passing = [count for count in left if puts[count][0]]
+    dropped = set(range(len(puts))) - set(left)
+    if kept_passing[:-1]:  # passing ones are still there: what matters was not dropped since the first of them came
+        assert all(puts[count][0] or count < kept_passing[0] for count in dropped)
+        assert all(count < kept_passing[0] for count in dropped if puts[count][0]), "the oldest goes first"
+
+
+def test_what_is_taken_is_the_oldest_and_not_too_much() -> None:
+    backlog = Backlog()
+    for count in range(10):
+        backlog.put((str(count), bytes(1000)), passing=count % 2 == 0)
+    assert [number(item) for item in backlog.take(3, ALL)] == [0, 1, 2]
+    assert [number(item) for item in backlog.take(ALL, 2000)] == [3, 4]
+    assert [number(item) for item in backlog.take(ALL, ALL)] == [5, 6, 7, 8, 9]
+
+
+def test_files_count_by_their_size() -> None:
+    backlog = Backlog(most_bytes=10_000)
+    backlog.put(AssetFile("robot.urdf", bytes(9_000)), passing=False)
+    backlog.put(("1", bytes(1_500)), passing=False)
+    assert [number(item) for item in backlog.take(ALL, ALL)] == [1]
+
+
+def test_taking_waits_and_ends() -> None:
+    backlog = Backlog()
+    taken: list[list[Item]] = []
+    thread = threading.Thread(target=lambda: taken.extend(iter(lambda: backlog.take(ALL, ALL), [])))
+    thread.start()
+    backlog.put(("1", b""), passing=True)
+    backlog.close()
+    thread.join(10)
+    assert not thread.is_alive()
+    assert taken == [[("1", b"")]]
+    backlog.put(("2", b""), passing=True)
+    assert backlog.take(ALL, ALL) == []
+
+
+@pytest.mark.parametrize(
+    ("record", "passing"),
+    [
+        (Mutation(move_body=MoveBody()), True),
+        (Mutation(move_joints=MoveJoints()), True),
+        (Mutation(simulate=Simulate()), True),
+        (Event(), True),
+        (Fluent(), True),
+        (Mutation(load_body=LoadBody()), False),
+        (Mutation(remove_body=RemoveBody()), False),
+        (Mutation(attach_body=AttachBody()), False),
+        (Task(), False),
+        (Query(), False),
+        (Keyframe(), False),
+    ],
+)
+def test_what_later_records_make_up_for(record, passing: bool) -> None:
+    assert is_passing(record) is passing

@@ -1,0 +1,319 @@
+"""Live viewing: a viewer gets everything; one that is slow, stalls, dies, comes late or never costs the plan nothing."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+import uuid
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+import rerun as rr
+from mcap.records import Attachment, Channel, Message
+from mcap.stream_reader import StreamReader
+from rerun.chunk import RrdReader
+
+import recorder
+import replay
+from recorder.asset import AssetFile
+from recorder.records import TOPICS
+from recorder.viewer.translator import Translator
+from recorder.viewers import Kind, Wish, answers, free_port
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from conftest import Headless, Server
+
+pytestmark = pytest.mark.slow
+
+SCENE = """
+import os, signal, sys
+from pathlib import Path
+from threading import Event
+from pycram.bullet_world import BulletWorld, Object
+
+def wait_for(file):
+    while not Path(file).exists():
+        Event().wait(0.05)
+
+world = BulletWorld()
+body = Object("milk", "milk", "milk.stl")
+def move(times):
+    for i in range(times):
+        body.set_position([0.001 * i, 0, 0])
+move(300)
+Path("begun").touch()
+"""
+
+
+class Ended:
+    """What a plan has left."""
+
+    def __init__(self, process: subprocess.Popen[str], log: Path, mark: str) -> None:
+        self.out, self.err = process.communicate(timeout=100)
+        self.code = process.returncode
+        self.log = log
+        self.mark = mark
+
+    def missed(self) -> tuple[int, int]:
+        """How many records the viewer missed, and of how many, as it was said."""
+        found = re.search(r"the viewer missed (\d+) of (\d+) records; the file has them all", self.err)
+        return (int(found[1]), int(found[2])) if found else (0, 0)
+
+    def check(self) -> int:
+        """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
+        assert self.code == 0, self.err
+        assert not marked(self.mark), "no process is left"
+        with replay.open(self.log) as log:
+            assert log.complete
+            count = len(log)
+        command = [sys.executable, "-m", "replay", "verify", str(self.log)]
+        verified = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert verified.returncode == 0, verified.stderr + verified.stdout
+        return count
+
+
+def marked(mark: str) -> list[psutil.Process]:
+    """The processes that have come of a plan, whoever their parents are now."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get("PYCRAM_TEST") == mark and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+        except psutil.Error:  # not ours, or gone
+            continue
+    return found
+
+
+class Plan:
+    """A plan that runs."""
+
+    def __init__(
+        self, pycram: Callable[..., subprocess.Popen[str]], folder: Path, code: str, live: str, **more: str
+    ) -> None:
+        (folder / "plan.py").write_text(SCENE + code)
+        self.mark = uuid.uuid4().hex
+        self.folder = folder
+        self.process = pycram("run", "plan.py", f"--rerun={live}", PYCRAM_TEST=self.mark, **more)
+
+    def end(self) -> Ended:
+        return Ended(self.process, self.folder / "plan.mcap", self.mark)
+
+
+@pytest.fixture
+def plan(pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> Iterator[Callable[..., Plan]]:
+    """Starts a plan in the scene above, with code that follows, watched by somebody."""
+    started: list[Plan] = []
+
+    def start(code: str, live: str, **more: str) -> Plan:
+        started.append(Plan(pycram, tmp_path, code, live, **more))
+        return started[-1]
+
+    yield start
+    for one in started:
+        for process in marked(one.mark):
+            process.kill()
+
+
+def afterwards(log: Path, file: Path) -> Counter[str]:
+    """The rows that a recording's records make when they are translated after the end."""
+    stream = rr.RecordingStream("afterwards")
+    stream.save(file)
+    translator = Translator(stream)
+    kinds = {topic: kind for kind, topic in TOPICS.items()}
+    topics: dict[int, str] = {}
+    with log.open("rb") as opened:
+        for record in StreamReader(opened).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Attachment):
+                translator.attach(AssetFile(record.name.partition("/")[2], record.data, record.media_type))
+            elif isinstance(record, Message) and topics[record.channel_id] in kinds:
+                topic = topics[record.channel_id]
+                translator.show(topic, kinds[topic].FromString(record.data))
+    translator.flush()
+    stream.disconnect()
+    found: Counter[str] = Counter()
+    for chunk in RrdReader(file).stream():
+        found[chunk.entity_path] += chunk.num_rows
+    return found
+
+
+def test_a_viewer_gets_everything(
+    plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
+) -> None:
+    server = serve()
+    ended = plan("world.simulate(0.5); move(700)", f"connect:{server.url}").end()
+    assert ended.check() > 1000
+    assert "missed" not in ended.err
+    expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
+    until(lambda: server.rows() == expected, "what is shown live is what is shown afterwards")
+
+
+def test_a_viewer_that_starts_late_gets_what_was_before(
+    plan: Callable[..., Plan], serve: Callable[[], Server], port: int, tmp_path: Path, until
+) -> None:
+    running = plan("wait_for('go'); move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy")
+    until((tmp_path / "begun").exists, "the plan has begun")
+    server = serve()
+    until(server.rows, "something is shown")
+    (tmp_path / "go").touch()
+    ended = running.end()
+    ended.check()
+    assert "it can be started at any time" in ended.err
+    assert "missed" not in ended.err
+    assert server.rows() == afterwards(ended.log, tmp_path / "afterwards.rrd")
+
+
+def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
+    ended = plan("move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy").end()
+    count = ended.check()
+    assert ended.missed() == (count, count)
+
+
+def test_something_else_has_the_port(plan: Callable[..., Plan]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        url = f"rerun+http://127.0.0.1:{silent.getsockname()[1]}/proxy"
+        ended = plan("move(100)", url).end()
+    count = ended.check()
+    assert ended.missed() == (count, count)
+
+
+def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], headless: Headless, until) -> None:
+    running = plan("wait_for('go'); move(3000)", f"connect:{headless.url}")
+    until(lambda: headless.end_of("step") > 100, "the viewer shows it")
+    os.kill(headless.pid, signal.SIGKILL)
+    (running.folder / "go").touch()
+    ended = running.end()
+    count = ended.check()
+    assert "the viewer was closed; the plan goes on without" in ended.err
+    missed, of = ended.missed()
+    assert of == count
+    assert 0 < missed < count
+
+
+@pytest.mark.parametrize("at_the_end", [True, False])
+def test_a_viewer_is_stopped_while_the_plan_runs(
+    plan: Callable[..., Plan], headless: Headless, until, *, at_the_end: bool
+) -> None:
+    # it is let go on, or not, before the plan ends; a stopped process' socket takes some, so there is more than that
+    flood = "\nwait_for('go')\nfor _ in range(40): world.simulate(1)\nfor _ in range(10): world.simulate(30)"
+    code = f"{flood}\nPath('flooded').touch()\n" + ("" if at_the_end else "wait_for('end')")
+    running = plan(code, f"connect:{headless.url}")
+    until(lambda: headless.end_of("step") > 100, "the viewer shows it")
+    os.kill(headless.pid, signal.SIGSTOP)
+    (running.folder / "go").touch()
+    until((running.folder / "flooded").exists, "the plan goes on")
+    if not at_the_end:
+        os.kill(headless.pid, signal.SIGCONT)
+        with replay.open(running.folder / "plan.mcap") as log:
+            last = len(log) - 1
+        until(lambda: headless.end_of("step") >= last, "the viewer catches up")
+        (running.folder / "end").touch()
+    ended = running.end()
+    ended.check()
+
+
+def test_a_flood_that_a_stopped_viewer_does_not_take_is_counted(
+    plan: Callable[..., Plan], serve: Callable[[], Server]
+) -> None:
+    server = serve()
+    ended = plan(f"os.kill({server.process.pid}, signal.SIGSTOP); move(20_000)", f"connect:{server.url}").end()
+    count = ended.check()
+    missed, of = ended.missed()
+    assert of == count
+    assert missed > 1_000  # it is stopped, but its socket takes some
+
+
+def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan], serve: Callable[[], Server]) -> None:
+    ended = plan("move(5_000)", f"connect:{serve().url}").end()
+    assert ended.check() > 5_000
+    assert "missed" not in ended.err
+
+
+def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, until) -> None:
+    (tmp_path / "plan.py").write_text(SCENE)
+    ours, theirs = pty.openpty()  # somebody sits there
+    mark = uuid.uuid4().hex
+    process = subprocess.Popen(
+        [sys.executable, "-m", "pycram", "run", "plan.py", "--rerun=serve"],
+        cwd=tmp_path,
+        stdin=theirs,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent.parent), "PYCRAM_TEST": mark},
+    )
+    assert process.stderr is not None
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if "the page stays until Ctrl-C" in line:
+            break
+    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?url=(\S+)", "".join(said))
+    assert address, said
+    assert answers(urllib.request.unquote(address[2]))
+    with urllib.request.urlopen(address[1]) as page:
+        assert b"rerun" in page.read().lower()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=20)
+    os.close(ours)
+    os.close(theirs)
+    assert process.returncode == 0
+    assert not marked(mark)
+
+
+@pytest.mark.parametrize("live", ["serve", "connect"])
+def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], port: int, until, live: str) -> None:
+    url = f"connect:rerun+http://127.0.0.1:{port}/proxy"
+    running = plan("wait_for('never')", live if live == "serve" else url)
+    until((running.folder / "begun").exists, "the plan has begun")
+    until(lambda: len(marked(running.mark)) == 2, "there is a process between plan and viewer")
+    running.process.kill()
+    until(lambda: not marked(running.mark), "nothing is left")
+
+
+def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., Plan], display: str) -> None:
+    with socket.create_server(("127.0.0.1", free_port(9876))):  # where it would listen is taken
+        running = plan("move(100)", "spawn", DISPLAY=display)
+        ended = running.end()
+    assert ended.code == 0, ended.err
+    assert "missed" not in ended.err
+    viewer = [process for process in marked(running.mark) if process.name() == "rerun"]
+    assert len(viewer) == 1, "it is still open"
+
+
+def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
+    ended = plan("move(100)", "spawn").end()
+    count = ended.check()
+    assert "the viewer didn't open" in ended.err
+    assert "DISPLAY" in ended.err
+    assert ended.missed() == (count, count)
+
+
+@pytest.mark.parametrize(
+    "wrong", ["", "web", "connect:", "http://127.0.0.1:9876/proxy", "rerun+http://127.0.0.1:99999/proxy"]
+)
+def test_a_viewer_that_makes_no_sense_is_refused_at_once(tmp_path: Path, wrong: str) -> None:
+    with (
+        pytest.raises(recorder.RecordingError, match="say spawn, connect"),
+        recorder.record(tmp_path / "x.mcap", live=wrong),
+    ):
+        pass
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_addresses() -> None:
+    assert Wish.parse("connect") == Wish(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
+    assert Wish.parse("connect:rerun://robot/proxy") == Wish(Kind.CONNECT, "rerun://robot/proxy")
+    assert Wish.parse("rerun+http://robot:1/proxy") == Wish(Kind.CONNECT, "rerun+http://robot:1/proxy")
