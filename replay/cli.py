@@ -13,6 +13,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from replay.errors import Damaged, ReplayError, Unreadable
+from replay.outlet import remark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,7 +110,7 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
 
 def _complain(text: str, code: int) -> int:
     sys.stdout.flush()
-    print(f"pycram-replay: {text}", file=sys.stderr)
+    remark(text)
     return code
 
 

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.assets import Assets
-from replay.chunks import KINDS, Chunks, Kinds, kinds_of, worlds_of
+from replay.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.errors import Damaged, NoSuchStep, NotALog, Unreadable
 from replay.fold import state_at
 from replay.index import MAGIC, Index
-from replay.steps import STEPS_PER_SECOND, step_of
+from replay.lives import Life, lives_of
+from replay.steps import step_of
 
 try:
     import fcntl
@@ -118,9 +119,9 @@ class Log:
         return "; ".join(told)
 
     @cached_property
-    def worlds(self) -> Mapping[str, tuple[Sequence[int], Sequence[int]]]:
-        """The worlds by name, in the order of their appearance; see :func:`replay.chunks.worlds_of`."""
-        return worlds_of(self._chunks)
+    def lives(self) -> tuple[Life, ...]:
+        """The worlds in the order of their opening; one whose name was taken again is another one."""
+        return lives_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
         """How many records of each kind there are, by the file's own index; nothing is decoded."""
@@ -184,16 +185,18 @@ class Log:
                 if record.seq <= first:
                     yield record
 
-    def records_in(self, chunks: Sequence[int], kind: Kinds, world: str) -> Iterator[Record]:
-        """Streams a world's records of certain chunks, which :attr:`worlds` tells.
+    def records_of(self, life: Life, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
+        """Streams a world's records of certain chunks.
 
         Args:
-            chunks: their numbers.
+            life: the world.
             kind: only those of this type, or of one of these.
-            world: its name.
+            chunks: their numbers, some of those that the world names.
         """
         for number in chunks:
-            yield from self._chunks.records(number, kind, world)
+            for record in self._chunks.records(number, kind, life.world):
+                if life.has(record.seq):
+                    yield record
 
     def chunk_of(self, step: int) -> int:
         """The number of the chunk that a step is in, if it is in any.
@@ -203,17 +206,16 @@ class Log:
         """
         return self._chunks.chunk_of(step, self._steps)
 
-    def clock(self, world: str) -> float:
-        """The simulated time of a world at its last change, s.
+    def end_of(self, life: Life) -> Record | None:
+        """The last change of a world, or its last keyframe if that comes later; None if it is lost.
 
         Args:
-            world: its name.
+            life: the world.
         """
-        changes, _ = self.worlds[world]
-        last = 0
-        for record in self.records_in(changes[-1:], (Mutation, Keyframe), world):
-            last = record.sim_step
-        return last / STEPS_PER_SECOND
+        last = None
+        for last in self.records_of(life, (Mutation, Keyframe), life.changes[-1:]):  # noqa: B007  the last one
+            pass
+        return last
 
     def step(self, name: int | str) -> int:
         """The number of a step as people name it; see :func:`replay.steps.step_of`."""
@@ -275,7 +277,7 @@ class Log:
         if not self._index.refresh():
             return False
         self._chunks.refresh(last)
-        self.__dict__.pop("worlds", None)
+        self.__dict__.pop("lives", None)
         self._steps = self._count()
         return True
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from typing import TYPE_CHECKING
 
 from recorder.records import Keyframe
 from replay import words
 from replay.blame import blame
+from replay.outlet import tell, tell_json
 from replay.plain import plain_record
 from replay.steps import HINT
 
@@ -34,9 +34,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     """Prints who did it."""
     found = blame(log, options.object, options.at, options.world)
     if options.json:
-        print(json.dumps(facts(found)))
+        tell_json(facts(found))
     else:
-        print("\n".join(lines(found)))
+        tell("\n".join(lines(found)))
     return 0
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +10,7 @@ from replay import words
 from replay.diff import difference
 from replay.errors import NoSuchStep
 from replay.log import open_log
+from replay.outlet import remark, tell, tell_json
 from replay.plain import plain_record
 from replay.runs import compare
 from replay.steps import HINT
@@ -46,9 +45,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
-            print(json.dumps(facts(found)))
+            tell_json(facts(found))
         else:
-            print("\n".join(lines(found, whole=options.all)))
+            tell("\n".join(lines(found, whole=options.all)))
         return _FINE
     if not Path(options.first).exists():
         raise NoSuchStep(options.first, len(log), "give two steps of this recording, or the path of another one")
@@ -56,12 +55,12 @@ def run(log: Log, options: argparse.Namespace) -> int:
         compared = compare(log, other, options.tolerance)
         missing = other.missing
     if options.json:
-        print(json.dumps(_run_facts(compared)))
+        tell_json(_run_facts(compared))
     else:
-        print("\n".join(_run_lines(compared, whole=options.all)))
+        tell("\n".join(_run_lines(compared, whole=options.all)))
     code = _PARTED if compared.parting is not None or compared.world else _FINE
     if missing:
-        print(f"pycram-replay: {other.path} is incomplete: {missing}", file=sys.stderr)
+        remark(f"{other.path} is incomplete: {missing}")
     return code or (_INCOMPLETE if missing else _FINE)
 
 

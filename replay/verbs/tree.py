@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING
 
 from recorder.task_picture import dot, svg
 from recorder.task_text import facts, lines
+from replay.outlet import tell, tell_json
 from replay.steps import HINT
 from replay.tree import tree
 
@@ -30,14 +30,15 @@ def run(log: Log, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:
-        print(json.dumps(facts(found), ensure_ascii=False))
+        tell_json(facts(found))
     elif options.dot:
-        print(dot(found), end="")
+        tell(dot(found), end="")
     elif options.svg:
-        print(svg(found, options.depth, whole=options.all), end="")
+        picture = svg(found, options.depth, whole=options.all)
+        tell(picture.encode("ascii", "xmlcharrefreplace").decode(), end="")  # whatever the terminal's letters are
     elif not found.roots:
-        print("no tasks")
+        tell("no tasks")
     else:
         for line in lines(found, options.depth, whole=options.all):
-            print(line)
+            tell(line)
     return 0

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
-from replay.outlet import results_only
+from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
 from replay.plain import plain_arguments, plain_record
 from replay.steps import HINT
@@ -46,13 +44,13 @@ def run(log: Log, options: argparse.Namespace) -> int:
     found = why(log, options.step)
     pictures, refused = _pictures(log, found, options.pictures)
     if options.json:
-        print(json.dumps(facts(found) | {"pictures": pictures}))
+        tell_json(facts(found) | {"pictures": pictures})
     else:
-        print("\n".join(lines(found, str(log.path))))
+        tell("\n".join(lines(found, str(log.path))))
         if pictures:
-            print("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
+            tell("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
     if refused:
-        print(f"pycram-replay: no pictures: {refused}", file=sys.stderr)
+        remark(f"no pictures: {refused}")
         return _INCOMPLETE
     return _FINE
 
