@@ -185,6 +185,15 @@ class Log:
                 if record.seq <= first:
                     yield record
 
+    def life_at(self, world: str, step: int) -> Life | None:
+        """The world that a name meant at a step, or will mean first; None if there is none of that name.
+
+        Args:
+            world: its name.
+            step: from 0.
+        """
+        return next((life for life in self.lives if life.world == world and life.has(step)), None)
+
     def records_of(self, life: Life, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
         """Streams a world's records of certain chunks.
 

@@ -77,10 +77,19 @@ class Asked:
     Attributes:
         query: its record.
         moved: what it was about and has moved between it and the failure.
+        gone: what it was about and was removed since.
+        world: the world that it was asked in, where that isn't the one of the failure; "" where it is.
     """
 
     query: Query
-    moved: tuple[str, ...]
+    moved: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    world: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is about what there was at the failure, and nothing of that has changed since."""
+        return not (self.moved or self.gone or self.world)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +116,10 @@ class Why:
         raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code did it.
         line: the plan's line that started that task.
+        world: the world that it was about; None if none was open.
+        is_default: whether that is the one that is meant where no world is named.
         things: the robot, and the bodies that it was about.
+        absent: names of such bodies that weren't there any more.
         tries: all attempts of the same with the same objects, this one last.
         others: how many other tasks failed before.
         asked: the queries that it rested on, in their order.
@@ -123,7 +135,10 @@ class Why:
     raised: tuple[Raised, ...] = ()
     task: Attempt | None = None
     line: Line | None = None
+    world: World | None = None
+    is_default: bool = True
     things: tuple[Thing, ...] = ()
+    absent: tuple[str, ...] = ()
     tries: tuple[Try, ...] = ()
     others: int = 0
     asked: tuple[Asked, ...] = ()
@@ -140,7 +155,7 @@ class Why:
     @property
     def warning(self) -> Query | None:
         """The last query that said no, and still was so: nothing that it was about has moved since."""
-        told = (asked.query for asked in reversed(self.asked) if not asked.moved)
+        told = (asked.query for asked in reversed(self.asked) if asked.holds)
         return next((query for query in told if query.answer_json == "false"), None)
 
 
@@ -219,7 +234,7 @@ def _of_task(
     began, ended = motion.started.seq, task.finished.seq if task.finished else motion.started.seq
     before = failures(log, ended + 1)
     objects = _objects(motion.parameters)
-    alike = [other for other in before.origins if _is_alike(other.motion, motion, objects)]
+    alike = [other for other in before.origins if _is_alike(log, other.motion, motion, objects)]
     previous = next(
         (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < began), None
     )
@@ -242,10 +257,13 @@ def _of_task(
             ),
             None,
         ),
-        tuple(_things(world, [*(name for name, _ in objects), *_named(world, task)])),
+        world,
+        world is None or world is state.world(),
+        tuple(_things(world, [*_of_world(objects, world), *_named(world, task)])),
+        tuple(name for name in _of_world(objects, world) if world is not None and name not in world.bodies),
         tuple(_tries(log, alike, world)),
         sum(1 for other in before.origins if other not in alike),
-        tuple(_with_moves(log, query, state) for query in asked),
+        tuple(_with_changes(log, query, world) for query in asked),
         earlier,
         _since(log, same, state),
         _since(log, before.last_success, state),
@@ -267,9 +285,11 @@ def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: t
         step,
         failure,
         chain,
-        things=tuple(_things(world, [name for name, _ in objects])),
+        world=world,
+        is_default=world is None or world is state.world(),
+        things=tuple(_things(world, _of_world(objects, world))),
         others=len(found.origins),
-        asked=tuple(_with_moves(log, query, state) for query in asked),
+        asked=tuple(_with_changes(log, query, world) for query in asked),
         earlier=earlier,
         last=_since(log, last, state),
     )
@@ -278,11 +298,14 @@ def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: t
 # --- what was tried --------------------------------------------------------------------------------------------------
 
 
-def _is_alike(task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
+def _is_alike(log: Log, task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
+    """Whether it is the same that was tried, with one of the same bodies: those of a later world are others."""
     if (task.started.kind, task.started.name) != (wanted.started.kind, wanted.started.name):
         return False
-    told = _objects(task.parameters)
-    return not objects or not told or bool(set(told).intersection(objects))
+    told = set(_objects(task.parameters))
+    now, then = wanted.started.seq, task.started.seq
+    common = told.intersection(objects)
+    return not objects or not told or any(log.life_at(world, now) == log.life_at(world, then) for _, world in common)
 
 
 def _ended(task: Attempt) -> int:
@@ -333,16 +356,23 @@ def _asked(
     return found[-_MOST_ASKED:], max(len(found) - _MOST_ASKED, 0)
 
 
-def _with_moves(log: Log, query: Query, now: State) -> Asked:
+def _with_changes(log: Log, query: Query, world: World | None) -> Asked:
+    """A query with what became of the things that it was about, until the failure in a world."""
     then = log.state_at(query.seq).worlds.get(query.world)
-    today = now.worlds.get(query.world)
-    moved = []
+    if then is None or world is None:
+        return Asked(query)
+    if then.title != world.title:
+        return Asked(query, world=then.title)
+    moved, gone = [], []
     for name, _ in dict.fromkeys(_objects(plain_arguments(query.arguments))):
-        before = then.bodies.get(name) if then is not None else None
-        after = today.bodies.get(name) if today is not None else None
-        if before is not None and (after is None or math.dist(before.position, after.position) > _NEAR):
+        before, after = then.bodies.get(name), world.bodies.get(name)
+        if before is None:
+            continue
+        if after is None:
+            gone.append(name)
+        elif math.dist(before.position, after.position) > _NEAR:
             moved.append(name)
-    return Asked(query, tuple(moved))
+    return Asked(query, tuple(moved), tuple(gone))
 
 
 # --- what was so -----------------------------------------------------------------------------------------------------
@@ -355,6 +385,11 @@ def _world(state: State, objects: Iterable[tuple[str, str]], asked: Iterable[Que
         if name in opened:
             return opened[name]
     return max(opened.values(), key=lambda world: bool(world.robot), default=None)
+
+
+def _of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
+    """The names of those bodies that are of a world."""
+    return [name for name, place in objects if world is not None and place == world.name]
 
 
 def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:

@@ -136,14 +136,12 @@ def _plain(value: object) -> str:
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     told = []
     if change.moved or (whole and (change.distance or change.angle)):
-        turned = f", turned by {math.degrees(change.angle):.1f} degrees" if change.angle >= math.radians(0.05) else ""
-        told.append(
-            f"moved by {words.length(change.distance)}{turned}: "
-            f"{words.vector(change.before[0])} -> {words.vector(change.after[0])}"
-        )
+        turned = f", turned by {words.degrees(change.angle)}" if whole or change.angle >= math.radians(0.05) else ""
+        before, after = words.vectors(change.before[0], change.after[0])
+        told.append(f"moved by {words.length(change.distance)}{turned}: {before} -> {after}")
     if change.changed_hands:
-        before, after = change.carrier
-        told.append(f"held by {_holder(after)}, before by {_holder(before)}")
+        holder, former = change.carrier[1], change.carrier[0]
+        told.append(f"held by {_holder(holder)}, before by {_holder(former)}")
     told += [f"has another {detail}" for detail in change.details]
     joints = change.joints if whole else change.moved_joints
     if len(joints) > _FEW and not whole:
@@ -158,7 +156,8 @@ def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
 
 
 def _joint(name: str, pair: tuple[float, float]) -> str:
-    return f"{name} {words.number(pair[0])} -> {words.number(pair[1])}"
+    before, after = words.apart(*pair)
+    return f"{name} {before} -> {after}"
 
 
 def _travel(item: tuple[str, tuple[float, float]]) -> float:

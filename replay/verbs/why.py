@@ -89,6 +89,7 @@ def facts(found: Why) -> dict[str, object]:
         "task": found.task and _task_facts(found.task),
         "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
         "line": found.line and _line_facts(found.line),
+        "world": found.world and found.world.name,
         "things": [
             {
                 "object": thing.body.name,
@@ -101,12 +102,17 @@ def facts(found: Why) -> dict[str, object]:
             }
             for thing in found.things
         ],
+        "absent": found.absent,
         "tries": [
             _task_facts(each.task.motion) | {"error": each.task.error, "robot": each.robot and each.robot.pose}
             for each in found.tries
         ],
         "others": found.others,
-        "asked": [plain_record(asked.query) | {"moved_since": asked.moved} for asked in found.asked],
+        "asked": [
+            plain_record(asked.query)
+            | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
+            for asked in found.asked
+        ],
         "earlier": found.earlier,
         "same": found.same and _since_facts(found.same),
         "last": found.last and _since_facts(found.last),
@@ -149,7 +155,7 @@ def lines(found: Why, path: str) -> Iterator[str]:
         return
     yield from _section("Where in the plan", _where(found))
     yield from _section("What failed", _what(found))
-    yield from _section(f"How things were, at step {found.step}", (_thing(thing) for thing in found.things))
+    yield from _section(f"How things were{_in_world(found)}, at step {found.step}", _things(found))
     yield from _section("What was tried", _tried(found))
     yield from _section("What the robot asked, and was told", _asked(found))
     yield from _section("What has changed since the last success", _changed(found))
@@ -254,7 +260,8 @@ def _what(found: Why) -> Iterator[str]:
         called = task.started.name if task.started.kind == "process-module" else _call(task)
         yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
     if found.task.failure is not None:
-        yield f"{'  ' * len(path)}{found.task.failure.type}: {found.task.failure.message}"
+        text = f"{found.task.failure.type}: {found.task.failure.message}"
+        yield from (f"{'  ' * len(path)}{line}" for line in text.splitlines())
     told = {each.task for each in found.tries}  # in a section of their own
     siblings = [
         part
@@ -262,7 +269,18 @@ def _what(found: Why) -> Iterator[str]:
         if part.failure is not None and part not in path and part.origin not in told
     ]
     for part in siblings[:_LAST]:
-        yield f"also failed: {_call(part)}: {part.error[1] if part.error else ''}"
+        yield f"also failed: {_call(part)}: {words.one_line(part.error[1]) if part.error else ''}"
+
+
+def _in_world(found: Why) -> str:
+    """Which world it is, where that isn't plain."""
+    world = found.world
+    return f" in {world.title}" if world is not None and not (found.is_default and world.life == 1) else ""
+
+
+def _things(found: Why) -> Iterator[str]:
+    yield from (_thing(thing) for thing in found.things)
+    yield from (f"{name} isn't there any more" for name in found.absent)
 
 
 def _thing(thing: Thing) -> str:
@@ -325,8 +343,12 @@ def _asked(found: Why) -> Iterator[str]:
         told = words.reasons(query)
         yield f"step {query.seq}: {words.question(query)}"
         yield f"    {words.answer(query)}" + (f": {told}" if told else "")
+        if asked.world:
+            yield f"    asked in another world: {asked.world}"
         if asked.moved:
             yield f"    since then {words.names(asked.moved)} moved"
+        if asked.gone:
+            yield f"    since then {words.names(asked.gone)} {'was' if len(asked.gone) == 1 else 'were'} removed"
 
 
 def _changed(found: Why) -> Iterator[str]:
@@ -354,18 +376,19 @@ def _since(since: Since) -> Iterator[str]:
 
 
 def _commands(found: Why, path: str) -> Iterator[str]:
+    world = "" if found.world is None or found.is_default else f" --world {shlex.quote(found.world.name)}"
     if found.asked:
         yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
     things = [thing.body.name for thing in found.things]
     if things:
         name = shlex.quote(things[-1])
-        yield f"pycram-replay state {path} {found.step} {name}"
-        yield f"pycram-replay blame {path} {name} --at {found.step}"
+        yield f"pycram-replay state {path} {found.step} {name}{world}"
+        yield f"pycram-replay blame {path} {name} --at {found.step}{world}"
     if found.warning is not None:
-        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}"
+        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}{world}"
     if things:
-        yield f"pycram-replay render {path} {found.step} -o moment.png"
-        yield f"pycram-replay restore {path} {found.step} --shell"
+        yield f"pycram-replay render {path} {found.step} -o moment.png{world}"
+        yield f"pycram-replay restore {path} {found.step} --shell{world}"
 
 
 def _again(query: Query) -> str:
