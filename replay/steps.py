@@ -25,8 +25,8 @@ def step_of(log: Log, name: int | str) -> int:
 
     Args:
         log: the recording.
-        name: a number (negative ones count from the end), ``last``, ``failure`` (the end of the first task that
-            failed), simulated seconds with an ``s``: the last step before the clock of a world passes them, of the
+        name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
+            explains), simulated seconds with an ``s``: the last step before the clock of a world passes them, of the
             first one that gets so far, or a task, see :func:`task_step`.
 
     Raises:
@@ -36,7 +36,7 @@ def step_of(log: Log, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        return failure_of(log).seq
+        return _failure(log)
     if text.startswith("task:"):
         return task_step(log, text)
     try:
@@ -51,16 +51,13 @@ def step_of(log: Log, name: int | str) -> int:
     return step
 
 
-def failure_of(log: Log) -> Task:
-    """The record of the end of the first task that failed.
+def _failure(log: Log) -> int:
+    from replay.breakdown import breakdown  # noqa: PLC0415  it goes by steps itself
 
-    Raises:
-        NoSuchStep: none did.
-    """
-    for record in log.records(Task):
-        if isinstance(record, Task) and record.phase == Task.FINISHED and record.status == Task.FAILED:
-            return record
-    raise NoSuchStep("failure", len(log), "no task failed")
+    broken = breakdown(log)
+    if broken is None:
+        raise NoSuchStep("failure", len(log), "nothing failed")
+    return broken.step
 
 
 def final_of(log: Log) -> int:

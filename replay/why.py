@@ -11,12 +11,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, Run
+from recorder.records import Query
+from replay.breakdown import breakdown
 from replay.diff import Difference, difference
 from replay.errors import NoSuchStep
-from replay.failures import Failures, failures
+from replay.failures import failures
 from replay.plain import mentions, plain_arguments
-from replay.raised import Raised, raised
 from replay.source import Source
 from replay.steps import final_of
 from replay.summary import Summary, summary
@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.records import Failure
-    from replay.failures import Attempt
+    from replay.breakdown import Breakdown
+    from replay.failures import Attempt, Failures
     from replay.log import Log
     from replay.plain import Plain
+    from replay.raised import Raised
     from replay.source import Line
     from replay.state import Attachment, Body, State, World
 
@@ -164,29 +166,23 @@ def why(log: Log, step: int | str | None = None) -> Why:
 
     Args:
         log: the recording.
-        step: one of a task that failed, or the first after it did; by default what the plan failed with, or the last
-            task that failed if it didn't.
+        step: one of a task that failed, or the first after it did; by default that of
+            :func:`replay.breakdown.breakdown`.
 
     Raises:
         NoSuchStep: there is no such step, or nothing failed until then.
     """
     found = failures(log)
-    source = Source(log)
     run = summary(log)
     if step is not None:
-        return _of_task(log, source, run, _chosen(log, found, log.step(step)))
-    end = log[-1]
-    if isinstance(end, Run) and end.HasField("failure"):
-        chain = _chain(end.failure, source)
-        began = _began(found, chain)
-        if began is not None:
-            task, first = began
-            return _of_task(log, source, run, task, end.failure, chain[first:])
-        return _of_plan(log, run, found, end.failure, chain)
+        return _of_task(log, run, _chosen(log, found, log.step(step)))
+    broken = breakdown(log, found)
     running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
-    if found.origins:
-        return _of_task(log, source, run, found.origins[-1], running=running)
-    return Why(run, final_of(log), None, running=running)
+    if broken is None:
+        return Why(run, final_of(log), None, running=running)
+    if broken.task is None:
+        return _of_plan(log, run, found, broken)
+    return _of_task(log, run, broken.task, broken, running)
 
 
 def _chosen(log: Log, found: Failures, step: int) -> Attempt:
@@ -201,37 +197,11 @@ def _chosen(log: Log, found: Failures, step: int) -> Attempt:
     return until[-1]
 
 
-def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
-    """The exceptions, causes first; the last one is the failure itself, whose words the record has."""
-    chain = raised(failure.traceback, source)
-    last = chain.pop() if chain else Raised("", "", ())
-    return (*chain, Raised(failure.type, failure.message, last.lines))
-
-
-def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
-    """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
-
-    What was raised before that had been dealt with, even if Python goes on telling it.
-    """
-    for number in range(len(chain) - 1, -1, -1):
-        error = chain[number].type, chain[number].message
-        for task in reversed(found.origins):
-            if any(outer.error == error for outer in task.around()):
-                return task, number
-    return None
-
-
 def _of_task(
-    log: Log,
-    source: Source,
-    run: Summary,
-    task: Attempt,
-    failure: Failure | None = None,
-    chain: tuple[Raised, ...] = (),
-    running: tuple[Attempt, ...] = (),
+    log: Log, run: Summary, task: Attempt, broken: Breakdown | None = None, running: tuple[Attempt, ...] = ()
 ) -> Why:
-    motion = task.motion
-    began, ended = motion.started.seq, task.finished.seq if task.finished else motion.started.seq
+    source, motion = Source(log), task.motion
+    began, ended = motion.started.seq, task.end
     before = failures(log, ended + 1)
     objects = _objects(motion.parameters)
     alike = [other for other in before.origins if _is_alike(log, other.motion, motion, objects)]
@@ -239,15 +209,15 @@ def _of_task(
         (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < began), None
     )
     same = before.successes.get((motion.started.kind, motion.started.name))
-    window = max((_ended(each) for each in (previous, same) if each is not None), default=0)
+    window = max((each.end for each in (previous, same) if each is not None), default=0)
     asked, earlier = _asked(log, window, ended, objects, _ids(task))
     state = log.state_at(ended)
     world = _world(state, objects, asked)
     return Why(
         run,
         ended,
-        failure or task.failure,
-        chain,
+        (broken.failure if broken is not None else None) or task.failure,
+        broken.chain if broken is not None else (),
         task,
         next(
             (
@@ -271,10 +241,9 @@ def _of_task(
     )
 
 
-def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: tuple[Raised, ...]) -> Why:
+def _of_plan(log: Log, run: Summary, found: Failures, broken: Breakdown) -> Why:
     """Of a failure that the plan's own code raised, not a task."""
-    step = final_of(log)
-    state = log.state_at(step)
+    state = log.state_at(broken.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
     asked, earlier = _asked(log, window, len(log), (), ())
@@ -282,9 +251,9 @@ def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: t
     world = _world(state, objects, asked)
     return Why(
         run,
-        step,
-        failure,
-        chain,
+        broken.step,
+        broken.failure,
+        broken.chain,
         world=world,
         is_default=world is None or world is state.world(),
         things=tuple(_things(world, _of_world(objects, world))),
@@ -306,10 +275,6 @@ def _is_alike(log: Log, task: Attempt, wanted: Attempt, objects: Iterable[tuple[
     now, then = wanted.started.seq, task.started.seq
     common = told.intersection(objects)
     return not objects or not told or any(log.life_at(world, now) == log.life_at(world, then) for _, world in common)
-
-
-def _ended(task: Attempt) -> int:
-    return task.finished.seq if task.finished is not None else task.started.seq
 
 
 def _ids(task: Attempt) -> set[int]:

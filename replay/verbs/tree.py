@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 from recorder.task_picture import dot, svg
@@ -34,8 +35,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     elif options.dot:
         tell(dot(found), end="")
     elif options.svg:
-        picture = svg(found, options.depth, whole=options.all)
-        tell(picture.encode("ascii", "xmlcharrefreplace").decode(), end="")  # whatever the terminal's letters are
+        letters = sys.stdout.encoding or "ascii"  # a picture has another way to tell those that aren't there
+        picture = svg(found, options.depth, whole=options.all).encode(letters, "xmlcharrefreplace")
+        tell(picture.decode(letters), end="")
     elif not found.roots:
         tell("no tasks")
     else:

@@ -201,19 +201,15 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
         if found.same is None:
             yield f"{name} was tried {times} times, and failed each time."
         else:
-            yield f"{name} failed {times} times; it last succeeded at step {_end(found.same.task)}."
-        yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+            yield f"{name} failed {times} times; it last succeeded at step {found.same.task.end}."
+        yield f"The last, {_call(motion)}, ended at step {task.end}: {told}"
         return
     lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
-    yield f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
+    yield f"{lead} {_call(motion)} failed at step {task.end}: {told}"
 
 
 def _call(task: Attempt) -> str:
     return words.call(task.started.name, task.parameters)
-
-
-def _end(task: Attempt) -> int:
-    return task.finished.seq if task.finished is not None else task.started.seq
 
 
 def _running(found: Why) -> Iterator[str]:
@@ -258,7 +254,7 @@ def _what(found: Why) -> Iterator[str]:
         plain = task.started.kind in ("motion", "process-module", "failure-handling", "attempt")
         kind = "" if plain else f" {task.started.kind}"
         called = task.started.name if task.started.kind == "process-module" else _call(task)
-        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
+        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
         text = f"{found.task.failure.type}: {found.task.failure.message}"
         yield from (f"{'  ' * len(path)}{line}" for line in text.splitlines())
@@ -365,7 +361,7 @@ def _changed(found: Why) -> Iterator[str]:
 def _since(since: Since) -> Iterator[str]:
     task = since.task
     told = list(diff.lines(since.difference)) if since.difference.notable or since.difference.came else []
-    name = f"{_call(task)} succeeded at step {_end(task)}"
+    name = f"{_call(task)} succeeded at step {task.end}"
     if not told:
         yield f"{name}; since then nothing in the world has changed."
         return

@@ -256,7 +256,7 @@ def test_why_of_another_failure(small: Log) -> None:
     first = small.step("task:put@end")
     for step in (first, first - 1, "failure", "task:put#2@start"):
         found = why(small, step)
-        assert found.task.parameters["height"] == (0.5 if step == "task:put#2@start" else 1.0)
+        assert found.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
     with pytest.raises(replay.NoSuchStep, match="no task failed"):
         why(small, 5)
 
