@@ -95,7 +95,8 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
             try:
                 code: int = verb.run(log, options)
             except ReplayError as error:
-                code = _complain(str(error), INCOMPLETE if log.missing or isinstance(error, Damaged) else USAGE)
+                lost = log.missing or isinstance(error, Damaged | Unreadable)
+                code = _complain(str(error), INCOMPLETE if lost else USAGE)
             except ModuleNotFoundError as error:  # reading needs little, but rebuilding a world needs the executor
                 code = _complain(f"{options.verb} needs {error.name}, which isn't installed here", USAGE)
             missing = log.missing

@@ -7,9 +7,11 @@ No question costs more than a few chunks, however long the recording is; see :mo
 from __future__ import annotations
 
 import contextlib
+import os
+import stat
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.assets import Assets
@@ -37,6 +39,8 @@ if TYPE_CHECKING:
     from replay.tree import Tree
 
 __all__ = ["KINDS", "Log", "open_log"]
+
+_ALIKE: Final = len(MAGIC) - 2  # so many of the first bytes are right in a damaged file of the kind
 
 
 class Log:
@@ -301,33 +305,53 @@ class Log:
 
 
 def _open(path: Path) -> BinaryIO:
+    """Opens a file if it is MCAP's by its first bytes, or was before it was damaged.
+
+    Raises:
+        NotALog: it isn't there, or is something else.
+        Unreadable: it is empty, or cut off within these bytes.
+    """
     try:
-        file = path.open("rb")
+        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the log closes it
         try:
-            start = file.read(len(MAGIC))
+            _check_start(path, file)
         except BaseException:
             file.close()
             raise
     except OSError as error:
         raise NotALog(path, error.strerror or str(error)) from error
-    if start != MAGIC:
-        file.close()
-        raise NotALog(path, "is empty" if not start else "is no MCAP file")
     return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Opens a pipe at once too; otherwise it would wait for somebody who writes into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _check_start(path: Path, file: BinaryIO) -> None:
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        raise NotALog(path, "is no regular file; a recording is read here and there: write it to a file first")
+    start = file.read(len(MAGIC))
+    if len(start) < len(MAGIC) and MAGIC.startswith(start):
+        raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
+    alike = sum(one == other for one, other in zip(start, MAGIC, strict=False))
+    file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
+    if alike < _ALIKE and file.read() != MAGIC:
+        raise NotALog(path, "is no MCAP file")
 
 
 def _check_ours(path: Path, index: Index) -> None:
     """Says what a file without any channel that we know is.
 
     Raises:
-        NotALog: it is somebody else's, or of another release.
-        Unreadable: it is too damaged to say.
+        NotALog: it is somebody else's.
+        Unreadable: it is of another release, or too damaged to say.
     """
     if kinds_of(index):
         return
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
-        raise NotALog(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
