@@ -83,7 +83,8 @@ class McapSink:
         self._failed: OSError | None = None
         self._closed = False
         self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, str], int] = {}  # by topic, and world where each has its own
+        self._channels: dict[tuple[str, str, int], int] = {}  # by topic, and world and life where each has its own
+        self._lives: dict[str, int] = {}  # by name of the world: how many of that name there were
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
@@ -103,21 +104,21 @@ class McapSink:
             for kind, topic in TOPICS.items():
                 self._schemas[topic] = self._schema(kind)
                 if topic not in _OF_WORLDS:
-                    self._register(topic, "")
+                    self._register(topic)
             for topic, message in self._frames.channels():
                 self._schemas[topic] = self._schema(message)
-                self._register(topic, "")
+                self._register(topic)
             self._writer.add_metadata("pycram", made_with | dict(metadata))
             self._writer.flush()
 
     def _schema(self, message: type[Message]) -> int:
         return self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
 
-    def _register(self, topic: str, world: str) -> int:
+    def _register(self, topic: str, world: str = "", life: int = 0) -> int:
         """Adds a channel; one that is for a world says so: then the index tells which chunks have something of it."""
-        told = {"world": world} if world else {}
+        told = {"world": world, "life": str(life)} if life else {}
         channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], told)
-        self._channels[topic, world] = channel
+        self._channels[topic, world, life] = channel
         return channel
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -125,7 +126,10 @@ class McapSink:
         with self._lock:
             self._check()
             self._now = record.wall_time_ns
-            self._add(topic, payload, record.seq, record.world if topic in _OF_WORLDS else "")
+            if topic in _OF_WORLDS:
+                self._add(topic, payload, record.seq, record.world, self._life(record))
+            else:
+                self._add(topic, payload, record.seq)
             for other, message in self._companions(record):
                 self._add(other, message.SerializeToString(), record.seq)
             self._count += 1
@@ -142,13 +146,20 @@ class McapSink:
         if line is not None:
             yield "/log", line
 
-    def _add(self, topic: str, payload: bytes, seq: int, world: str = "") -> None:
-        channel = self._channels.get((topic, world))
+    def _life(self, record: Record) -> int:
+        """Which world of its name it is about, from 1: a name can be taken again when its world has ended."""
+        life = self._lives.get(record.world, 0)
+        if not life or (isinstance(record, Mutation) and record.HasField("open_world")):
+            life = self._lives[record.world] = life + 1
+        return life
+
+    def _add(self, topic: str, payload: bytes, seq: int, world: str = "", life: int = 0) -> None:
+        channel = self._channels.get((topic, world, life))
         if channel is None and len(self._channels) >= _MOST_CHANNELS:
-            world = ""  # all further worlds share one
-            channel = self._channels.get((topic, world))
+            world, life = "", 0  # all further worlds share one
+            channel = self._channels.get((topic, world, life))
         if channel is None:
-            channel = self._register(topic, world)
+            channel = self._register(topic, world, life)
         self._writer.add_message(channel, self._now, seq, payload)
 
     def attach(self, asset: AssetFile) -> None:

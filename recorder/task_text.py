@@ -63,7 +63,7 @@ def rows(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterat
             yield Row(level, None, item)
             continue
         yield Row(level, item, label(item), item.id in way)
-        if item.failed and item.culprit is None and item.failure is not None:
+        if item.is_origin and item.failure is not None:
             yield Row(level + 2, None, f"{item.failure.type}: {item.failure.message}")
         if item.forgotten:
             stack.append((level + 1, f"... {item.forgotten} more, forgotten"))

@@ -14,12 +14,12 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import IntEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from recorder.records import Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.records import Failure
 
@@ -130,6 +130,11 @@ class Node:
         return self.finished is not None and self.finished.status == Task.FAILED
 
     @property
+    def is_origin(self) -> bool:
+        """Whether a failure began in it: it failed, and none of its parts did."""
+        return self.failed and not any(child.failed for child in self.children)
+
+    @property
     def failure(self) -> Failure | None:
         """What it failed with: type, message, data and, if it was recorded, the traceback."""
         return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
@@ -177,23 +182,21 @@ class Node:
         return [child for child in self.children if child.attempt]
 
     @property
-    def culprit(self) -> Node | None:
-        """The part of it whose failure became its own: the last one that failed with the same error."""
-        if not self.failed:
-            return None
-        failed = [child for child in reversed(self.children) if child.failed]
-        same = (child for child in failed if child.failure is not None and _alike(child.failure, self.failure))
-        return next(same, failed[0] if failed else None)
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        return is_dealt_with(node.finished for node in self.around())
 
     @property
     def path(self) -> str:
         """Names from the outermost task down to this one."""
-        names = []
+        return "/".join(reversed([node.name for node in self.around()]))
+
+    def around(self) -> Iterator[Node]:
+        """The task itself and those that it is part of, outwards."""
         node: Node | None = self
         while node is not None:
-            names.append(node.name)
+            yield node
             node = node.parent
-        return "/".join(reversed(names))
 
     def walk(self) -> Iterator[tuple[int, Node]]:
         """This task and all below it with their depth from 0, each before its parts; as deep as plans nest."""
@@ -217,14 +220,44 @@ class Node:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self._parts)} parts)"
 
 
-def _alike(one: Failure, other: Failure | None) -> bool:
-    return other is not None and (one.type, one.message) == (other.type, other.message)
+class Failing(Protocol):
+    """A task that failed, in whatever form it is kept."""
+
+    @property
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended, and didn't fail."""
+
+
+_Failing = TypeVar("_Failing", bound=Failing)
+
+
+def is_dealt_with(ends: Iterable[Task | None]) -> bool:
+    """Whether a failure decided nothing, by how it and the tasks around it ended.
+
+    Args:
+        ends: the records of their ends; None of what has not ended.
+    """
+    return any(end is not None and end.status != Task.FAILED for end in ends)
+
+
+def decisive(origins: Sequence[_Failing]) -> _Failing | None:
+    """The failure that tells how a plan fares: the last that nothing around it dealt with, else the last.
+
+    Args:
+        origins: the tasks in which failures began, in the order of their ends.
+    """
+    return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
 
 class Tree:
     """All tasks of a plan or recording. Equal to another one that tells the same, record for record.
 
     Any thread may look at it, with all its methods, while others add to it.
+
+    Attributes:
+        nodes: by id.
+        began: id of the task in which the plan's failure began, where somebody knows more than the tasks tell; 0 if it
+            began in none; None to go by the tasks.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows
@@ -237,6 +270,7 @@ class Tree:
                 None to keep all.
             size: of so many bytes of records; likewise.
         """
+        self.began: int | None = None
         self._limit = limit
         self._size_limit = size
         self._size = 0
@@ -322,13 +356,14 @@ class Tree:
         ]
 
     def failure_path(self) -> list[Node]:
-        """From the last outermost task that failed down to where it began to fail; empty if none did."""
-        node = next((root for root in reversed(self.roots) if root.failed), None)
-        path = []
-        while node is not None:
-            path.append(node)
-            node = node.culprit
-        return path
+        """From the outermost task down to that in which the decisive failure began; empty if nothing failed."""
+        if self.began is not None:
+            began = self.nodes.get(self.began)
+        else:
+            with self._lock:
+                ended = [self.nodes[number] for number in self._ended if number in self.nodes]
+            began = decisive([node for node in ended if node.is_origin])
+        return list(began.around())[::-1] if began is not None else []
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
         """As lines of text; see :mod:`recorder.task_text`.

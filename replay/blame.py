@@ -48,6 +48,7 @@ class Blame:
 
     Attributes:
         world: name of the world.
+        others: names of other open worlds that have a body of that name.
         body: name of the body.
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
@@ -64,6 +65,7 @@ class Blame:
     """
 
     world: str
+    others: tuple[str, ...]
     body: str
     joint: str
     record: Mutation | Keyframe
@@ -84,15 +86,17 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
         log: the recording.
         target: name of a body, or ``BODY.JOINT``.
         at: the step until which to look; by default the last one before worlds were closed.
-        world: name of the world; by default the first one that has the body.
+        world: name of the world; by default, of those that have the body, the one that was opened last.
 
     Raises:
         NoSuchStep: there is no such step.
         NoSuchName: the body or joint wasn't there then.
     """
     step = final_of(log) if at is None else log.step(at)
-    place, body, joint = _find(log.state_at(step), target, world)
-    return _Search(log, place.name, body, joint).run(step)
+    state = log.state_at(step)
+    place, body, joint = _find(state, target, world)
+    others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
+    return _Search(log, place.name, others, body, joint).run(step)
 
 
 def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
@@ -100,7 +104,7 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
     cuts = [len(target), *(at for at, letter in enumerate(target) if letter == ".")]
     for cut in cuts:
         body, joint = target[:cut], target[cut + 1 :]
-        for world in worlds:
+        for world in reversed(worlds):
             if body in world.bodies:
                 if joint:
                     world.bodies[body].joint(joint)
@@ -112,9 +116,10 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
 class _Search:
     """Goes back through a world's changes."""
 
-    def __init__(self, log: Log, world: str, body: str, joint: str) -> None:
+    def __init__(self, log: Log, world: str, others: tuple[str, ...], body: str, joint: str) -> None:
         self._log = log
         self._world = world
+        self._others = others
         self._body = body
         self._joint = joint
 
@@ -165,6 +170,8 @@ class _Search:
                     break
                 oldest = record
             elif isinstance(record, Mutation):
+                if record.HasField("open_world"):  # what was before is another world's
+                    return
                 if self._is_loading(record):
                     yield record
                     return
@@ -189,13 +196,23 @@ class _Search:
             raise NoSuchName("object", self._body, ())
         if isinstance(record, Keyframe) or self._is_loading(record):
             how = "before" if isinstance(record, Keyframe) else "load"
-            return Blame(self._world, self._body, self._joint, record, how, None, after, math.inf, 0.0, (), why)
+            return self._blame(record, how, (None, after), (math.inf, 0.0), (), why)
         state = self._log.state_at(record.seq - 1)
         before = self._value(state)
         how, chain = _how(record, state.world(self._world), self._body)
-        distance, angle = _size(before, after)
         carried = tuple(self._carried(held, record.seq) for held in chain)
-        return Blame(self._world, self._body, self._joint, record, how, before, after, distance, angle, carried, why)
+        return self._blame(record, how, (before, after), _size(before, after), carried, why)
+
+    def _blame(
+        self,
+        record: Mutation | Keyframe,
+        how: str,
+        values: tuple[Pose | float | None, Pose | float],
+        size: tuple[float, float],
+        carried: tuple[Carried, ...],
+        why: Causes,
+    ) -> Blame:
+        return Blame(self._world, self._others, self._body, self._joint, record, how, *values, *size, carried, why)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)

@@ -18,9 +18,10 @@ from recorder.records import TOPICS, Keyframe, Mutation, Record
 from replay.places import HEADER
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping
 
     from replay.index import Index
+    from replay.lives import Owner
 
 Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
@@ -80,22 +81,24 @@ class Chunks:
         self._numbers = sorted(self._spans)
         self._firsts = [self._spans[known][0] for known in self._numbers]
         self._kinds = kinds_of(self._index)
-        self._worlds = {channel: self._index.channels[channel].metadata.get("world") for channel in self._kinds}
+        told = {channel: self._index.channels[channel].metadata for channel in self._kinds}
+        self._worlds = {channel: metadata.get("world") for channel, metadata in told.items()}
+        self._owners = {channel: _owner(metadata) for channel, metadata in told.items()}
 
     # --- what is in a chunk ----------------------------------------------------------------------------------------
 
-    def channels(self, number: int) -> list[tuple[type[Record], str | None]]:
+    def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
         """What a chunk has, as far as its channels tell.
 
         Args:
             number: of the chunk.
 
         Returns:
-            Type of record, and the world that the channel is for; None for a channel that is for all.
+            Type of record, and the world that the channel is for; None for a channel that doesn't tell, or not exactly.
         """
         place = self._index.chunks[number]
         ids = self._kinds if place.channels is None else place.ids()
-        return [(self._kinds[channel], self._worlds[channel]) for channel in ids if channel in self._kinds]
+        return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
 
     def records(
         self, number: int, kinds: Kinds | None = None, world: str | None = None, *, backwards: bool = False
@@ -122,6 +125,19 @@ class Chunks:
             record = self._decode(number, entries, at)
             if record is not None and (world is None or record.world == world):
                 yield record
+
+    def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
+        """The mutations and keyframes of a chunk, with the worlds that their channels are for.
+
+        Args:
+            number: of the chunk.
+        """
+        entries = self._load(number)
+        for at, channel in enumerate(entries.channels):
+            if self._kinds[channel] in (Mutation, Keyframe):
+                record = self._decode(number, entries, at)
+                if record is not None:
+                    yield record, self._owners[channel]
 
     def check(self, number: int) -> None:
         """Reads and decodes a whole chunk, and notes in ``hurt`` what is wrong with it."""
@@ -237,41 +253,7 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
     return found
 
 
-def worlds_of(chunks: Chunks) -> dict[str, tuple[Sequence[int], Sequence[int]]]:
-    """The numbers of the chunks that have something of each world.
-
-    Where the channels don't say which world they are for, the chunks are read.
-
-    Args:
-        chunks: of the file.
-
-    Returns:
-        By world, in the order of their appearance: chunks with its mutations or keyframes, and those with keyframes.
-    """
-    found: dict[str, tuple[list[int], list[int]]] = {}
-    alike: dict[bytes, list[list[int]]] = {}  # where a chunk belongs, by the ids of its channels
-    for number, channels in enumerate(chunks.channel_maps()):
-        ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
-        belongs = alike.get(ids)
-        if belongs is None:
-            marks = [mark for mark in chunks.channels(number) if mark[0] in (Mutation, Keyframe)]
-            shared = any(world is None for _, world in marks)
-            if shared:
-                marks = [(type(record), record.world) for record in chunks.records(number, (Mutation, Keyframe))]
-            belongs = _where(found, [(kind, world or "") for kind, world in marks])
-            if ids and not shared:
-                alike[ids] = belongs
-        for numbers in belongs:
-            numbers.append(number)
-    return dict(found)
-
-
-def _where(found: dict[str, tuple[list[int], list[int]]], marks: Sequence[tuple[type[Record], str]]) -> list[list[int]]:
-    """The lists that a chunk belongs to, by what it has."""
-    belongs = []
-    for world in dict.fromkeys(world for _, world in marks):
-        changes, keyframes = found.setdefault(world, ([], []))
-        belongs.append(changes)
-        if (Keyframe, world) in marks:
-            belongs.append(keyframes)
-    return belongs
+def _owner(metadata: Mapping[str, str]) -> Owner | None:
+    """Which world a channel is for, and which one of that name; None if it doesn't say so."""
+    life = metadata.get("life", "")
+    return (metadata["world"], int(life)) if "world" in metadata and life.isdecimal() else None

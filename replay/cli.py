@@ -13,6 +13,7 @@ import sys
 from typing import TYPE_CHECKING, Final
 
 from replay.errors import Damaged, ReplayError, Unreadable
+from replay.outlet import remark
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -94,7 +95,8 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
             try:
                 code: int = verb.run(log, options)
             except ReplayError as error:
-                code = _complain(str(error), INCOMPLETE if log.missing or isinstance(error, Damaged) else USAGE)
+                lost = log.missing or isinstance(error, Damaged | Unreadable)
+                code = _complain(str(error), INCOMPLETE if lost else USAGE)
             except ModuleNotFoundError as error:  # reading needs little, but rebuilding a world needs the executor
                 code = _complain(f"{options.verb} needs {error.name}, which isn't installed here", USAGE)
             missing = log.missing
@@ -109,7 +111,7 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
 
 def _complain(text: str, code: int) -> int:
     sys.stdout.flush()
-    print(f"pycram-replay: {text}", file=sys.stderr)
+    remark(text)
     return code
 
 

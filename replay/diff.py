@@ -70,7 +70,7 @@ class Difference:
     """What is different in a second state.
 
     Attributes:
-        opened: worlds that are open in the second only.
+        opened: worlds that are open in the second only; one that has taken another's name is not the other.
         closed: worlds that are open in the first only.
         came: bodies that are in the second only, as pairs of world and body.
         went: bodies that are in the first only.
@@ -101,12 +101,12 @@ def difference(before: State, after: State) -> Difference:
         before: the first.
         after: the second.
     """
-    first = {name: world for name, world in before.worlds.items() if world.open}
-    second = {name: world for name, world in after.worlds.items() if world.open}
-    both = [(world, second[name]) for name, world in first.items() if name in second]
+    first = {world.title: world for world in before.worlds.values() if world.open}
+    second = {world.title: world for world in after.worlds.values() if world.open}
+    both = [(world, second[title]) for title, world in first.items() if title in second]
     return Difference(
-        opened=tuple(name for name in second if name not in first),
-        closed=tuple(name for name in first if name not in second),
+        opened=tuple(title for title in second if title not in first),
+        closed=tuple(title for title in first if title not in second),
         came=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
         went=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
         changed=tuple(change for a, b in both for change in _changes(a, b)),

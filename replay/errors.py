@@ -29,7 +29,7 @@ class NotALog(ReplayError):
 
 
 class Unreadable(NotALog):
-    """A recording that is so damaged, or was cut so early, that nothing of it can be read."""
+    """A recording of which nothing can be read: too damaged, cut too early, or of an unknown release."""
 
 
 class Damaged(ReplayError):

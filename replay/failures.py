@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from recorder.records import Task
+from recorder.tasks import is_dealt_with
 from replay.plain import plain_arguments
 
 if TYPE_CHECKING:
@@ -44,6 +45,16 @@ class Attempt:
         return (failure.type, failure.message) if failure is not None else None
 
     @property
+    def end(self) -> int:
+        """The step of its end; of its start if it has not ended."""
+        return self.finished.seq if self.finished is not None else self.started.seq
+
+    @property
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        return is_dealt_with(task.finished for task in self.around())
+
+    @property
     def parameters(self) -> dict[str, Plain]:
         """What it was given."""
         return plain_arguments(self.started.parameters)
@@ -58,14 +69,14 @@ class Attempt:
 
     @property
     def origin(self) -> Attempt:
-        """The part in which its failure began: down the parts with the same error, else the first that failed."""
+        """The part in which its failure began: down the parts with the same error, else the last that failed."""
         found = self
         while True:
             failed = [part for part in found.parts if part.failure is not None]
             same = [part for part in failed if part.error == found.error]
             if not failed:
                 return found
-            found = same[-1] if same else failed[0]
+            found = (same or failed)[-1]
 
     @property
     def motion(self) -> Attempt:
@@ -101,11 +112,7 @@ class Failures:
     def last_success(self) -> Attempt | None:
         """The last motion, or else task, that went well."""
         motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
-        return max(motions or self.successes.values(), key=_end, default=None)
-
-
-def _end(task: Attempt) -> int:
-    return task.finished.seq if task.finished is not None else -1
+        return max(motions or self.successes.values(), key=lambda task: task.end, default=None)
 
 
 def failures(log: Log, stop: int | None = None) -> Failures:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from recorder import records
     from recorder.geometry import Quaternion, Vector
+    from replay.lives import Life
     from replay.log import Log
 
 _AT_REST: Final = (0.0,) * 6
@@ -54,19 +55,23 @@ def state_at(log: Log, step: int | str) -> State:
     here = log.chunk_of(last)
     worlds: dict[str, Making] = {}
     since = last
-    for name, (changes, keyframes) in log.worlds.items():
-        base = _base(log, name, keyframes, here, last)
-        begin = changes[0] if base is None else log.chunk_of(base.seq)
-        start = 0 if base is None else base.seq
-        chunks = changes[bisect_left(changes, begin) : bisect_right(changes, here)]
+    for life in log.lives:
+        if not life.has(last):  # it came later, or another one has taken its name since
+            continue
+        base = _base(log, life, here, last)
+        begin = life.changes[0] if base is None else log.chunk_of(base.seq)
+        start = life.start if base is None else base.seq
+        chunks = life.changes[bisect_left(life.changes, begin) : bisect_right(life.changes, here)]
         if chunks:
             since = min(since, start)
-        for record in log.records_in(chunks, _OF_WORLDS, name):
+        for record in log.records_of(life, _OF_WORLDS, chunks):
             if start <= record.seq <= last:
                 try:
                     take(worlds, record)
                 except (ValueError, IndexError) as error:
                     raise Damaged(log.path, f"step {record.seq}", str(error)) from error
+        if life.world in worlds:
+            worlds[life.world].told["life"] = life.number
     doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= last)
     return State(
         last,
@@ -80,10 +85,10 @@ def _range(gap: range) -> str:
     return str(gap.start) if len(gap) == 1 else f"{gap.start}-{gap.stop - 1}"
 
 
-def _base(log: Log, world: str, keyframes: Sequence[int], here: int, last: int) -> records.Record | None:
+def _base(log: Log, life: Life, here: int, last: int) -> records.Record | None:
     """The last keyframe of a world at or before a step."""
-    for at in range(bisect_right(keyframes, here) - 1, -1, -1):
-        frames = [frame for frame in log.records_in([keyframes[at]], Keyframe, world) if frame.seq <= last]
+    for at in range(bisect_right(life.keyframes, here) - 1, -1, -1):
+        frames = [frame for frame in log.records_of(life, Keyframe, [life.keyframes[at]]) if frame.seq <= last]
         if frames:
             return frames[-1]
     return None
@@ -93,7 +98,7 @@ class Making:
     """A world in the making; what it holds changes until it is frozen."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
-        self.told: dict[str, object] = {"name": name, "mode": mode}
+        self.told: dict[str, object] = {"name": name, "life": 1, "mode": mode}
         self.bodies: dict[str, _Body] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
 
@@ -181,12 +186,17 @@ def take(worlds: dict[str, Making], record: records.Record) -> None:
         record: any; those that don't change worlds are passed over.
     """
     if isinstance(record, Keyframe):
+        before = worlds.get(record.world)
         worlds[record.world] = _of_keyframe(record)
+        if before is not None:
+            worlds[record.world].told["life"] = before.told["life"]
     elif isinstance(record, Mutation):
         command = record.WhichOneof("command")
         if command == "open_world":
-            worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
-            worlds[record.world] = Making(record.world, record.open_world.mode)
+            ended = worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
+            world = worlds[record.world] = Making(record.world, record.open_world.mode)
+            if ended is not None:
+                world.told["life"] = int(str(ended.told["life"])) + 1
         if record.world not in worlds:
             worlds[record.world] = Making(record.world)
         world = worlds[record.world]

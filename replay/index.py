@@ -69,7 +69,7 @@ class Index:
         """Reads the end of the file, or walks through it.
 
         Args:
-            file: opened for reading; must start with MCAP's magic.
+            file: opened for reading.
         """
         self._file = file
         self._next = len(MAGIC)
@@ -86,6 +86,9 @@ class Index:
         self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
         self._data_end = 0  # where the record that ends the data begins; 0 if there is none
         self._decoded = -1  # the chunk whose messages were counted by decoding it
+        self._file.seek(0)
+        if self._file.read(len(MAGIC)) != MAGIC:
+            self.damage.append("its first bytes are damaged")
         self.library = self._read_library()
         try:
             self._read_summary()

@@ -7,17 +7,20 @@ No question costs more than a few chunks, however long the recording is; see :mo
 from __future__ import annotations
 
 import contextlib
+import os
+import stat
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.assets import Assets
-from replay.chunks import KINDS, Chunks, Kinds, kinds_of, worlds_of
+from replay.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.errors import Damaged, NoSuchStep, NotALog, Unreadable
 from replay.fold import state_at
 from replay.index import MAGIC, Index
-from replay.steps import STEPS_PER_SECOND, step_of
+from replay.lives import Life, lives_of
+from replay.steps import step_of
 
 try:
     import fcntl
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
     from replay.tree import Tree
 
 __all__ = ["KINDS", "Log", "open_log"]
+
+_ALIKE: Final = len(MAGIC) - 2  # so many of the first bytes are right in a damaged file of the kind
 
 
 class Log:
@@ -118,9 +123,9 @@ class Log:
         return "; ".join(told)
 
     @cached_property
-    def worlds(self) -> Mapping[str, tuple[Sequence[int], Sequence[int]]]:
-        """The worlds by name, in the order of their appearance; see :func:`replay.chunks.worlds_of`."""
-        return worlds_of(self._chunks)
+    def lives(self) -> tuple[Life, ...]:
+        """The worlds in the order of their opening; one whose name was taken again is another one."""
+        return lives_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
         """How many records of each kind there are, by the file's own index; nothing is decoded."""
@@ -184,16 +189,27 @@ class Log:
                 if record.seq <= first:
                     yield record
 
-    def records_in(self, chunks: Sequence[int], kind: Kinds, world: str) -> Iterator[Record]:
-        """Streams a world's records of certain chunks, which :attr:`worlds` tells.
+    def life_at(self, world: str, step: int) -> Life | None:
+        """The world that a name meant at a step, or will mean first; None if there is none of that name.
 
         Args:
-            chunks: their numbers.
-            kind: only those of this type, or of one of these.
             world: its name.
+            step: from 0.
+        """
+        return next((life for life in self.lives if life.world == world and life.has(step)), None)
+
+    def records_of(self, life: Life, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
+        """Streams a world's records of certain chunks.
+
+        Args:
+            life: the world.
+            kind: only those of this type, or of one of these.
+            chunks: their numbers, some of those that the world names.
         """
         for number in chunks:
-            yield from self._chunks.records(number, kind, world)
+            for record in self._chunks.records(number, kind, life.world):
+                if life.has(record.seq):
+                    yield record
 
     def chunk_of(self, step: int) -> int:
         """The number of the chunk that a step is in, if it is in any.
@@ -203,17 +219,16 @@ class Log:
         """
         return self._chunks.chunk_of(step, self._steps)
 
-    def clock(self, world: str) -> float:
-        """The simulated time of a world at its last change, s.
+    def end_of(self, life: Life) -> Record | None:
+        """The last change of a world, or its last keyframe if that comes later; None if it is lost.
 
         Args:
-            world: its name.
+            life: the world.
         """
-        changes, _ = self.worlds[world]
-        last = 0
-        for record in self.records_in(changes[-1:], (Mutation, Keyframe), world):
-            last = record.sim_step
-        return last / STEPS_PER_SECOND
+        last = None
+        for last in self.records_of(life, (Mutation, Keyframe), life.changes[-1:]):  # noqa: B007  the last one
+            pass
+        return last
 
     def step(self, name: int | str) -> int:
         """The number of a step as people name it; see :func:`replay.steps.step_of`."""
@@ -275,7 +290,7 @@ class Log:
         if not self._index.refresh():
             return False
         self._chunks.refresh(last)
-        self.__dict__.pop("worlds", None)
+        self.__dict__.pop("lives", None)
         self._steps = self._count()
         return True
 
@@ -290,33 +305,53 @@ class Log:
 
 
 def _open(path: Path) -> BinaryIO:
+    """Opens a file if it is MCAP's by its first bytes, or was before it was damaged.
+
+    Raises:
+        NotALog: it isn't there, or is something else.
+        Unreadable: it is empty, or cut off within these bytes.
+    """
     try:
-        file = path.open("rb")
+        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the log closes it
         try:
-            start = file.read(len(MAGIC))
+            _check_start(path, file)
         except BaseException:
             file.close()
             raise
     except OSError as error:
         raise NotALog(path, error.strerror or str(error)) from error
-    if start != MAGIC:
-        file.close()
-        raise NotALog(path, "is empty" if not start else "is no MCAP file")
     return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Opens a pipe at once too; otherwise it would wait for somebody who writes into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _check_start(path: Path, file: BinaryIO) -> None:
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        raise NotALog(path, "is no regular file; a recording is read here and there: write it to a file first")
+    start = file.read(len(MAGIC))
+    if len(start) < len(MAGIC) and MAGIC.startswith(start):
+        raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
+    alike = sum(one == other for one, other in zip(start, MAGIC, strict=False))
+    file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
+    if alike < _ALIKE and file.read() != MAGIC:
+        raise NotALog(path, "is no MCAP file")
 
 
 def _check_ours(path: Path, index: Index) -> None:
     """Says what a file without any channel that we know is.
 
     Raises:
-        NotALog: it is somebody else's, or of another release.
-        Unreadable: it is too damaged to say.
+        NotALog: it is somebody else's.
+        Unreadable: it is of another release, or too damaged to say.
     """
     if kinds_of(index):
         return
     names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
     if names:
-        raise NotALog(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")

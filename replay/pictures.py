@@ -40,14 +40,15 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         files = []
+        world = found.world.name if found.world is not None else None
         robot = next((thing.body for thing in found.things if thing.robot), None)
         camera = camera_of(robot) if robot is not None else None
         if camera is not None:
             files.append(folder / f"step_{found.step}_robot.png")
-            render(log, found.step, camera=camera).save(files[-1])
+            render(log, found.step, camera=camera, world=world).save(files[-1])
         if found.things:
             files.append(folder / f"step_{found.step}_side.png")
-            render(log, found.step, target=_middle(found)).save(files[-1])
+            render(log, found.step, target=_middle(found), world=world).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files

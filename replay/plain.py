@@ -137,6 +137,7 @@ def plain_state(state: State, body: str | None = None, world: str | None = None)
 def _world(world: World, only: str | None) -> Plain:
     return {
         "open": world.open,
+        "life": world.life,
         "mode": world.mode,
         "sim_step": world.sim_step,
         "gravity": list(world.gravity),

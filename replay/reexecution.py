@@ -151,9 +151,10 @@ def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> Bull
     if gap is not None:
         cause = f"step {gap.start} is lost; without exact, the state may do"
         raise Damaged(log.path, f"what led to step {step}", cause)
-    chunks = [number for number in log.worlds[name][0] if number <= log.chunk_of(step)]
+    life = next(life for life in log.lives if life.world == name and life.has(step))
+    chunks = [number for number in life.changes if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as again:
-        for record in log.records_in(chunks, (Mutation, Keyframe), name):
+        for record in log.records_of(life, (Mutation, Keyframe), chunks):
             if record.seq > step:
                 break
             if isinstance(record, Mutation):

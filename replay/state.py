@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from replay.errors import NoSuchName
+from replay.lives import title
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -102,6 +103,7 @@ class World:
         gravity: m/s^2.
         realtime: whether it runs at the pace of the clock.
         robot: name of the robot that plans control, or "".
+        life: which world of that name it is, from 1: a name can be taken again.
         bodies: by name, in the order of loading.
         attachments: by names of carrier and body.
     """
@@ -113,8 +115,14 @@ class World:
     gravity: Vector = (0.0, 0.0, 0.0)
     realtime: bool = False
     robot: str = ""
+    life: int = 1
     bodies: Mapping[str, Body] = field(default_factory=dict)
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What people call it: its name, and which of that name it is if it isn't the first."""
+        return title(self.name, self.life)
 
     @property
     def seconds(self) -> float:
@@ -170,13 +178,13 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """A body by name, of one world, or of the first open one that has it.
+        """A body by name, of one world, or of the one that was opened last of those that have it.
 
         Raises:
             NoSuchName: there is none.
         """
         worlds = [self.world(world)] if world is not None else list(self.worlds.values())
-        for candidate in worlds:
+        for candidate in reversed(worlds):
             if name in candidate.bodies:
                 return candidate.bodies[name]
         raise NoSuchName("object", name, (known for candidate in worlds for known in candidate.bodies))

@@ -11,6 +11,8 @@ from recorder.records import Keyframe, Mutation, Task
 from replay.errors import NoSuchStep
 
 if TYPE_CHECKING:
+    from recorder.records import Record
+    from replay.lives import Life
     from replay.log import Log
 
 STEPS_PER_SECOND: Final = 240
@@ -23,9 +25,9 @@ def step_of(log: Log, name: int | str) -> int:
 
     Args:
         log: the recording.
-        name: a number (negative ones count from the end), ``last``, ``failure`` (the end of the first task that
-            failed), simulated seconds with an ``s``: the last step before the clock of the first world passes them,
-            or a task, see :func:`task_step`.
+        name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
+            explains), simulated seconds with an ``s``: the last step before the clock of a world passes them, of the
+            first one that gets so far, or a task, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -34,7 +36,7 @@ def step_of(log: Log, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        return failure_of(log).seq
+        return _failure(log)
     if text.startswith("task:"):
         return task_step(log, text)
     try:
@@ -49,26 +51,27 @@ def step_of(log: Log, name: int | str) -> int:
     return step
 
 
-def failure_of(log: Log) -> Task:
-    """The record of the end of the first task that failed.
+def _failure(log: Log) -> int:
+    from replay.breakdown import breakdown  # noqa: PLC0415  it goes by steps itself
 
-    Raises:
-        NoSuchStep: none did.
-    """
-    for record in log.records(Task):
-        if isinstance(record, Task) and record.phase == Task.FINISHED and record.status == Task.FAILED:
-            return record
-    raise NoSuchStep("failure", len(log), "no task failed")
+    broken = breakdown(log)
+    if broken is None:
+        raise NoSuchStep("failure", len(log), "nothing failed")
+    return broken.step
 
 
 def final_of(log: Log) -> int:
     """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
     closing = len(log)
     for record in log.backwards(-1, (Mutation, Keyframe)):
-        if not (isinstance(record, Mutation) and record.HasField("close_world")):
+        if not _closes(record):
             break
         closing = record.seq
     return max(closing - 1, 0)
+
+
+def _closes(record: Record) -> bool:
+    return isinstance(record, Mutation) and record.HasField("close_world")
 
 
 def task_step(log: Log, text: str) -> int:
@@ -132,29 +135,36 @@ def _which_are(log: Log, path: str, count: int) -> str:
 
 
 def _at_time(log: Log, seconds: float, text: str) -> int:
-    if not math.isfinite(seconds) or seconds < 0 or not log.worlds:
+    if not math.isfinite(seconds) or seconds < 0 or not log.lives:
         raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
-    world, (changes, _) = next(iter(log.worlds.items()))
     limit = seconds * STEPS_PER_SECOND
+    ends = {}
+    for life in log.lives:
+        end = log.end_of(life)
+        if end is not None and end.sim_step > limit:
+            return max(0, _passing(log, life, limit) - 1)
+        if end is not None and end.sim_step == limit:  # to the end of it, but a world that is closed shows nothing
+            return end.seq - 1 if _closes(end) else (life.stop or len(log)) - 1
+        ends[life.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
+    longest = max(ends, key=lambda title: ends[title])
+    raise NoSuchStep(text, len(log), f"no world got so far; the clock of {longest} ends at {ends[longest]:.3f}s")
+
+
+def _passing(log: Log, life: Life, limit: float) -> int:
+    """The first step at which a world's clock is past a moment that it does pass."""
 
     def passes(at: int) -> int | None:
-        """The first step in a chunk at which the clock is past the moment."""
-        for record in log.records_in([changes[at]], (Mutation, Keyframe), world):
+        """The first such step in a chunk."""
+        for record in log.records_of(life, (Mutation, Keyframe), [life.changes[at]]):
             if record.sim_step > limit:
                 return record.seq
         return None
 
-    low, high = 0, len(changes)  # the clock never goes back: the first chunk in which it passes is found by halving
+    low, high = 0, len(life.changes) - 1  # its clock never goes back: the first such chunk is found by halving
     while low < high:
         middle = (low + high) // 2
         if passes(middle) is None:
             low = middle + 1
         else:
             high = middle
-    if low == len(changes):
-        end = log.clock(world)
-        if seconds > end:
-            raise NoSuchStep(text, len(log), f"the clock of {world} ends at {end:.3f}s")
-        return len(log) - 1
-    step = passes(low)
-    return max(0, (step or 0) - 1)
+    return passes(low) or 0

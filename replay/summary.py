@@ -7,14 +7,31 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Run
+from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from replay.lives import Life
     from replay.log import Log
 
 #: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
 CHECKED: Final = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A world and its clock.
+
+    Attributes:
+        world: its name.
+        life: which world of that name it is, from 1.
+        seconds: its simulated time at its last change, s.
+    """
+
+    world: str
+    life: int
+    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +42,7 @@ class Summary:
         plan: name of the plan.
         started: wall-clock time of the first record.
         seconds: wall-clock time from the first to the last record.
-        simulated: simulated time of each world at its last change, s.
+        worlds: with the simulated time that each reached, in the order of their opening.
         outcome: "succeeded", "failed", "running" or "cut off".
         failure: what the plan failed with, as "Type: message"; or "".
         records: number of steps.
@@ -40,7 +57,7 @@ class Summary:
     plan: str
     started: datetime
     seconds: float
-    simulated: Mapping[str, float]
+    worlds: tuple[Simulated, ...]
     outcome: str
     failure: str
     records: int
@@ -50,6 +67,11 @@ class Summary:
     missing: str
     checked: bool
     metadata: Mapping[str, str]
+
+
+def _simulated(log: Log, life: Life) -> Simulated:
+    end = log.end_of(life)
+    return Simulated(life.world, life.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
 
 
 def summary(log: Log) -> Summary:
@@ -70,7 +92,7 @@ def summary(log: Log) -> Summary:
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc),
         seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
-        simulated={world: log.clock(world) for world in log.worlds},
+        worlds=tuple(_simulated(log, life) for life in log.lives),
         outcome=outcome,
         failure=f"{end.failure.type}: {end.failure.message}" if end is not None and end.HasField("failure") else "",
         records=len(log),

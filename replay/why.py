@@ -11,12 +11,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, Run
+from recorder.records import Query
+from replay.breakdown import breakdown
 from replay.diff import Difference, difference
 from replay.errors import NoSuchStep
-from replay.failures import Failures, failures
+from replay.failures import failures
 from replay.plain import mentions, plain_arguments
-from replay.raised import Raised, raised
 from replay.source import Source
 from replay.steps import final_of
 from replay.summary import Summary, summary
@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.records import Failure
-    from replay.failures import Attempt
+    from replay.breakdown import Breakdown
+    from replay.failures import Attempt, Failures
     from replay.log import Log
     from replay.plain import Plain
+    from replay.raised import Raised
     from replay.source import Line
     from replay.state import Attachment, Body, State, World
 
@@ -77,10 +79,19 @@ class Asked:
     Attributes:
         query: its record.
         moved: what it was about and has moved between it and the failure.
+        gone: what it was about and was removed since.
+        world: the world that it was asked in, where that isn't the one of the failure; "" where it is.
     """
 
     query: Query
-    moved: tuple[str, ...]
+    moved: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    world: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is about what there was at the failure, and nothing of that has changed since."""
+        return not (self.moved or self.gone or self.world)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +118,10 @@ class Why:
         raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code did it.
         line: the plan's line that started that task.
+        world: the world that it was about; None if none was open.
+        is_default: whether that is the one that is meant where no world is named.
         things: the robot, and the bodies that it was about.
+        absent: names of such bodies that weren't there any more.
         tries: all attempts of the same with the same objects, this one last.
         others: how many other tasks failed before.
         asked: the queries that it rested on, in their order.
@@ -123,7 +137,10 @@ class Why:
     raised: tuple[Raised, ...] = ()
     task: Attempt | None = None
     line: Line | None = None
+    world: World | None = None
+    is_default: bool = True
     things: tuple[Thing, ...] = ()
+    absent: tuple[str, ...] = ()
     tries: tuple[Try, ...] = ()
     others: int = 0
     asked: tuple[Asked, ...] = ()
@@ -140,7 +157,7 @@ class Why:
     @property
     def warning(self) -> Query | None:
         """The last query that said no, and still was so: nothing that it was about has moved since."""
-        told = (asked.query for asked in reversed(self.asked) if not asked.moved)
+        told = (asked.query for asked in reversed(self.asked) if asked.holds)
         return next((query for query in told if query.answer_json == "false"), None)
 
 
@@ -149,29 +166,23 @@ def why(log: Log, step: int | str | None = None) -> Why:
 
     Args:
         log: the recording.
-        step: one of a task that failed, or the first after it did; by default what the plan failed with, or the last
-            task that failed if it didn't.
+        step: one of a task that failed, or the first after it did; by default that of
+            :func:`replay.breakdown.breakdown`.
 
     Raises:
         NoSuchStep: there is no such step, or nothing failed until then.
     """
     found = failures(log)
-    source = Source(log)
     run = summary(log)
     if step is not None:
-        return _of_task(log, source, run, _chosen(log, found, log.step(step)))
-    end = log[-1]
-    if isinstance(end, Run) and end.HasField("failure"):
-        chain = _chain(end.failure, source)
-        began = _began(found, chain)
-        if began is not None:
-            task, first = began
-            return _of_task(log, source, run, task, end.failure, chain[first:])
-        return _of_plan(log, run, found, end.failure, chain)
+        return _of_task(log, run, _chosen(log, found, log.step(step)))
+    broken = breakdown(log, found)
     running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
-    if found.origins:
-        return _of_task(log, source, run, found.origins[-1], running=running)
-    return Why(run, final_of(log), None, running=running)
+    if broken is None:
+        return Why(run, final_of(log), None, running=running)
+    if broken.task is None:
+        return _of_plan(log, run, found, broken)
+    return _of_task(log, run, broken.task, broken, running)
 
 
 def _chosen(log: Log, found: Failures, step: int) -> Attempt:
@@ -186,53 +197,27 @@ def _chosen(log: Log, found: Failures, step: int) -> Attempt:
     return until[-1]
 
 
-def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
-    """The exceptions, causes first; the last one is the failure itself, whose words the record has."""
-    chain = raised(failure.traceback, source)
-    last = chain.pop() if chain else Raised("", "", ())
-    return (*chain, Raised(failure.type, failure.message, last.lines))
-
-
-def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
-    """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
-
-    What was raised before that had been dealt with, even if Python goes on telling it.
-    """
-    for number in range(len(chain) - 1, -1, -1):
-        error = chain[number].type, chain[number].message
-        for task in reversed(found.origins):
-            if any(outer.error == error for outer in task.around()):
-                return task, number
-    return None
-
-
 def _of_task(
-    log: Log,
-    source: Source,
-    run: Summary,
-    task: Attempt,
-    failure: Failure | None = None,
-    chain: tuple[Raised, ...] = (),
-    running: tuple[Attempt, ...] = (),
+    log: Log, run: Summary, task: Attempt, broken: Breakdown | None = None, running: tuple[Attempt, ...] = ()
 ) -> Why:
-    motion = task.motion
-    began, ended = motion.started.seq, task.finished.seq if task.finished else motion.started.seq
+    source, motion = Source(log), task.motion
+    began, ended = motion.started.seq, task.end
     before = failures(log, ended + 1)
     objects = _objects(motion.parameters)
-    alike = [other for other in before.origins if _is_alike(other.motion, motion, objects)]
+    alike = [other for other in before.origins if _is_alike(log, other.motion, motion, objects)]
     previous = next(
         (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < began), None
     )
     same = before.successes.get((motion.started.kind, motion.started.name))
-    window = max((_ended(each) for each in (previous, same) if each is not None), default=0)
+    window = max((each.end for each in (previous, same) if each is not None), default=0)
     asked, earlier = _asked(log, window, ended, objects, _ids(task))
     state = log.state_at(ended)
     world = _world(state, objects, asked)
     return Why(
         run,
         ended,
-        failure or task.failure,
-        chain,
+        (broken.failure if broken is not None else None) or task.failure,
+        broken.chain if broken is not None else (),
         task,
         next(
             (
@@ -242,10 +227,13 @@ def _of_task(
             ),
             None,
         ),
-        tuple(_things(world, [*(name for name, _ in objects), *_named(world, task)])),
+        world,
+        world is None or world is state.world(),
+        tuple(_things(world, [*_of_world(objects, world), *_named(world, task)])),
+        tuple(name for name in _of_world(objects, world) if world is not None and name not in world.bodies),
         tuple(_tries(log, alike, world)),
         sum(1 for other in before.origins if other not in alike),
-        tuple(_with_moves(log, query, state) for query in asked),
+        tuple(_with_changes(log, query, world) for query in asked),
         earlier,
         _since(log, same, state),
         _since(log, before.last_success, state),
@@ -253,10 +241,9 @@ def _of_task(
     )
 
 
-def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: tuple[Raised, ...]) -> Why:
+def _of_plan(log: Log, run: Summary, found: Failures, broken: Breakdown) -> Why:
     """Of a failure that the plan's own code raised, not a task."""
-    step = final_of(log)
-    state = log.state_at(step)
+    state = log.state_at(broken.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
     asked, earlier = _asked(log, window, len(log), (), ())
@@ -264,12 +251,14 @@ def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: t
     world = _world(state, objects, asked)
     return Why(
         run,
-        step,
-        failure,
-        chain,
-        things=tuple(_things(world, [name for name, _ in objects])),
+        broken.step,
+        broken.failure,
+        broken.chain,
+        world=world,
+        is_default=world is None or world is state.world(),
+        things=tuple(_things(world, _of_world(objects, world))),
         others=len(found.origins),
-        asked=tuple(_with_moves(log, query, state) for query in asked),
+        asked=tuple(_with_changes(log, query, world) for query in asked),
         earlier=earlier,
         last=_since(log, last, state),
     )
@@ -278,15 +267,14 @@ def _of_plan(log: Log, run: Summary, found: Failures, failure: Failure, chain: t
 # --- what was tried --------------------------------------------------------------------------------------------------
 
 
-def _is_alike(task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
+def _is_alike(log: Log, task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
+    """Whether it is the same that was tried, with one of the same bodies: those of a later world are others."""
     if (task.started.kind, task.started.name) != (wanted.started.kind, wanted.started.name):
         return False
-    told = _objects(task.parameters)
-    return not objects or not told or bool(set(told).intersection(objects))
-
-
-def _ended(task: Attempt) -> int:
-    return task.finished.seq if task.finished is not None else task.started.seq
+    told = set(_objects(task.parameters))
+    now, then = wanted.started.seq, task.started.seq
+    common = told.intersection(objects)
+    return not objects or not told or any(log.life_at(world, now) == log.life_at(world, then) for _, world in common)
 
 
 def _ids(task: Attempt) -> set[int]:
@@ -333,16 +321,23 @@ def _asked(
     return found[-_MOST_ASKED:], max(len(found) - _MOST_ASKED, 0)
 
 
-def _with_moves(log: Log, query: Query, now: State) -> Asked:
+def _with_changes(log: Log, query: Query, world: World | None) -> Asked:
+    """A query with what became of the things that it was about, until the failure in a world."""
     then = log.state_at(query.seq).worlds.get(query.world)
-    today = now.worlds.get(query.world)
-    moved = []
+    if then is None or world is None:
+        return Asked(query)
+    if then.title != world.title:
+        return Asked(query, world=then.title)
+    moved, gone = [], []
     for name, _ in dict.fromkeys(_objects(plain_arguments(query.arguments))):
-        before = then.bodies.get(name) if then is not None else None
-        after = today.bodies.get(name) if today is not None else None
-        if before is not None and (after is None or math.dist(before.position, after.position) > _NEAR):
+        before, after = then.bodies.get(name), world.bodies.get(name)
+        if before is None:
+            continue
+        if after is None:
+            gone.append(name)
+        elif math.dist(before.position, after.position) > _NEAR:
             moved.append(name)
-    return Asked(query, tuple(moved))
+    return Asked(query, tuple(moved), tuple(gone))
 
 
 # --- what was so -----------------------------------------------------------------------------------------------------
@@ -355,6 +350,11 @@ def _world(state: State, objects: Iterable[tuple[str, str]], asked: Iterable[Que
         if name in opened:
             return opened[name]
     return max(opened.values(), key=lambda world: bool(world.robot), default=None)
+
+
+def _of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
+    """The names of those bodies that are of a world."""
+    return [name for name, place in objects if world is not None and place == world.name]
 
 
 def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:

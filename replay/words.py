@@ -73,6 +73,30 @@ def number(told: float) -> str:
     return f"{told:.3f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(told) < 5e-4 else _trimmed(f"{told:.3f}")
 
 
+def apart(before: float, after: float) -> tuple[str, str]:
+    """Two numbers with as many digits as it takes to tell them apart.
+
+    Args:
+        before: one.
+        after: the other.
+    """
+    if number(before) != number(after) or before == after:
+        return number(before), number(after)
+    told = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in range(3, 17))
+    return next((pair for pair in told if pair[0] != pair[1]), (repr(before), repr(after)))
+
+
+def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
+    """Two positions or the like, with as many digits as it takes to tell them apart.
+
+    Args:
+        before: one.
+        after: the other.
+    """
+    pairs = [apart(one, other) for one, other in zip(before, after, strict=True)]
+    return f"[{', '.join(one for one, _ in pairs)}]", f"[{', '.join(other for _, other in pairs)}]"
+
+
 def _trimmed(text: str) -> str:
     return text.rstrip("0").rstrip(".")
 
@@ -124,7 +148,19 @@ def length(metres: float) -> str:
     Args:
         metres: in m.
     """
-    return f"{metres:.3f} m" if metres >= 0.1 else f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else "less than 0.1 mm"
+    if metres >= 0.1:
+        return f"{metres:.3f} m"
+    return f"{metres * 1e3:.1f} mm" if metres >= 5e-5 else f"{metres * 1e3:.1g} mm"
+
+
+def degrees(angle: float) -> str:
+    """An angle.
+
+    Args:
+        angle: in rad.
+    """
+    told = math.degrees(angle)
+    return f"{told:.1f} degrees" if told >= 0.05 else f"{told:.1g} degrees"
 
 
 def place(line: Line) -> str:

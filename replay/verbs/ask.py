@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from replay.errors import ReplayError
-from replay.outlet import results_only
+from replay.outlet import results_only, tell, tell_json
 from replay.steps import HINT
 
 if TYPE_CHECKING:
@@ -48,11 +48,11 @@ def run(log: Log, options: argparse.Namespace) -> int:
         else:
             found = ask(log, options.step, options.question, world=options.world, moves=moves)
     if options.json:
-        print(json.dumps(_plain(found), ensure_ascii=False))
+        tell_json(_plain(found))
         return 0
-    print(f"{found.question}: {_told(found.answer)}")
+    tell(f"{found.question}: {_told(found.answer)}")
     for line in _lines(found.evidence, "  "):
-        print(line)
+        tell(line)
     return 0
 
 

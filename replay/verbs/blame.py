@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe
 from replay import words
 from replay.blame import blame
+from replay.outlet import tell, tell_json
 from replay.plain import plain_record
 from replay.steps import HINT
 
@@ -23,20 +23,23 @@ if TYPE_CHECKING:
     from replay.source import Line
 
 
+_NOTABLE: Final = math.radians(0.05)  # a turn that is worth a word
+
+
 def add(parser: argparse.ArgumentParser) -> None:
     """Takes what to look at."""
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
     parser.add_argument("--at", metavar="STEP", help=f"until this step: {HINT}")
-    parser.add_argument("--world", metavar="NAME", help="in this world")
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last that has it)")
 
 
 def run(log: Log, options: argparse.Namespace) -> int:
     """Prints who did it."""
     found = blame(log, options.object, options.at, options.world)
     if options.json:
-        print(json.dumps(facts(found)))
+        tell_json(facts(found))
     else:
-        print("\n".join(lines(found)))
+        tell("\n".join(lines(found)))
     return 0
 
 
@@ -48,6 +51,7 @@ def facts(found: Blame) -> dict[str, object]:
     """
     return {
         "world": found.world,
+        "other_worlds": found.others,
         "object": found.body,
         "joint": found.joint,
         "how": found.how,
@@ -95,25 +99,29 @@ def _place(line: Line | None) -> dict[str, object] | None:
     return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
 
 
-def lines(found: Blame) -> Iterator[str]:
+def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
     """What was found, for people.
 
     Args:
         found: the blame.
+        is_earlier: whether it is what happened before another one, which was told.
     """
     yield _headline(found)
     yield f"  step {found.record.seq}: {words.line(found.record)}"
     yield from _because(found.causes, "  ")
     for carried in found.carried:
         yield from _held(carried)
+    if found.others and not is_earlier:
+        yield f"  ({found.body} is in {words.names(found.others)} too: --world tells which one is meant)"
     if found.earlier is not None:
         yield ""
         yield "Before that:"
-        yield from lines(found.earlier)
+        yield from lines(found.earlier, is_earlier=True)
 
 
 def _headline(found: Blame) -> str:
     name = f"{found.body}.{found.joint}" if found.joint else found.body
+    name += f" in {found.world}" if found.others else ""
     where = _value(found.after)
     if isinstance(found.record, Keyframe):
         return f"{name} was at {where} already when the recording began"
@@ -126,6 +134,9 @@ def _headline(found: Blame) -> str:
         "physics": "moved in simulation",
         "reset": "moved when the world was reset",
     }
+    if isinstance(found.before, float) and isinstance(found.after, float):
+        before, after = words.apart(found.before, found.after)
+        return f"{name} {by[found.how]}: from {before} to {after}"
     return f"{name} {by[found.how]}: {_size(found)} to {where}"
 
 
@@ -140,10 +151,10 @@ def _value(value: Pose | float) -> str:
 
 
 def _size(found: Blame) -> str:
-    if isinstance(found.before, float) and isinstance(found.after, float):
-        return f"from {words.number(found.before)}"
-    turned = f", turned by {math.degrees(found.angle):.1f} degrees," if found.angle >= math.radians(0.05) else ""
-    return f"by {words.length(found.distance)}{turned}"
+    turned = f"turned by {words.degrees(found.angle)}"
+    if found.angle and not found.distance:
+        return f"{turned}, not moved away,"
+    return f"by {words.length(found.distance)}" + (f", {turned}," if found.angle >= _NOTABLE else "")
 
 
 def _because(why: Causes, indent: str) -> Iterator[str]:

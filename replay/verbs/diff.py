@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +10,7 @@ from replay import words
 from replay.diff import difference
 from replay.errors import NoSuchStep
 from replay.log import open_log
+from replay.outlet import remark, tell, tell_json
 from replay.plain import plain_record
 from replay.runs import compare
 from replay.steps import HINT
@@ -46,9 +45,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
-            print(json.dumps(facts(found)))
+            tell_json(facts(found))
         else:
-            print("\n".join(lines(found, whole=options.all)))
+            tell("\n".join(lines(found, whole=options.all)))
         return _FINE
     if not Path(options.first).exists():
         raise NoSuchStep(options.first, len(log), "give two steps of this recording, or the path of another one")
@@ -56,12 +55,12 @@ def run(log: Log, options: argparse.Namespace) -> int:
         compared = compare(log, other, options.tolerance)
         missing = other.missing
     if options.json:
-        print(json.dumps(_run_facts(compared)))
+        tell_json(_run_facts(compared))
     else:
-        print("\n".join(_run_lines(compared, whole=options.all)))
+        tell("\n".join(_run_lines(compared, whole=options.all)))
     code = _PARTED if compared.parting is not None or compared.world else _FINE
     if missing:
-        print(f"pycram-replay: {other.path} is incomplete: {missing}", file=sys.stderr)
+        remark(f"{other.path} is incomplete: {missing}")
     return code or (_INCOMPLETE if missing else _FINE)
 
 
@@ -137,14 +136,12 @@ def _plain(value: object) -> str:
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     told = []
     if change.moved or (whole and (change.distance or change.angle)):
-        turned = f", turned by {math.degrees(change.angle):.1f} degrees" if change.angle >= math.radians(0.05) else ""
-        told.append(
-            f"moved by {words.length(change.distance)}{turned}: "
-            f"{words.vector(change.before[0])} -> {words.vector(change.after[0])}"
-        )
+        turned = f", turned by {words.degrees(change.angle)}" if whole or change.angle >= math.radians(0.05) else ""
+        before, after = words.vectors(change.before[0], change.after[0])
+        told.append(f"moved by {words.length(change.distance)}{turned}: {before} -> {after}")
     if change.changed_hands:
-        before, after = change.carrier
-        told.append(f"held by {_holder(after)}, before by {_holder(before)}")
+        holder, former = change.carrier[1], change.carrier[0]
+        told.append(f"held by {_holder(holder)}, before by {_holder(former)}")
     told += [f"has another {detail}" for detail in change.details]
     joints = change.joints if whole else change.moved_joints
     if len(joints) > _FEW and not whole:
@@ -159,7 +156,8 @@ def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
 
 
 def _joint(name: str, pair: tuple[float, float]) -> str:
-    return f"{name} {words.number(pair[0])} -> {words.number(pair[1])}"
+    before, after = words.apart(*pair)
+    return f"{name} {before} -> {after}"
 
 
 def _travel(item: tuple[str, tuple[float, float]]) -> float:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from typing import TYPE_CHECKING
 
+from replay.lives import title
+from replay.outlet import tell, tell_json
 from replay.summary import summary
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from replay.log import Log
     from replay.summary import Summary
 
+_FEW = 8  # worlds that are told one by one
 _TOLD = ("pycram", "pybullet", "python", "platform")
 
 
@@ -26,9 +28,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     facts = summary(log)
     if options.json:
         told = dataclasses.asdict(facts) | {"file": str(log.path), "started": facts.started.isoformat()}
-        print(json.dumps(told))
+        tell_json(told)
     else:
-        print("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
+        tell("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
     return 0
 
 
@@ -43,11 +45,18 @@ def _lines(log: Log, facts: Summary) -> list[tuple[str, str]]:
         ("outcome", facts.outcome),
         ("failure", facts.failure),
         ("steps", f"0 to {facts.records - 1}: {counts}"),
-        ("worlds", ", ".join(f"{world} ({seconds:.3f} s simulated)" for world, seconds in facts.simulated.items())),
+        ("worlds", _worlds(facts)),
         ("files", f"{facts.attachments} attached"),
         ("versions", ", ".join(f"{key} {facts.metadata[key]}" for key in _TOLD if key in facts.metadata)),
         ("complete", f"no: {facts.missing}" if facts.missing else whole),
     ]
+
+
+def _worlds(facts: Summary) -> str:
+    told = [f"{title(each.world, each.life)}: {each.seconds:.3f} s simulated" for each in facts.worlds[:_FEW]]
+    if len(facts.worlds) > _FEW:
+        told.append(f"{len(facts.worlds) - _FEW} more")
+    return ", ".join(told)
 
 
 def _size(count: int) -> str:

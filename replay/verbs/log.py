@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import threading
 from typing import TYPE_CHECKING
 
 from replay.chunks import KINDS
+from replay.outlet import remark, tell, tell_json
 from replay.plain import kind_of, plain_record
 from replay.search import Filter, Search
 from replay.steps import HINT
@@ -42,10 +41,10 @@ def run(log: Log, options: argparse.Namespace) -> int:
     found = follow(log, search, start) if options.follow else search.matches(start, stop)
     for record, line in found:
         if options.json:
-            print(json.dumps(plain_record(record) | {"text": line}), flush=options.follow)
+            tell_json(plain_record(record) | {"text": line}, flush=options.follow)
         else:
             clock = f"{record.sim_step / 240:.3f}s" if record.world else ""
-            print(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)
+            tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)
     return 0
 
 
@@ -68,6 +67,6 @@ def follow(
         start = len(log)
         if log.closed or not live:
             if not log.closed:
-                print("pycram-replay: nobody is writing this recording any more", file=sys.stderr)
+                remark("nobody is writing this recording any more")
             return
         wait()

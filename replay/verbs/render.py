@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from replay.errors import ReplayError
-from replay.outlet import results_only
+from replay.outlet import results_only, tell, tell_json
 from replay.steps import HINT
 
 if TYPE_CHECKING:
@@ -52,9 +51,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
         raise ReplayError(f"{file}: can't be written: {error}") from error
     if options.json:
         told = {"step": step, "file": str(file), "width": picture.width, "height": picture.height}
-        print(json.dumps(told, ensure_ascii=False))
+        tell_json(told)
     else:
-        print(file)
+        tell(str(file))
     sys.stdout.flush()
     return 0
 

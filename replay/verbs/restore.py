@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from replay.cli import FINE
 from replay.errors import ReplayError
-from replay.outlet import results_only
+from replay.outlet import remark, results_only, tell_json, visible
 from replay.steps import HINT
 
 if TYPE_CHECKING:
@@ -63,13 +61,14 @@ def _do(log: Log, step: int, world: BulletWorld, script: Path | None, options: a
         with results_only():
             return run_script(script, given)
     if options.json:
-        print(json.dumps(_plain(step, world, exact=options.exact), ensure_ascii=False))
+        tell_json(_plain(step, world, exact=options.exact))
     elif options.gui and not options.shell:
-        print(f"{world.name}: close the window, or press Ctrl-C, to end", file=sys.stderr)
+        remark(f"{world.name}: close the window, or press Ctrl-C, to end")
         watch(world)
     else:
         told = ", ".join(name for name in given if name not in ("log", "step", "btr"))
-        shell(given, f"{world.name}, {world.sim_step / 240:.3f} s simulated. There are {told}; log, step and btr.")
+        banner = f"{world.name}, {world.sim_step / 240:.3f} s simulated. There are {told}; log, step and btr."
+        shell(given, visible(banner))
     return FINE
 
 

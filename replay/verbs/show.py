@@ -6,6 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from replay import words
+from replay.outlet import tell, tell_json
 from replay.plain import kind_of, plain_record
 from replay.steps import HINT
 
@@ -29,13 +30,13 @@ def run(log: Log, options: argparse.Namespace) -> int:
     record = log[log.step(options.step)]
     told = plain_record(record)
     if options.json:
-        print(json.dumps(told))
+        tell_json(told)
         return 0
-    print(f"step {record.seq}: {kind_of(record)}: {words.line(record)}")
+    tell(f"step {record.seq}: {kind_of(record)}: {words.line(record)}")
     told.pop("step")
     told.pop("kind")
     for line in _lines(told, "  "):
-        print(line)
+        tell(line)
     return 0
 
 

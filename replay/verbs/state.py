@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from typing import TYPE_CHECKING
 
+from replay.outlet import remark, tell, tell_json
 from replay.plain import plain_state
 from replay.steps import HINT
 
@@ -32,26 +31,26 @@ def run(log: Log, options: argparse.Namespace) -> int:
     elif options.world is not None:
         state.world(options.world)
     if state.doubt:
-        print(f"pycram-replay: {state.doubt}", file=sys.stderr)
+        remark(state.doubt)
     told = plain_state(state, options.object, options.world)
     if options.json:
-        print(json.dumps(told))
+        tell_json(told)
         return 0
-    print(f"after step {state.step}")
+    tell(f"after step {state.step}")
     for world in state.worlds.values():
         if options.world in (None, world.name) and (options.object is None or options.object in world.bodies):
             for line in _world(world, options.object):
-                print(line)
+                tell(line)
     return 0
 
 
 def _world(world: World, only: str | None) -> Iterator[str]:
     if not world.open:
-        yield f"{world.name}: closed"
+        yield f"{world.title}: closed"
         return
     gravity = ", ".join(f"{part:g}" for part in world.gravity)
     robot = f", robot {world.robot}" if world.robot else ""
-    yield f"{world.name}: {world.seconds:.3f} s simulated, gravity [{gravity}]{robot}"
+    yield f"{world.title}: {world.seconds:.3f} s simulated, gravity [{gravity}]{robot}"
     width = max((len(name) for name in world.bodies), default=0)
     for body in world.bodies.values():
         if only in (None, body.name):

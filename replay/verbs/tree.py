@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
+import sys
 from typing import TYPE_CHECKING
 
 from recorder.task_picture import dot, svg
 from recorder.task_text import facts, lines
+from replay.outlet import tell, tell_json
 from replay.steps import HINT
 from replay.tree import tree
 
@@ -30,14 +31,16 @@ def run(log: Log, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:
-        print(json.dumps(facts(found), ensure_ascii=False))
+        tell_json(facts(found))
     elif options.dot:
-        print(dot(found), end="")
+        tell(dot(found), end="")
     elif options.svg:
-        print(svg(found, options.depth, whole=options.all), end="")
+        letters = sys.stdout.encoding or "ascii"  # a picture has another way to tell those that aren't there
+        picture = svg(found, options.depth, whole=options.all).encode(letters, "xmlcharrefreplace")
+        tell(picture.decode(letters), end="")
     elif not found.roots:
-        print("no tasks")
+        tell("no tasks")
     else:
         for line in lines(found, options.depth, whole=options.all):
-            print(line)
+            tell(line)
     return 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 import time
@@ -10,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from replay.cli import FAILED, FINE
-from replay.outlet import results_only
+from replay.outlet import results_only, tell, tell_json
 
 if TYPE_CHECKING:
     import argparse
@@ -39,10 +38,10 @@ def run(log: Log, options: argparse.Namespace) -> int:
         verdict = verify(log, progress)
     seconds = time.perf_counter() - start
     if options.json:
-        print(json.dumps(_plain(verdict, seconds), ensure_ascii=False))
+        tell_json(_plain(verdict, seconds))
     else:
         for line in _lines(verdict, seconds):
-            print(line)
+            tell(line)
     return FINE if verdict.sound else FAILED
 
 

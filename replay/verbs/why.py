@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
-from replay.outlet import results_only
+from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
 from replay.plain import plain_arguments, plain_record
 from replay.steps import HINT
@@ -46,13 +44,13 @@ def run(log: Log, options: argparse.Namespace) -> int:
     found = why(log, options.step)
     pictures, refused = _pictures(log, found, options.pictures)
     if options.json:
-        print(json.dumps(facts(found) | {"pictures": pictures}))
+        tell_json(facts(found) | {"pictures": pictures})
     else:
-        print("\n".join(lines(found, str(log.path))))
+        tell("\n".join(lines(found, str(log.path))))
         if pictures:
-            print("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
+            tell("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
     if refused:
-        print(f"pycram-replay: no pictures: {refused}", file=sys.stderr)
+        remark(f"no pictures: {refused}")
         return _INCOMPLETE
     return _FINE
 
@@ -91,6 +89,7 @@ def facts(found: Why) -> dict[str, object]:
         "task": found.task and _task_facts(found.task),
         "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
         "line": found.line and _line_facts(found.line),
+        "world": found.world and found.world.name,
         "things": [
             {
                 "object": thing.body.name,
@@ -103,12 +102,17 @@ def facts(found: Why) -> dict[str, object]:
             }
             for thing in found.things
         ],
+        "absent": found.absent,
         "tries": [
             _task_facts(each.task.motion) | {"error": each.task.error, "robot": each.robot and each.robot.pose}
             for each in found.tries
         ],
         "others": found.others,
-        "asked": [plain_record(asked.query) | {"moved_since": asked.moved} for asked in found.asked],
+        "asked": [
+            plain_record(asked.query)
+            | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
+            for asked in found.asked
+        ],
         "earlier": found.earlier,
         "same": found.same and _since_facts(found.same),
         "last": found.last and _since_facts(found.last),
@@ -151,7 +155,7 @@ def lines(found: Why, path: str) -> Iterator[str]:
         return
     yield from _section("Where in the plan", _where(found))
     yield from _section("What failed", _what(found))
-    yield from _section(f"How things were, at step {found.step}", (_thing(thing) for thing in found.things))
+    yield from _section(f"How things were{_in_world(found)}, at step {found.step}", _things(found))
     yield from _section("What was tried", _tried(found))
     yield from _section("What the robot asked, and was told", _asked(found))
     yield from _section("What has changed since the last success", _changed(found))
@@ -197,19 +201,15 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
         if found.same is None:
             yield f"{name} was tried {times} times, and failed each time."
         else:
-            yield f"{name} failed {times} times; it last succeeded at step {_end(found.same.task)}."
-        yield f"The last, {_call(motion)}, ended at step {_end(task)}: {told}"
+            yield f"{name} failed {times} times; it last succeeded at step {found.same.task.end}."
+        yield f"The last, {_call(motion)}, ended at step {task.end}: {told}"
         return
     lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
-    yield f"{lead} {_call(motion)} failed at step {_end(task)}: {told}"
+    yield f"{lead} {_call(motion)} failed at step {task.end}: {told}"
 
 
 def _call(task: Attempt) -> str:
     return words.call(task.started.name, task.parameters)
-
-
-def _end(task: Attempt) -> int:
-    return task.finished.seq if task.finished is not None else task.started.seq
 
 
 def _running(found: Why) -> Iterator[str]:
@@ -254,9 +254,10 @@ def _what(found: Why) -> Iterator[str]:
         plain = task.started.kind in ("motion", "process-module", "failure-handling", "attempt")
         kind = "" if plain else f" {task.started.kind}"
         called = task.started.name if task.started.kind == "process-module" else _call(task)
-        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{_end(task)}, {state}]"
+        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
-        yield f"{'  ' * len(path)}{found.task.failure.type}: {found.task.failure.message}"
+        text = f"{found.task.failure.type}: {found.task.failure.message}"
+        yield from (f"{'  ' * len(path)}{line}" for line in text.splitlines())
     told = {each.task for each in found.tries}  # in a section of their own
     siblings = [
         part
@@ -264,7 +265,18 @@ def _what(found: Why) -> Iterator[str]:
         if part.failure is not None and part not in path and part.origin not in told
     ]
     for part in siblings[:_LAST]:
-        yield f"also failed: {_call(part)}: {part.error[1] if part.error else ''}"
+        yield f"also failed: {_call(part)}: {words.one_line(part.error[1]) if part.error else ''}"
+
+
+def _in_world(found: Why) -> str:
+    """Which world it is, where that isn't plain."""
+    world = found.world
+    return f" in {world.title}" if world is not None and not (found.is_default and world.life == 1) else ""
+
+
+def _things(found: Why) -> Iterator[str]:
+    yield from (_thing(thing) for thing in found.things)
+    yield from (f"{name} isn't there any more" for name in found.absent)
 
 
 def _thing(thing: Thing) -> str:
@@ -327,8 +339,12 @@ def _asked(found: Why) -> Iterator[str]:
         told = words.reasons(query)
         yield f"step {query.seq}: {words.question(query)}"
         yield f"    {words.answer(query)}" + (f": {told}" if told else "")
+        if asked.world:
+            yield f"    asked in another world: {asked.world}"
         if asked.moved:
             yield f"    since then {words.names(asked.moved)} moved"
+        if asked.gone:
+            yield f"    since then {words.names(asked.gone)} {'was' if len(asked.gone) == 1 else 'were'} removed"
 
 
 def _changed(found: Why) -> Iterator[str]:
@@ -345,7 +361,7 @@ def _changed(found: Why) -> Iterator[str]:
 def _since(since: Since) -> Iterator[str]:
     task = since.task
     told = list(diff.lines(since.difference)) if since.difference.notable or since.difference.came else []
-    name = f"{_call(task)} succeeded at step {_end(task)}"
+    name = f"{_call(task)} succeeded at step {task.end}"
     if not told:
         yield f"{name}; since then nothing in the world has changed."
         return
@@ -356,18 +372,19 @@ def _since(since: Since) -> Iterator[str]:
 
 
 def _commands(found: Why, path: str) -> Iterator[str]:
+    world = "" if found.world is None or found.is_default else f" --world {shlex.quote(found.world.name)}"
     if found.asked:
         yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
     things = [thing.body.name for thing in found.things]
     if things:
         name = shlex.quote(things[-1])
-        yield f"pycram-replay state {path} {found.step} {name}"
-        yield f"pycram-replay blame {path} {name} --at {found.step}"
+        yield f"pycram-replay state {path} {found.step} {name}{world}"
+        yield f"pycram-replay blame {path} {name} --at {found.step}{world}"
     if found.warning is not None:
-        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}"
+        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}{world}"
     if things:
-        yield f"pycram-replay render {path} {found.step} -o moment.png"
-        yield f"pycram-replay restore {path} {found.step} --shell"
+        yield f"pycram-replay render {path} {found.step} -o moment.png{world}"
+        yield f"pycram-replay restore {path} {found.step} --shell{world}"
 
 
 def _again(query: Query) -> str:

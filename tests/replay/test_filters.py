@@ -70,5 +70,5 @@ def test_by_world_text_and_steps(small_log: Path, picked) -> None:
         (failed, again) = picked("--text", "WOULD FALL", "--kind", "task")
         assert (failed, again) == (log.step("task:put@end"), log.step("task:put#2@end"))
         assert picked("--from", "-3") == list(range(len(log) - 3, len(log)))
-        assert picked("--from", "task:put@start", "--to", "failure") == list(range(failed - 3, failed + 1))
+        assert picked("--from", "task:put#2@start", "--to", "failure") == list(range(again - 3, again + 1))
         assert picked("--to", "0.1s") == list(range(log.step("0.1s") + 1))

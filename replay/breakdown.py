@@ -1,0 +1,83 @@
+"""Where a plan broke: the one failure that explains how it ended. ``why``, the step ``failure`` and trees go by it.
+
+A plan that failed did so with an exception: it began in the task that raised it, or that raised the nearest of its
+causes; else in the plan's own code. Of a plan that didn't fail, or whose recording was cut, it is the last failure that
+no task around it dealt with, else the last one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from recorder.records import Run
+from recorder.tasks import decisive
+from replay.failures import failures
+from replay.raised import Raised, raised
+from replay.source import Source
+from replay.steps import final_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from recorder.records import Failure
+    from replay.failures import Attempt, Failures
+    from replay.log import Log
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdown:
+    """Where a plan broke.
+
+    Attributes:
+        step: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step
+            before worlds were closed.
+        task: the task in which it began; None if the plan's own code did it.
+        failure: what the plan failed with; None if it didn't fail.
+        chain: the exceptions from that task on that led to the plan's failure, causes first.
+    """
+
+    step: int
+    task: Attempt | None
+    failure: Failure | None = None
+    chain: tuple[Raised, ...] = ()
+
+
+def breakdown(log: Log, found: Failures | None = None) -> Breakdown | None:
+    """Where a recording's plan broke; None if nothing failed.
+
+    Args:
+        log: the recording.
+        found: its failures, where they are known already.
+    """
+    failed = found if found is not None else failures(log)
+    end = log[-1]
+    if not isinstance(end, Run) or not end.HasField("failure"):
+        task = decisive(failed.origins)
+        return Breakdown(task.end, task) if task is not None else None
+    chain = _chain(end.failure, Source(log))
+    began = _began(failed, chain)
+    if began is None:
+        return Breakdown(final_of(log), None, end.failure, chain)
+    task, first = began
+    return Breakdown(task.end, task, end.failure, chain[first:])
+
+
+def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
+    """The exceptions, causes first; the last one is the failure itself, whose words the record has."""
+    chain = raised(failure.traceback, source)
+    last = chain.pop() if chain else Raised("", "", ())
+    return (*chain, Raised(failure.type, failure.message, last.lines))
+
+
+def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
+    """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
+
+    What was raised before that had been dealt with, even if Python goes on telling it.
+    """
+    for number in range(len(chain) - 1, -1, -1):
+        error = chain[number].type, chain[number].message
+        for task in reversed(found.origins):
+            if any(outer.error == error for outer in task.around()):
+                return task, number
+    return None

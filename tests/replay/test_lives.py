@@ -1,0 +1,143 @@
+"""A world's name that is taken again is another world: nothing mixes the two up."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from recorder import mcap_sink
+from recorder.mcap_sink import McapSink
+from recorder.records import Mutation
+from replay.cli import main
+from replay.diff import difference
+from replay.lives import title
+from replay.summary import summary
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def old_register(sink: McapSink, topic: str, world: str = "", life: int = 0) -> int:
+    """As recorders did before channels told which world of a name they are for."""
+    told = {"world": world} if world else {}
+    channel = sink._writer.add_channel(topic, "protobuf", sink._schemas[topic], told)
+    sink._channels[topic, world, life] = channel
+    return channel
+
+
+def tell_apart(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
+    if how == "shared channels":
+        monkeypatch.setattr(mcap_sink, "_MOST_CHANNELS", 0)
+    elif how == "old channels":
+        monkeypatch.setattr(McapSink, "_register", old_register)
+        monkeypatch.setattr(McapSink, "_life", lambda *_: 0)
+
+
+@pytest.fixture(params=["own channels", "shared channels", "old channels"])
+def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> replay.Log:
+    """lab (2 s), then hall (still open), then another lab (0.5 s); 120 changes in each lab, past keyframes."""
+    tell_apart(monkeypatch, request.param)
+    with recorder.record(tmp_path / "x.mcap"):
+        lab(height=9, seconds=2, ends=True)
+        hall = BulletWorld(name="hall")
+        Object("ball", "ball", "apple.stl", [5, 5, 1])
+        again = lab(height=5, seconds=0.5, ends=False)
+    again.exit()
+    hall.exit()
+    with replay.open(tmp_path / "x.mcap") as log:
+        yield log
+
+
+def lab(*, height: float, seconds: float, ends: bool) -> BulletWorld:
+    world = BulletWorld(name="lab")
+    world.set_gravity([0, 0, -9.8])
+    ball = Object("ball", "ball", "apple.stl", [0, 0, height])
+    for turn in range(120):
+        ball.set_position([0, 0, height + turn / 1000])
+    for _ in range(2):
+        world.simulate(seconds / 2)
+    if ends:
+        world.exit()
+    return world
+
+
+def openings(log: replay.Log) -> list[int]:
+    return [record.seq for record in log.records(Mutation) if record.HasField("open_world")]
+
+
+def test_lives_are_in_the_order_of_their_opening(log: replay.Log) -> None:
+    first, _, second = openings(log)
+    assert [(life.world, life.number) for life in log.lives] == [("lab", 1), ("hall", 1), ("lab", 2)]
+    early, _, late = log.lives
+    assert not late.has(second - 1)
+    assert late.has(second)
+    assert early.has(first)
+    assert early.has(second - 1)
+    assert not early.has(second)
+
+
+def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Log) -> None:
+    """Also where its name is older than another world's."""
+    state = log.state_at("last")
+    assert [(world.name, world.life) for world in state.worlds.values()] == [("hall", 1), ("lab", 2)]
+    assert (state.world().name, state.world().life) == ("lab", 2)
+    assert state.body("ball").position[:2] == (0, 0)
+    with log.world_at("last") as world:
+        assert world.name.startswith("lab@")
+
+
+@pytest.mark.parametrize(("time", "life", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)])
+def test_simulated_time_is_that_of_the_first_world_that_gets_so_far(
+    log: replay.Log, time: str, life: int, sim_step: int
+) -> None:
+    world = log.state_at(time).world("lab")
+    assert (world.life, world.sim_step, world.open) == (life, sim_step, True)
+
+
+def test_time_that_no_world_reached(log: replay.Log) -> None:
+    with pytest.raises(replay.NoSuchStep, match=r"the clock of lab ends at 2\.000s"):
+        log.step("2.1s")
+
+
+def test_each_clock_is_told(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert [(each.world, each.life, each.seconds) for each in summary(log).worlds] == [
+        ("lab", 1, 2.0),
+        ("hall", 1, 0.0),
+        ("lab", 2, 0.5),
+    ]
+    assert main(["info", str(log.path)]) == 0
+    assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
+
+
+def test_a_difference_is_between_the_same_worlds_only(log: replay.Log) -> None:
+    first, hall, _ = openings(log)
+    found = difference(log.state_at(hall - 2), log.state_at("last"))
+    assert found.closed == ("lab",)
+    assert found.opened == ("hall", "lab (2nd of that name)")
+    assert not found.changed
+    assert difference(log.state_at(first + 2), log.state_at(hall - 2)).changed
+
+
+def test_a_state_says_which_world_it_is_of(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["state", str(log.path), "last"]) == 0
+    assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
+    assert main(["state", str(log.path), "last", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["worlds"]["lab"]["life"] == 2
+
+
+def test_a_later_life_is_executed_again_by_itself(log: replay.Log) -> None:
+    told = log.state_at("last").world("lab")
+    with log.world_at("last", "lab", exact=True) as world:
+        assert world.sim_step == 120
+        assert tuple(world.get_object("ball").get_position()) == told.body("ball").position
+
+
+def test_ordinals() -> None:
+    told = [title("lab", number) for number in (1, 2, 3, 4, 11, 21, 112)]
+    assert told[0] == "lab"
+    assert [text.split("(")[1].split()[0] for text in told[1:]] == ["2nd", "3rd", "4th", "11th", "21st", "112th"]

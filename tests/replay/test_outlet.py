@@ -1,0 +1,112 @@
+"""What a recording tells reaches any terminal whole, and a terminal obeys nothing of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from recorder.span import span
+from replay.cli import main
+from replay.outlet import tell, tell_json, visible
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SPOON = "Löffel 🥄"
+RED = "\x1b[31mred\x9b0m\r\x07\u202e"
+VERBS = (
+    "info", "log", "show 4", "tree", "state last", "diff 4 last", f"blame|{SPOON}", "why",
+    f"ask|last|stable('{SPOON}')", "render|last|-o|{folder}/ö.png|--size|8x8", "verify", "restore last",
+)  # fmt: skip
+ASCII = """
+import sys
+from replay.cli import main
+for line in sys.argv[2:]:
+    verb, *rest = line.split("|") if "|" in line else line.split()
+    print(main([verb, sys.argv[1], *rest, "--json"]), file=sys.stderr)
+"""
+
+
+@pytest.fixture
+def strange(tmp_path: Path) -> Path:
+    """A recording with letters that not every terminal has, and with what makes terminals do things."""
+    file = tmp_path / "x.mcap"
+    with pytest.raises(PlanFailure):
+        fetch(file)
+    BulletWorld.current_bullet_world.exit()
+    return file
+
+
+def fetch(file: Path) -> None:
+    with recorder.record(file, name=f"plan {RED}"):
+        BulletWorld(name="Küche")
+        Object("floor", "environment", "plane.urdf")
+        spoon = Object(SPOON, RED, "spoon.stl", [0, 0, 0.5])
+        btr.stable(spoon)
+        with span("motion", f"hole {RED}", {"was": spoon, "how": RED}):
+            raise PlanFailure(f"kein {SPOON} {RED}")
+
+
+def commands(folder: Path) -> list[list[str]]:
+    told = [verb.format(folder=folder) for verb in VERBS]
+    return [line.split("|") if "|" in line else line.split() for line in told]
+
+
+def test_json_loses_nothing_where_a_terminal_has_no_letters(
+    strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = subprocess.run(
+        [sys.executable, "-c", ASCII, str(strange), *(verb.format(folder=tmp_path) for verb in VERBS)],
+        env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
+        capture_output=True,
+        check=True,
+    )
+    assert ended.stderr.decode("ascii").split() == ["0"] * len(VERBS)
+    expected = []
+    for verb, *rest in commands(tmp_path):
+        assert main([verb, str(strange), *rest, "--json"]) == 0
+        expected += capsys.readouterr().out.splitlines()
+    given = ended.stdout.decode("ascii").splitlines()
+    for one, other in zip(given, expected, strict=True):
+        assert without_clock(json.loads(one)) == without_clock(json.loads(other))
+    assert sum(SPOON in json.dumps(json.loads(line), ensure_ascii=False) for line in given) > len(VERBS) / 2
+
+
+def without_clock(told: object) -> object:
+    return {key: value for key, value in told.items() if key != "seconds"} if isinstance(told, dict) else told
+
+
+def test_a_terminal_obeys_nothing_that_a_recording_says(
+    strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = ""
+    more = [["tree", "--dot"], ["tree", "--svg"], ["state", "last", RED], ["ask", "last", f"stable('{RED}')"]]
+    for verb, *rest in [*commands(tmp_path), *more]:
+        if verb != "restore":
+            main([verb, str(strange), *rest])
+            said = capsys.readouterr()
+            told += said.out + said.err
+    assert not [letter for letter in told if letter != "\n" and visible(letter) != letter]
+    assert r"\x1b[31mred\x9b0m\x0d\x07\u202e" in told
+    assert SPOON in told
+
+
+def test_lines_and_columns_stay(capsys: pytest.CaptureFixture[str]) -> None:
+    tell("a\tb\nc é")
+    assert capsys.readouterr().out == "a\tb\nc é\n"
+
+
+def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixture[str]) -> None:
+    tell_json({"x": [float("nan"), (float("-inf"), 1.5)], "y": "\x7f"})
+    said = capsys.readouterr().out
+    assert json.loads(said, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
+    assert "\x7f" not in said
