@@ -40,7 +40,7 @@ class Twin:
 
     Args:
         world: the world.
-        solid: its bodies meet each other and rays; else they pass through each other, which costs less.
+        solid: its bodies meet each other; else they pass through each other, which costs less.
     """
 
     def __init__(self, world: BulletWorld, *, solid: bool) -> None:
@@ -112,7 +112,9 @@ class Twin:
             if any(now.velocity) and not body.fixed:
                 self.engine.set_velocity(copy.body, now.velocity)
             if now.positions and (copy.state is None or copy.state.positions != now.positions):
-                self.engine.set_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
+                # what isn't solid is never stepped
+                put = self.engine.set_joints if self._solid else self.engine.pose_joints
+                put(copy.body, dict(zip(body.joints, now.positions, strict=True)))
             copy.state = now
         return copy.body
 
@@ -140,8 +142,7 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach", whose bodies aren't solid; "outline" (rays), "physics" and "physics with robots" (both
-            stepped).
+        purpose: "reach", whose bodies aren't solid; "physics" and "physics with robots", which are stepped.
     """
     with _registry:
         mine = _twins.setdefault(world, {})
