@@ -372,13 +372,12 @@ class Engine:
         self, a: Body, link: str, b: Body, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[Touch]:
         """As :meth:`touches`, of one link of the first body, and of one of the second if it is named."""
+        client = self._client
         if link_b is None:
-            points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=self._client)
-        else:
-            points = bullet.getClosestPoints(
-                a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=self._client
-            )
-        return self._told(a, b, points)
+            points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client)
+            return self._told(a, b, points)
+        points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
+        return [Touch(link, link_b, p[5], p[6], p[7], p[8], p[9]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[tuple[int, int, Vector, Vector]]:
         """Contacts of the last step: id and link index of the other body, point on it in m, normal to the body."""
