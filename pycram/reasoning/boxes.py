@@ -151,7 +151,7 @@ def _overlap(
     turn = back @ other_axes  # the other's axes in the box's frame
     way = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
-    apart = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
+    apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
     apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
     for i in range(3):

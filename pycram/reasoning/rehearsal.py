@@ -18,13 +18,12 @@ from pycram.reasoning.twin import twin
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
 
     from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from pycram.body import Body
     from pycram.engine import Touch
     from pycram.objects import Object
     from recorder.geometry import Pose
@@ -88,8 +87,8 @@ class Rehearsal:
         self._articulation = Articulation(self._engine, self._body, robot.urdf, self._joints)
         self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
         self._stand = self._engine.pose(self._body)
-        self._whole = Boxes.around(self._engine, self._body, robot)
-        held = [(other, Boxes.around(self._engine, body, other), link) for other, body, link, _ in self._held]
+        self._whole = self._twin.boxes(robot)
+        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held]
         carriers = self._articulation.carriers
         self._carried = np.array([carriers[link] for link in self._whole.links], dtype=np.intp)
         moving = np.array([link in self._moving for link in self._whole.links], dtype=bool)
@@ -98,7 +97,7 @@ class Rehearsal:
         self._owners += [(other, own, link) for other, boxes, link in held for own in boxes.links]
         self._mine = together([self._whole.chosen(moving), *(boxes for _, boxes, _ in held)])
         self._carriers = np.array([carriers[link] for _, _, link in self._owners], dtype=np.intp)
-        around = [Boxes.around(self._engine, bodies[other.name], other) for other in self._obstacles]
+        around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
         self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
@@ -165,18 +164,16 @@ class Rehearsal:
             self._seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
         return self._seen[pair]
 
-    def touched(self, links: Collection[str] | None = None) -> dict[Object, dict[str, object]]:
-        """What it touches in the posture that it has taken.
+    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, Touch]]:
+        """Touches in the posture that it has taken, as they are found; what was looked at once is known.
 
         Args:
             links: the robot's links that are looked at, and what it holds with them; all that move by default.
 
-        Returns:
-            For each object, the robot's links that touch it, its own links, and the depth in m; deepest first. The
-            floor that a robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way
-            of others too.
+        Yields:
+            What is touched, and where. The floor that a robot stands on isn't in the way of its wheels; what it holds
+            moves along and may be in the way of others too.
         """
-        found: dict[Object, list[Touch]] = {}
         for pair in self._taken.pairs:
             mover, link, other, _ = pair
             if links is not None and self._at.get(mover, link) not in links:
@@ -184,7 +181,17 @@ class Rehearsal:
             standing = mover.is_robot and other.is_environment
             for touch in self._look(pair):
                 if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch)):
-                    found.setdefault(other, []).append(touch)
+                    yield other, touch
+
+    def touched(self) -> dict[Object, dict[str, object]]:
+        """What it touches in the posture that it has taken.
+
+        Returns:
+            For each object, the robot's links that touch it, its own links, and the depth in m; deepest first.
+        """
+        found: dict[Object, list[Touch]] = {}
+        for other, touch in self.hits():
+            found.setdefault(other, []).append(touch)
         told = {other: _told(touches) for other, touches in found.items()}
         return dict(sorted(told.items(), key=lambda item: (-float(str(item[1]["depth"])), item[0].name)))
 
@@ -205,6 +212,15 @@ class Rehearsal:
             if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other))):
                 found.append((link, other))
         return found
+
+    def beyond(self, joints: Collection[str]) -> set[str]:
+        """The robot's links that hang on all of some joints: with an arm's joints its hand.
+
+        Args:
+            joints: names of some of those that will be moved, one after the other.
+        """
+        counts = _arm_depths(self.robot, joints)
+        return {link for link, depth in counts.items() if depth == len(joints)}
 
     def settled(self, link: str | None) -> set[str]:
         """The robot's links that are where they are whatever the joints do.

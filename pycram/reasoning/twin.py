@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.engine import Engine
 from pycram.funnel import Reading, read
+from pycram.reasoning.boxes import Boxes
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class _Copy:
     original: Body
     body: Body
     state: Reading | None
+    boxes: tuple[Reading, Boxes] | None = None
 
 
 class Twin:
@@ -117,6 +119,19 @@ class Twin:
                 put(copy.body, dict(zip(body.joints, now.positions, strict=True)))
             copy.state = now
         return copy.body
+
+    def boxes(self, body: Object) -> Boxes:
+        """Boxes around an object's pieces, as it was last synced; looked for anew when it has moved since.
+
+        Args:
+            body: one of the objects that were wanted, and not disturbed since.
+        """
+        copy = self._copies[body.name]
+        if copy.state is None:
+            raise AssertionError(f"{body.name} isn't as it was synced")
+        if copy.boxes is None or copy.boxes[0] != copy.state:
+            copy.boxes = copy.state, Boxes.around(self.engine, copy.body, body)
+        return copy.boxes[1]
 
     def disturbed(self, *names: str) -> None:
         """Says which copies are not as they were synced: they are put back by the next sync.
