@@ -357,7 +357,7 @@ class Engine:
             bullet.stepSimulation(physicsClientId=client)
 
     def refresh(self) -> None:
-        """Makes what rays hit current without a step; nothing else needs it.
+        """Makes what :meth:`near` tells current without a step; nothing else needs it.
 
         Only for twins: what it caches of contacts changes the last bits of what simulation does next.
         """
@@ -372,32 +372,17 @@ class Engine:
         self, a: Body, link: str, b: Body, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[Touch]:
         """As :meth:`touches`, of one link of the first body, and of one of the second if it is named."""
+        client = self._client
         if link_b is None:
-            points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=self._client)
-        else:
-            points = bullet.getClosestPoints(
-                a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=self._client
-            )
-        return self._told(a, b, points)
+            points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client)
+            return self._told(a, b, points)
+        points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
+        return [Touch(link, link_b, p[5], p[6], p[7], p[8], p[9]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[tuple[int, int, Vector, Vector]]:
         """Contacts of the last step: id and link index of the other body, point on it in m, normal to the body."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
         return [(point[2], point[4], point[6], point[7]) for point in points]
-
-    def rays(self, starts: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
-        """What rays hit first.
-
-        Args:
-            starts: (n, 3), m, world frame.
-            ends: (n, 3).
-
-        Returns:
-            (n,) how far along each ray its first hit is, 0..1; nan if there is none. A ray that begins inside of a
-            convex shape doesn't see that shape.
-        """
-        hits = bullet.rayTestBatch(starts.tolist(), ends.tolist(), physicsClientId=self._client)
-        return np.array([hit[2] if hit[0] >= 0 else np.nan for hit in hits])
 
     def near(self, low: Vector, high: Vector) -> list[tuple[int, int]]:
         """What may reach into a box along the world's axes: ids of bodies and indices of their links.

@@ -64,8 +64,23 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
     return Shapes(tuple(links), tuple(triangles), tuple(colors), low, high)
 
 
+def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """The pieces that collide, of each of which the engine takes the convex hull.
+
+    Args:
+        path: its canonical URDF, beside its meshes.
+
+    Yields:
+        The link's name and corners (n, 3) in its frame, m.
+    """
+    root = ET.parse(path).getroot()  # noqa: S314  canonical: written by PyCRAM
+    for link in root.findall("link"):
+        for piece, _ in _parts(link.findall("collision"), path.parent, {}, grouped=True):
+            yield link.get("name", ""), piece.reshape(-1, 3)
+
+
 def _parts(
-    elements: Iterable[ET.Element], folder: Path, palette: dict[str, tuple[float, ...]]
+    elements: Iterable[ET.Element], folder: Path, palette: dict[str, tuple[float, ...]], *, grouped: bool = False
 ) -> Iterator[tuple[NDArray[np.float64], tuple[float, ...]]]:
     for element in elements:
         shape = element.find("geometry/*")
@@ -76,12 +91,24 @@ def _parts(
         origin = element.find("origin")
         xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
         turn = geometry.to_matrix(geometry.from_rpy(*_numbers(rpy)))
-        yield _triangles(shape, folder) @ turn.T + np.array(_numbers(xyz)), rgb or _GREY
+        for triangles in _groups(shape, folder) if grouped else [_triangles(shape, folder)]:
+            yield triangles @ turn.T + np.array(_numbers(xyz)), rgb or _GREY
 
 
 def _rgb(material: ET.Element) -> tuple[float, ...] | None:
     color = material.find("color")
     return None if color is None else _numbers(color.get("rgba", ""))[:3]
+
+
+def _groups(shape: ET.Element, folder: Path) -> Iterator[NDArray[np.float64]]:
+    """Triangles of the groups of a shape in its own frame; only an OBJ has several."""
+    name = shape.get("filename", "")
+    if not name.endswith(".obj"):
+        yield _triangles(shape, folder)
+        return
+    scale = np.array(_numbers(shape.get("scale", "1 1 1")))
+    for group in trimesh.load_scene(folder / name, process=False, split_objects=True).geometry.values():
+        yield np.array(group.triangles, dtype=np.float64) * scale
 
 
 def _triangles(shape: ET.Element, folder: Path) -> NDArray[np.float64]:

@@ -7,7 +7,6 @@ middle between its fingers. Of the candidates that the arm reaches, the one that
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -19,14 +18,19 @@ from pycram.reasoning.outline import Outline, middle
 from pycram.reasoning.reach import Solver
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
     from pycram.robots.description import Arm
-    from recorder.geometry import Quaternion, Vector
+    from recorder.geometry import Pose, Quaternion, Vector
+
+    Cost = tuple[bool, float, float, float]
 
 _SPARE: Final = 0.004  # m of the aperture that has to stay free
 _CLEAR: Final = 0.002  # m that the finger tips keep from what the object stands on
@@ -34,6 +38,7 @@ _PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's
 _STEP: Final = 0.004  # m between such places along the fingers
 _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
+_FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
 
 
@@ -70,23 +75,6 @@ class GraspPlan:
     obstacles: Mapping[Object, Mapping[str, object]] = field(default_factory=dict)
     own: Sequence[tuple[str, str]] = ()
 
-    def cost(self, links: Collection[str] | None = None) -> tuple[int, int, float]:
-        """How much is in the way: furniture stays, other things can be moved first; little overlap is better.
-
-        Args:
-            links: the robot's links that count; all by default.
-
-        Returns:
-            Number of fixed objects, of others, and the sum of the depths in m.
-        """
-        hits = [
-            (other.fixed, float(str(info["depth"])))
-            for other, info in self.obstacles.items()
-            if links is None or _by(info, links)
-        ]
-        furniture = sum(fixed for fixed, _ in hits)
-        return furniture, len(hits) - furniture, sum(depth for _, depth in hits)
-
     def evidence(self) -> dict[str, object]:
         """As records carry it."""
         told: dict[str, object] = {"reached": self.grasp is not None}
@@ -99,13 +87,7 @@ class GraspPlan:
         return told | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
 
 
-def _by(hit: Mapping[str, object] | None, links: Collection[str]) -> bool:
-    """Whether some of the robot's links touch what is hit."""
-    names = hit["links"] if hit else []
-    return isinstance(names, list) and any(name in links for name in names)
-
-
-def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None) -> Iterator[Grasp]:
+def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None) -> Sequence[Grasp]:
     """Ways to take an object, best first.
 
     Args:
@@ -115,18 +97,21 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         names: the sides that are allowed; all by default.
     """
     outline = Outline(body)
-    fits_from_top = False
+    sides = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
-        if names is not None and name not in names:
-            continue
-        turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
-        options = [_between_fingers(outline, name, other, arm) for other in (turn, *_along(turn, body))]
-        fitting = [grasp for grasp in options if grasp is not None]
-        if fitting:  # as the robot stands, unless the object lies across
-            fits_from_top |= name == "top"
-            yield min(fitting, key=lambda grasp: grasp.width + (grasp.orientation != turn) * _SPARE)
-    if not fits_from_top and (names is None or "top" in names):
-        yield from _rims(outline, robot, arm)
+        if names is None or name in names:
+            turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
+            sides.append([(name, other) for other in (turn, *_along(turn, body))])
+    fitting = _between_fingers(outline, [option for options in sides for option in options], arm)
+    found: list[Grasp] = []
+    for options in sides:
+        grasps = [grasp for option in options if (grasp := fitting[option]) is not None]
+        if grasps:  # as the robot stands, unless the object lies across
+            straight = options[0][1]
+            found.append(min(grasps, key=lambda grasp: grasp.width + (grasp.orientation != straight) * _SPARE))
+    if all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
+        found.extend(_rims(outline, robot, arm))
+    return found
 
 
 def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
@@ -144,16 +129,34 @@ def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(outline: Outline, name: str, turn: Quaternion, arm: Arm) -> Grasp | None:
-    """The grasp from one side, with the object in the middle between the fingers; None if it doesn't fit."""
+def _between_fingers(
+    outline: Outline, options: Sequence[tuple[str, Quaternion]], arm: Arm
+) -> dict[tuple[str, Quaternion], Grasp | None]:
+    """For each side and orientation the grasp with the object in the middle of the fingers; None if it doesn't fit."""
     gripper = arm.gripper
-    x, y, z = outline.middle
-    if name != "top":
-        z = max(z, outline.low[2] + gripper.underside)
-    half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
-    count = max(4, math.ceil((half + gripper.tips) / _STEP))
-    places = np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2]
-    surface = outline.across(((x, y, z), turn), places.tolist(), _PADS)
+    frames: list[Pose] = []
+    places: list[NDArray[np.float64]] = []
+    for name, turn in options:
+        x, y, z = outline.middle
+        if name != "top":
+            z = max(z, outline.low[2] + gripper.underside)
+        half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
+        count = max(4, math.ceil((half + gripper.tips) / _STEP))
+        frames.append(((x, y, z), turn))
+        places.append(np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2])
+    surfaces = outline.across(frames, [each.tolist() for each in places], _PADS)
+    return {
+        option: _held(outline, option[0], frame, along, surface, arm)
+        for option, frame, along, surface in zip(options, frames, places, surfaces, strict=True)
+    }
+
+
+def _held(
+    outline: Outline, name: str, frame: Pose, places: NDArray[np.float64], surface: NDArray[np.float64], arm: Arm
+) -> Grasp | None:
+    """The grasp in a frame where an object's surface was looked for at places along the fingers."""
+    gripper = arm.gripper
+    (_, _, z), turn = frame
     solid = ~np.isnan(surface[:, 0])
     if not solid.any():
         return None
@@ -166,7 +169,7 @@ def _between_fingers(outline: Outline, name: str, turn: Quaternion, arm: Arm) ->
     low, high = float(held[:, 0].min()), float(held[:, 1].max())
     if high - low > gripper.aperture - _SPARE:
         return None
-    return Grasp(name, geometry.transform(((x, y, z), turn), (deep, (low + high) / 2, 0.0)), turn, high - low)
+    return Grasp(name, geometry.transform(frame, (deep, (low + high) / 2, 0.0)), turn, high - low)
 
 
 def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
@@ -210,59 +213,89 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
     solver = Solver(robot, link)
     if arm is None:
         at = middle(body)
-        found = iter([(Grasp("any", at, (0.0, 0.0, 0.0, 1.0), 0.0), solver.postures(at, None))])
-        opened, hand = {}, {link}
+        found = [(Grasp("any", at, IDENTITY[1], 0.0), solver.postures(at, None))]
     else:
-        found = _reaches(candidates(body, robot, arm, names), solver)
-        opened, hand = arm.gripper.positions("open"), {arm.gripper.palm, *arm.gripper.fingers}
-    nearest: Reach | None = None
+        grasps = candidates(body, robot, arm, names)
+        ways = solver.at_once([(grasp.position, grasp.orientation, None) for grasp in grasps])
+        if not any(ways):  # what has to be searched for is at the edge of what the arm can: for need only
+            ways = [solver.postures(grasp.position, grasp.orientation) for grasp in grasps]
+        found = list(zip(grasps, ways, strict=True))
+    options = [(grasp, way) for grasp, ways in found for way in ways]
+    reached = [(grasp, way) for grasp, way in options if way.reached(reach.THRESHOLD)]
+    if not reached:
+        nearest = min((way for _, way in options), key=lambda way: way.posture.position_error, default=None)
+        return GraspPlan(None, nearest)
+    opened = arm.gripper.positions("open") if arm else {}
+    with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
+        return _least(body, rehearsal, reached, opened, rehearsal.beyond(solver.joints))
+
+
+def _least(
+    body: Object,
+    rehearsal: Rehearsal,
+    options: Sequence[tuple[Grasp, Reach]],
+    opened: Mapping[str, float],
+    hand: Collection[str],
+) -> GraspPlan:
+    """The posture that touches least; of several the first.
+
+    The hand is where it is whatever the arm does, so it is looked at first: where it alone is worse than what was found
+    already, no posture for that grasp will do.
+
+    Args:
+        body: the object, which the open hand shouldn't be in.
+        rehearsal: of the robot.
+        options: postures, those for one grasp side by side.
+        opened: joint values of the open gripper.
+        hand: links that all postures for a grasp bring to one place.
+    """
     least: GraspPlan | None = None
     bent: GraspPlan | None = None
-    rank: tuple[float, ...] = (math.inf,)
-    with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
-        for grasp, ways in found:
-            for way in ways:
-                if not way.reached(reach.THRESHOLD):
-                    if nearest is None or way.posture.position_error < nearest.posture.position_error:
-                        nearest = way
-                    continue
-                rehearsal.take({**way.posture.positions, **opened})
-                touched = rehearsal.touched()
-                pushed = touched.pop(body, None)  # the open hand would be in the object itself
-                plan = GraspPlan(grasp, way, touched)
-                mine = (pushed is not None, *plan.cost())
-                if mine < rank:
-                    own = rehearsal.touches_itself()
-                    if own:
-                        bent = GraspPlan(None, way, own=own)
-                    else:
-                        least, rank = plan, mine
-                if rank <= (False, 0, 0, 0.0):
-                    return plan
-                # the hand is where it is whatever the arm does: no other posture can be better than what it hits
-                if rank[:3] <= (_by(pushed, hand), *plan.cost(hand)[:2]):
-                    break
-    return least or bent or GraspPlan(None, nearest)
-
-
-def _reaches(options: Iterator[Grasp], solver: Solver) -> Iterator[tuple[Grasp, list[Reach]]]:
-    """Postures for grasps. Those that have to be searched for are at the edge of what the arm can: for need only."""
-    missed: list[Grasp] = []
-    reached = False
-    for group in _first_and_rest(options):
-        poses = [(grasp.position, grasp.orientation, None) for grasp in group]
-        for grasp, ways in zip(group, solver.at_once(poses), strict=True):
-            if ways:
-                reached = True
-                yield grasp, ways
+    rank: Cost = (True, math.inf, math.inf, math.inf)
+    beaten: Grasp | None = None
+    foreseen = rehearsal.foresee([{**way.posture.positions, **opened} for _, way in options])
+    for (grasp, way), posture in zip(options, foreseen, strict=True):
+        if grasp is beaten:
+            continue
+        rehearsal.take(posture)
+        bound = _cost(rehearsal, body, rank, hand)
+        cost = _cost(rehearsal, body, rank) if bound < rank else bound
+        if cost < rank:
+            own = rehearsal.touches_itself()
+            if own:
+                bent = GraspPlan(None, way, own=own)
             else:
-                missed.append(grasp)
-    if not reached:
-        for grasp in missed:
-            yield grasp, solver.postures(grasp.position, grasp.orientation)
+                obstacles = rehearsal.touched()
+                obstacles.pop(body, None)
+                least, rank = GraspPlan(grasp, way, obstacles), cost
+        if rank <= _FREE:
+            break
+        if rank <= bound:
+            beaten = grasp
+    return least or bent or GraspPlan(None, None)
 
 
-def _first_and_rest(options: Iterator[Grasp]) -> Iterator[list[Grasp]]:
-    """The best one alone, as mostly it will do, and the others at once."""
-    yield list(itertools.islice(options, 1))
-    yield list(options)
+def _cost(rehearsal: Rehearsal, body: Object, enough: Cost, links: Collection[str] | None = None) -> Cost:
+    """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
+
+    Args:
+        rehearsal: which has taken it.
+        body: the object that is to be taken.
+        enough: as soon as it costs as much, the rest doesn't matter.
+        links: the robot's links that count; all by default.
+
+    Returns:
+        Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
+    """
+    depths: dict[Object, float] = {}
+    cost = _FREE
+    for other, touch in rehearsal.hits(links):
+        if -touch.distance > depths.get(other, 0.0):
+            depths[other] = -touch.distance
+            counted = [hit for hit in depths if hit is not body]
+            furniture = sum(hit.fixed for hit in counted)
+            deep = sum(sorted(depths[hit] for hit in counted))
+            cost = (body in depths, furniture, len(counted) - furniture, deep)
+            if cost >= enough:
+                break
+    return cost

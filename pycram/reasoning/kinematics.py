@@ -316,10 +316,13 @@ class ArmKinematics:
             goals = np.array([position for position, _ in chunk], dtype=np.float64)
             turns = [None if turn is None else geometry.to_matrix(turn) for _, turn in chunk]
             matrices = [turn for turn in turns if turn is not None]
-            found, strain = self._closed.postures(goals, np.array(matrices) if matrices else None, home)
-            for goal, turn, ways, strains in zip(goals, turns, found, strain, strict=True):
-                exact = ways[strains == 0.0]
-                told.append(self._told(self._distinct(exact, home), goal, turn) if len(exact) else [])
+            if matrices:
+                exact = self._closed.solutions(goals, np.array(matrices), home)
+            else:
+                found, strain = self._closed.postures(goals, None, home)
+                exact = [ways[strains == 0.0] for ways, strains in zip(found, strain, strict=True)]
+            for goal, turn, ways in zip(goals, turns, exact, strict=True):
+                told.append(self._told(self._distinct(ways, home), goal, turn) if len(ways) else [])
         return told
 
     def _distinct(self, found: Array, home: Array) -> Array:

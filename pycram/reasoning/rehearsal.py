@@ -1,33 +1,57 @@
 """What a robot would touch in other postures or at another place (thesis 4.4.6): tried in a twin, never in the world.
 
-One rehearsal tries many postures: the twin is brought to the world's state once. For each posture the engine's tree of
-boxes says which links could touch at all; only these pairs are looked at closely, so that the cost is in what is near.
+One rehearsal tries many postures: the twin is brought to the world's state once. Boxes say at once which links could
+touch in all of them (:mod:`pycram.reasoning.boxes`); the engine looks closely only at these pairs, when it is asked.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from pycram import cargo
+from pycram.reasoning.articulation import Articulation
+from pycram.reasoning.boxes import Boxes, meeting, together
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
 
+    from numpy.typing import NDArray
     from typing_extensions import Self
 
-    from pycram.body import Body
     from pycram.engine import Touch
     from pycram.objects import Object
     from recorder.geometry import Pose
+
+    Pair = tuple[Object, str, Object, str]
 
 DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as in the way
 _OWN_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
 _STANDING: Final = 0.9  # of a normal's length pointing up
 _FEET: Final = 0.02  # m above the ground
 _BESIDE: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
+
+
+@dataclass(frozen=True, slots=True)
+class Foreseen:
+    """A posture, and what could touch in it.
+
+    Attributes:
+        positions: joint values in rad or m by name; the others stay.
+        base: pose of the robot's base; None where it stands.
+        pairs: links that move, with whose they are, and the others that they could touch.
+        moved: (joints + 1, 4, 4) how the joints carry things there.
+    """
+
+    positions: Mapping[str, float]
+    base: Pose | None
+    pairs: tuple[Pair, ...]
+    moved: NDArray[np.float64]
 
 
 class Rehearsal:
@@ -52,22 +76,33 @@ class Rehearsal:
         self.robot = robot
         self._twin = twin(world, "reach")
         self._engine = self._twin.engine
-        bodies = self._twin.sync()
+        self._bodies = bodies = self._twin.sync()
         self._body = bodies[robot.name]
         self._joints = tuple(joints)
-        moved = set(cargo.moved_links(robot.urdf, self._joints))
-        self._moving = set(robot.links) if everything else moved
+        self._moving = set(robot.links) if everything else set(cargo.moved_links(robot.urdf, self._joints))
         self._held = [(other, bodies[other.name], link, pose) for other, link, pose in _held(robot)]
-        self._movers = [(robot, self._body, [link for link in robot.links if link in self._moving])]
-        self._movers += [
-            (other, body, list(other.links)) for other, body, link, _ in self._held if link in self._moving
-        ]
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
-        self._obstacles = {bodies[other.name].id: other for other in world.objects if other not in skipped}
-        self._bodies = bodies
-        self._names: dict[int, dict[int, str]] = {}
+        self._obstacles = [other for other in world.objects if other not in skipped]
         self._depth = _arm_depths(robot, self._joints)
-        self._near: list[tuple[Object, Body, str, int, int]] = []
+        self._articulation = Articulation(self._engine, self._body, robot.urdf, self._joints)
+        self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
+        self._stand = self._engine.pose(self._body)
+        self._whole = self._twin.boxes(robot)
+        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held]
+        carriers = self._articulation.carriers
+        self._carried = np.array([carriers[link] for link in self._whole.links], dtype=np.intp)
+        moving = np.array([link in self._moving for link in self._whole.links], dtype=bool)
+        self._owners = [(robot, link, link) for link in self._whole.links if link in self._moving]
+        self._at = {other: link for other, _, link, _ in self._held}
+        self._owners += [(other, own, link) for other, boxes, link in held for own in boxes.links]
+        self._mine = together([self._whole.chosen(moving), *(boxes for _, boxes, _ in held)])
+        self._carriers = np.array([carriers[link] for _, _, link in self._owners], dtype=np.intp)
+        around = [self._twin.boxes(other) for other in self._obstacles]
+        self._others = together(around)
+        self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
+        self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
+        self._there = False
+        self._seen: dict[Pair, list[Touch]] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -77,63 +112,115 @@ class Rehearsal:
     ) -> None:
         self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
-    def take(self, positions: Mapping[str, float], base: Pose | None = None) -> None:
+    def foresee(self, postures: Sequence[Mapping[str, float]], bases: Sequence[Pose | None] = ()) -> list[Foreseen]:
+        """Finds out what could touch in postures, all at once.
+
+        Args:
+            postures: joint values in rad or m by name; the others stay.
+            bases: poses of the robot's base, as many as postures; None or no bases: it stays.
+        """
+        stands = bases or [None] * len(postures)
+        moved = self._articulation.moved(postures)
+        there = moved
+        if any(base is not None for base in stands):
+            back = geometry.invert(self._stand)
+            driven = [geometry.IDENTITY if base is None else geometry.multiply(base, back) for base in stands]
+            there = np.array([geometry.pose_matrix(pose) for pose in driven])[:, None] @ moved
+        centers, axes = self._mine.carried(there[:, self._carriers])
+        found: list[dict[Pair, None]] = [{} for _ in postures]  # in order, each once
+        for posture, box, other in zip(*meeting(centers, axes, self._mine.halves, self._others), strict=True):
+            mover, link, _ = self._owners[box]
+            found[posture][mover, link, self._whose[other], self._others.links[other]] = None
+        return [
+            Foreseen(positions, base, tuple(pairs), way)
+            for positions, base, pairs, way in zip(postures, stands, found, moved, strict=True)
+        ]
+
+    def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
         """Puts the robot into a posture.
 
         Args:
-            positions: joint values in rad or m by name; the others stay.
+            positions: one that was foreseen, or joint values in rad or m by name; the others stay.
             base: pose of its base; it stays by default.
         """
-        engine = self._engine
-        if base is not None:
-            engine.set_pose(self._body, base)
-        engine.pose_joints(self._body, positions)
-        for _, body, link, pose in self._held:
-            engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
-        engine.refresh()
-        self._near = [
-            (mover, body, link, number, index)
-            for mover, body, links in self._movers
-            for link in links
-            for number, index in engine.near(*engine.box(body, link))
-        ]
+        if not isinstance(positions, Foreseen):
+            (positions,) = self.foresee([positions], [base])
+        self._taken = positions
+        self._there = False
+        self._seen = {}
+
+    def _look(self, pair: Pair) -> list[Touch]:
+        """Where two links touch; the twin's robot is put there only for this."""
+        engine, taken = self._engine, self._taken
+        if not self._there:
+            engine.set_pose(self._body, taken.base or self._stand)
+            engine.pose_joints(self._body, {**{name: self._now[name] for name in self._joints}, **taken.positions})
+            for _, body, link, pose in self._held:
+                engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
+            self._there = True
+        if pair not in self._seen:
+            mover, link, other, other_link = pair
+            bodies = self._bodies[mover.name], self._bodies[other.name]
+            self._seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
+        return self._seen[pair]
+
+    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, Touch]]:
+        """Touches in the posture that it has taken, as they are found; what was looked at once is known.
+
+        Args:
+            links: the robot's links that are looked at, and what it holds with them; all that move by default.
+
+        Yields:
+            What is touched, and where. The floor that a robot stands on isn't in the way of its wheels; what it holds
+            moves along and may be in the way of others too.
+        """
+        for pair in self._taken.pairs:
+            mover, link, other, _ = pair
+            if links is not None and self._at.get(mover, link) not in links:
+                continue
+            standing = mover.is_robot and other.is_environment
+            for touch in self._look(pair):
+                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch)):
+                    yield other, touch
 
     def touched(self) -> dict[Object, dict[str, object]]:
         """What it touches in the posture that it has taken.
 
         Returns:
-            For each object, the robot's links that touch it, its own links, and the depth in m; deepest first. The
-            floor that a robot stands on isn't in the way of its wheels; what it holds moves along and may be in the way
-            of others too.
+            For each object, the robot's links that touch it, its own links, and the depth in m; deepest first.
         """
         found: dict[Object, list[Touch]] = {}
-        for mover, body, link, number, index in self._near:
-            other = self._obstacles.get(number)
-            if other is None:
-                continue
-            obstacle = self._bodies[other.name]
-            standing = mover.is_robot and other.is_environment
-            for touch in self._engine.link_touches(body, link, obstacle, link_b=self._name(obstacle, index)):
-                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch)):
-                    found.setdefault(other, []).append(touch)
+        for other, touch in self.hits():
+            found.setdefault(other, []).append(touch)
         told = {other: _told(touches) for other, touches in found.items()}
         return dict(sorted(told.items(), key=lambda item: (-float(str(item[1]["depth"])), item[0].name)))
 
     def touches_itself(self) -> list[tuple[str, str]]:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
+        centers, axes = self._whole.carried(self._taken.moved[None, self._carried])
+        whole = Boxes(self._whole.links, centers[0], axes[0], self._whole.halves)
+        moving = np.array([link in self._moving for link in whole.links], dtype=bool)
+        met = meeting(centers[:, moving], axes[:, moving], whole.halves[moving], whole)
+        names = [link for link in whole.links if link in self._moving]
+        pairs = dict.fromkeys((names[box], whole.links[other]) for _, box, other in zip(*met, strict=True))
         found = []
-        for mover, _, link, number, index in self._near:
-            if mover is not self.robot or number != self._body.id:
-                continue
-            other = self._name(self._body, index)
+        for link, other in pairs:
             if other in self._moving and other <= link:
                 continue  # seen from the other side
             if abs(self._depth[link] - self._depth[other]) <= _BESIDE:
                 continue
-            touches = self._engine.link_touches(self._body, link, self._body, link_b=other)
-            if any(touch.distance <= -_OWN_DEPTH for touch in touches):
+            if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other))):
                 found.append((link, other))
         return found
+
+    def beyond(self, joints: Collection[str]) -> set[str]:
+        """The robot's links that hang on all of some joints: with an arm's joints its hand.
+
+        Args:
+            joints: names of some of those that will be moved, one after the other.
+        """
+        counts = _arm_depths(self.robot, joints)
+        return {link for link, depth in counts.items() if depth == len(joints)}
 
     def settled(self, link: str | None) -> set[str]:
         """The robot's links that are where they are whatever the joints do.
@@ -143,12 +230,6 @@ class Rehearsal:
         """
         depths = {0} if link is None else {0, self._depth[link]}
         return {other for other, depth in self._depth.items() if depth in depths}
-
-    def _name(self, body: Body, index: int) -> str:
-        names = self._names.get(body.id)
-        if names is None:
-            names = self._names[body.id] = {number: name for name, number in body.links.items()}
-        return names[index]
 
 
 def _told(touches: list[Touch]) -> dict[str, object]:

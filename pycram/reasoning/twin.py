@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.engine import Engine
 from pycram.funnel import Reading, read
+from pycram.reasoning.boxes import Boxes
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class _Copy:
     original: Body
     body: Body
     state: Reading | None
+    boxes: tuple[Reading, Boxes] | None = None
 
 
 class Twin:
@@ -40,7 +42,7 @@ class Twin:
 
     Args:
         world: the world.
-        solid: its bodies meet each other and rays; else they pass through each other, which costs less.
+        solid: its bodies meet each other; else they pass through each other, which costs less.
     """
 
     def __init__(self, world: BulletWorld, *, solid: bool) -> None:
@@ -112,9 +114,24 @@ class Twin:
             if any(now.velocity) and not body.fixed:
                 self.engine.set_velocity(copy.body, now.velocity)
             if now.positions and (copy.state is None or copy.state.positions != now.positions):
-                self.engine.set_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
+                # what isn't solid is never stepped
+                put = self.engine.set_joints if self._solid else self.engine.pose_joints
+                put(copy.body, dict(zip(body.joints, now.positions, strict=True)))
             copy.state = now
         return copy.body
+
+    def boxes(self, body: Object) -> Boxes:
+        """Boxes around an object's pieces, as it was last synced; looked for anew when it has moved since.
+
+        Args:
+            body: one of the objects that were wanted, and not disturbed since.
+        """
+        copy = self._copies[body.name]
+        if copy.state is None:
+            raise AssertionError(f"{body.name} isn't as it was synced")
+        if copy.boxes is None or copy.boxes[0] != copy.state:
+            copy.boxes = copy.state, Boxes.around(self.engine, copy.body, body)
+        return copy.boxes[1]
 
     def disturbed(self, *names: str) -> None:
         """Says which copies are not as they were synced: they are put back by the next sync.
@@ -140,8 +157,7 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach", whose bodies aren't solid; "outline" (rays), "physics" and "physics with robots" (both
-            stepped).
+        purpose: "reach", whose bodies aren't solid; "physics" and "physics with robots", which are stepped.
     """
     with _registry:
         mine = _twins.setdefault(world, {})

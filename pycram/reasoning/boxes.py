@@ -1,0 +1,164 @@
+"""Boxes around the convex pieces of bodies, and which of them meet: what can't touch needn't be looked at closely.
+
+Boxes are turned as their links are. First their bounds along the world's axes are compared, then the boxes themselves,
+by separating axes (Gottschalk, Lin, Manocha: OBBTree, SIGGRAPH 1996). Each is a little wider than its piece, as the
+engine pads shapes, so that boxes which don't meet hold pieces which don't touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.solids import solids_of
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.body import Body
+    from pycram.engine import Engine
+    from pycram.objects import Object
+
+    Array = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+_WIDER: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
+_PARALLEL: Final = 1e-9  # added to cosines: the cross product of parallel edges is no axis
+
+
+@dataclass(frozen=True, slots=True)
+class Boxes:
+    """k boxes.
+
+    Attributes:
+        links: (k,) names of the links that they are around.
+        centers: (k, 3) in the world, m.
+        axes: (k, 3, 3) their unit axes in the world are the columns.
+        halves: (k, 3) of their sizes, m.
+    """
+
+    links: tuple[str, ...]
+    centers: Array
+    axes: Array
+    halves: Array
+
+    @classmethod
+    def around(cls, engine: Engine, body: Body, model: Object, links: Collection[str] | None = None) -> Boxes:
+        """Boxes around the pieces of a body, where the engine has it.
+
+        Args:
+            engine: a world's, or a twin's.
+            body: the engine's side of it.
+            model: the object whose shapes it has.
+            links: which links; all by default.
+        """
+        solids = solids_of(model.model.path)
+        chosen = [i for i, link in enumerate(solids.links) if links is None or link in links]
+        names = tuple(solids.links[i] for i in chosen)
+        positions, orientations = engine.link_frames(body, names)
+        axes = geometry.to_matrices(orientations)
+        low, high = solids.low[chosen], solids.high[chosen]
+        centers = np.einsum("kij,kj->ki", axes, (low + high) / 2) + positions
+        return cls(names, centers, axes, (high - low) / 2 + _WIDER)
+
+    def chosen(self, which: NDArray[np.bool_]) -> Boxes:
+        """Some of them.
+
+        Args:
+            which: (k,) flags.
+        """
+        links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
+        return Boxes(links, self.centers[which], self.axes[which], self.halves[which])
+
+    def carried(self, transforms: Array) -> tuple[Array, Array]:
+        """Where they are when each is moved.
+
+        Args:
+            transforms: (n, k, 4, 4) for each of n postures and each box.
+
+        Returns:
+            Their centers (n, k, 3), m, and axes (n, k, 3, 3).
+        """
+        turns = transforms[..., :3, :3]
+        return (turns @ self.centers[:, :, None])[..., 0] + transforms[..., :3, 3], turns @ self.axes
+
+
+def together(parts: Sequence[Boxes]) -> Boxes:
+    """All boxes in one.
+
+    Args:
+        parts: some boxes.
+    """
+    if not parts:
+        return Boxes((), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    return Boxes(
+        tuple(link for part in parts for link in part.links),
+        np.concatenate([part.centers for part in parts]),
+        np.concatenate([part.axes for part in parts]),
+        np.concatenate([part.halves for part in parts]),
+    )
+
+
+def spans(axes: Array, halves: Array) -> Array:
+    """Half of the boxes' sizes along the world's axes.
+
+    Args:
+        axes: (..., 3, 3) of the boxes.
+        halves: (..., 3) of their sizes, m.
+    """
+    along: Array = (np.abs(axes) * halves[..., None, :]).sum(axis=-1)
+    return along
+
+
+def meeting(centers: Array, axes: Array, halves: Array, others: Boxes) -> tuple[Indices, Indices, Indices]:
+    """Which boxes meet which others, in many postures at once.
+
+    Args:
+        centers: (n, k, 3) of the boxes in each posture, in the world, m.
+        axes: (n, k, 3, 3) of the boxes.
+        halves: (k, 3) of their sizes, m.
+        others: boxes that stay.
+
+    Returns:
+        Indices of postures, boxes and others that meet, in order.
+    """
+    mine, theirs = spans(axes, halves), spans(others.axes, others.halves)
+    low, high = (centers - mine).min(axis=(0, 1), initial=np.inf), (centers + mine).max(axis=(0, 1), initial=-np.inf)
+    near = np.flatnonzero((others.centers + theirs >= low).all(axis=1) & (others.centers - theirs <= high).all(axis=1))
+    meet = np.ones((len(centers), centers.shape[1], len(near)), dtype=bool)
+    for axis in range(3):
+        away = np.abs(centers[:, :, None, axis] - others.centers[near, axis])
+        meet &= away <= mine[:, :, None, axis] + theirs[near, axis]
+    posture, box, other = np.nonzero(meet)
+    other = near[other]
+    met = _overlap(
+        centers[posture, box], axes[posture, box], halves[box], others.centers[other], others.axes[other],
+        others.halves[other],
+    )  # fmt: skip
+    return posture[met], box[met], other[met]
+
+
+def _overlap(
+    centers: Array, axes: Array, halves: Array, other_centers: Array, other_axes: Array, other_halves: Array
+) -> NDArray[np.bool_]:
+    """Whether boxes overlap, pair by pair (n,): none of 15 axes separates them."""
+    back = axes.transpose(0, 2, 1)
+    turn = back @ other_axes  # the other's axes in the box's frame
+    way = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
+    cosines = np.abs(turn) + _PARALLEL
+    apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
+    along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
+    apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        distance = np.abs(way[:, k, None] * turn[:, j] - way[:, j, None] * turn[:, k])
+        reach = halves[:, j, None] * cosines[:, k] + halves[:, k, None] * cosines[:, j]
+        reach += np.roll(other_halves, -1, axis=1) * np.roll(cosines[:, i], -2, axis=1)
+        reach += np.roll(other_halves, -2, axis=1) * np.roll(cosines[:, i], -1, axis=1)
+        apart |= (distance > reach).any(axis=1)
+    return ~apart

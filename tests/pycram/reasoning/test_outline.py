@@ -1,0 +1,99 @@
+"""Outlines: what lines through convex pieces say is what rays of the engine find."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.engine import bullet
+from pycram.reasoning.outline import Outline
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from recorder.geometry import Pose
+
+PADS = (-0.01, 0.0, 0.01)
+
+
+def felt(body: Object, frame: Pose, xs: list[float], zs: tuple[float, ...], sign: float) -> np.ndarray:
+    """(xs, zs): the y at which a ray along the frame's y axis (times the sign) first hits something; nan if nothing."""
+    client = body.world.engine._client
+    bullet.performCollisionDetection(physicsClientId=client)
+    starts = [geometry.transform(frame, (x, -sign, z)) for x in xs for z in zs]
+    ends = [geometry.transform(frame, (x, sign, z)) for x in xs for z in zs]
+    hits = bullet.rayTestBatch(starts, ends, physicsClientId=client)
+    found = [sign * (2 * hit[2] - 1) if hit[0] >= 0 else math.nan for hit in hits]
+    return np.array(found).reshape(len(xs), len(zs))
+
+
+@pytest.mark.parametrize("name", ["milk", "breakfast_cereal", "bowl", "cup", "plate", "bottle", "fork", "apple", "pot"])
+def test_widths_are_those_that_rays_feel(world: BulletWorld, name: str) -> None:
+    body = Object(name, name, f"{name}.stl", [1, 2, 1], list(geometry.from_rpy(0.2, -0.3, 0.7)))
+    outline = Outline(body)
+    for turn in (geometry.from_rpy(0, 0, 0.3), geometry.from_rpy(0.5, math.pi / 2, 0)):
+        frame = (outline.middle, turn)
+        xs = np.linspace(-0.1, 0.1, 41).tolist()
+        low, high = felt(body, frame, xs, PADS, 1.0), felt(body, frame, xs, PADS, -1.0)
+        (found,) = outline.across([frame], [xs], PADS)
+        there = ~np.isnan(found[:, 0])
+        felt_there = ~np.isnan(low).all(axis=1) & ~np.isnan(high).all(axis=1)
+        assert (there == felt_there).mean() > 0.85, "they differ where a ray grazes an edge"
+        both = there & felt_there
+        wrong = np.abs(found[both] - np.column_stack([np.nanmin(low[both], axis=1), np.nanmax(high[both], axis=1)]))
+        assert np.median(wrong) < 1e-3
+
+
+@pytest.mark.parametrize(("name", "inside"), [("bowl", 0.0625), ("glass", 0.0285), ("pot", 0.0944)])
+def test_walls_of_what_is_hollow(world: BulletWorld, name: str, inside: float) -> None:
+    body = Object(name, name, f"{name}.stl", [1, 2, 1])
+    outline = Outline(body)
+    x, y, _ = outline.middle
+    heights = [outline.high[2] - 0.012, outline.low[2] - 0.01]
+    for yaw in (0.0, 1.0, 2.0):
+        rim, below = outline.wall(((x, y, 0.0), geometry.from_rpy(0, 0, yaw)), PADS, heights)
+        assert rim[0] == pytest.approx(inside, abs=0.002)
+        assert rim[0] + 0.003 < rim[1]
+        assert np.isnan(below).all()
+
+
+def test_what_is_solid_or_not_there_has_no_inside(world: BulletWorld) -> None:
+    outline = Outline(Object("apple", "apple", "apple.stl", [1, 2, 1]))
+    x, y, z = outline.middle
+    within, above = outline.wall(((x, y, 0.0), (0, 0, 0, 1)), (0.0,), [z, z + 1])
+    assert math.isnan(within[0])
+    assert within[1] == pytest.approx(0.04, abs=0.01)
+    assert np.isnan(above).all()
+    assert np.isnan(outline.across([((x, y, z + 1), (0, 0, 0, 1))], [[0.0]], PADS)).all()
+
+
+def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -> None:
+    """Boxes, cylinders, spheres on links that have moved; and nothing at all."""
+    parts = {"l0": '<box size="0.1 0.2 0.3"/>', "l1": '<cylinder radius="0.05" length="0.2"/>'}
+    links = "".join(
+        f'<link name="{name}"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        f"</inertial><collision><geometry>{shape}</geometry></collision></link>"
+        for name, shape in parts.items()
+    )
+    joint = (
+        '<joint name="slide" type="prismatic"><parent link="l0"/><child link="l1"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="1" effort="9" velocity="9"/></joint>'
+    )
+    file = tmp_path / "two.urdf"
+    file.write_text(f'<robot name="two">{links}{joint}</robot>')
+    two = Object("two", "two", file, [0, 0, 1])
+    for value, far in ((0.0, 0.1), (0.4, 0.45)):
+        two.set_joint_position("slide", value)
+        (((low, high),),) = Outline(two).across([((0, 0, 1), (0, 0, 0, 1))], [[0.0]], (0.0,))
+        assert low == pytest.approx(-0.1, abs=0.002)
+        assert high == pytest.approx(far, abs=0.002)
+    bare = tmp_path / "frame.urdf"
+    bare.write_text('<robot name="frame"><link name="nothing"/></robot>')
+    frame = Outline(Object("frame", "frame", bare))
+    assert np.isnan(frame.across([((0, 0, 0), (0, 0, 0, 1))], [[0.0]], (0.0,))).all()
+    assert np.isnan(frame.wall(((0, 0, 0), (0, 0, 0, 1)), (0.0,), [0.0])).all()
