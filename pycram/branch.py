@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import operator
-import threading
 from contextvars import copy_context
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -19,6 +18,7 @@ from recorder.span import Span, plan_line
 from recorder.tasks import State
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Iterator
 
 #: What an action of the plan gives: whatever its process module or function returns.
@@ -50,12 +50,14 @@ class Branch:
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
         context: where it was asked for.
         span: its node of the task tree.
+        thread: the thread that was made for it; None where it runs in that of others.
     """
 
     def __init__(
         self,
         name: str,
         action: Callable[[], Result],
+        changed: threading.Condition,
         *,
         ordered: bool = False,
         dropped: Callable[[], None] = lambda: None,
@@ -66,6 +68,7 @@ class Branch:
         Args:
             name: what people call it.
             action: what it does.
+            changed: notified when it ends; its block's.
             ordered: see above.
             dropped: called once if it is never begun; must not raise.
             span: its node of the task tree, if it isn't just a branch.
@@ -78,7 +81,8 @@ class Branch:
         self.span.source = plan_line()
         self._dropped = dropped
         self._begun = False
-        self._changed = threading.Condition()
+        self._changed = changed
+        self.thread: threading.Thread | None = None
         self._state = State.CREATED
         self._result: Result = None
         self._error: BaseException | None = None

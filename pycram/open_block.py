@@ -6,6 +6,7 @@ in a branch there is none, and things happen one after the other.
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -117,6 +118,7 @@ class OpenBlock(ABC):
     Attributes:
         rule: what kind of block it is.
         branches: its branches, in the order in which they were asked for.
+        changed: notified when one of them ends; guards what it knows of them.
     """
 
     def __init__(self, rule: Rule) -> None:
@@ -127,6 +129,7 @@ class OpenBlock(ABC):
         """
         self.rule = rule
         self.branches: list[Branch] = []
+        self.changed = threading.Condition()
 
     @property
     def name(self) -> str:
@@ -189,7 +192,7 @@ class OpenBlock(ABC):
         Returns:
             A handle that serves as its result.
         """
-        branch = Branch(name, action, ordered=ordered, dropped=dropped, span=span)
+        branch = Branch(name, action, self.changed, ordered=ordered, dropped=dropped, span=span)
         self.take(branch)
         return Handle(branch)
 

@@ -34,7 +34,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
 from pycram.open_block import alone
 from recorder.span import Span
 
@@ -139,8 +139,8 @@ class FailureHandling:
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
-        """Whether there is to be another attempt after an error, if one is left."""
-        return isinstance(error, self.kinds)
+        """Whether there is to be another attempt after an error, if one is left; none where it was told to stop."""
+        return isinstance(error, self.kinds) and not leaves_uncleaned(error)
 
     def recover(self, failure: BaseException) -> Parameters:
         """Does what was said about a failure.

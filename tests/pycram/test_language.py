@@ -11,6 +11,7 @@ import copy
 import faulthandler
 import os
 import signal
+import sys
 import threading
 import traceback
 from contextlib import suppress
@@ -26,6 +27,7 @@ from pycram.failures import (
     BranchesFailed,
     InCollision,
     LookingFailed,
+    NotCleanedUp,
     PlanFailure,
     Unreachable,
     UsageError,
@@ -406,6 +408,72 @@ def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others()
     assert [branch.state for branch in s.branches] == [C]
 
 
+@pytest.mark.parametrize("name", ["pursue", "try_all", "try_in_order"])
+def test_a_decided_block_stands_whatever_its_body_does_then(name: str) -> None:
+    def late(failures: list[BaseException] | None = None) -> object:
+        with KINDS[name](failures) if failures is not None else KINDS[name] as s:
+            s(succeeds)
+            s.branches[0].wait()
+            fails()
+        return s
+
+    s = late()
+    assert s.state is S
+    assert [type(one) for one in s.failures] == [Unreachable]  # nothing vanishes
+    node = tasks.tree().roots[-1]
+    assert node.status is S
+    assert [(part.name, part.status) for part in node.children] == [("succeeds", S), ("body", F)]
+    assert node.children[1].failure.type == "Unreachable"
+    failures: list[BaseException] = []
+    assert late(failures).state is S
+    assert [type(one) for one in failures] == [Unreachable]
+    with par as outer:
+        inner = late()  # read here, done in a thread of its own
+        outer(succeeds)
+    assert (outer.state, inner.state) == (S, S)
+    assert [type(one) for one in inner.failures] == [Unreachable]
+
+
+def test_a_failing_body_is_one_more_that_was_tried() -> None:
+    gate = Gate()
+    with try_all as s:
+        s(gate.pass_through)
+        s(gate.open)
+        fails()
+    assert s.state is S
+    with pytest.raises(BranchesFailed, match=r"Look.*Unreach") as raised, try_all as s:
+        s(fails_to_look)
+        fails()
+    assert len(raised.value.failures) == 2
+    gate = Gate()
+    with pytest.raises(Unreachable), pursue as s:  # was first
+        s(lambda: gate.pass_through() if not s.scope.told else succeeds())
+        fails()
+    gate = Gate()
+    with pytest.raises(Unreachable), par, par as t:  # the same for a block that is read
+        t(gate.pass_through)
+        t(gate.open)
+        fails()
+    assert [branch.state for branch in t.branches] == [S, S]
+
+
+def test_a_cancelled_block_hands_over_what_failed_in_it() -> None:
+    failed, failures = Gate(), []
+
+    def inner() -> None:
+        with par(failures) as s:
+            s(fails)
+            s.branches[0].wait()
+            s(failed.open)
+            s(Gate().pass_through)
+
+    with pursue as s:
+        s(inner)
+        s(failed.pass_through)
+    assert s.branches[0].state is C
+    assert [type(one) for one in failures] == [Unreachable]
+
+
 def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
     done = []
     with seq as s:
@@ -444,6 +512,33 @@ def test_ctrl_c_ends_a_block_and_its_threads(times: int) -> None:
         s(gate.pass_through)
         s(interrupt)
     assert {branch.state for branch in s.branches} == {C}
+
+
+def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = threading.Event()
+
+    class Screen:
+        text = ""
+
+        def write(self, text: str) -> None:
+            self.text += text
+            told.set()
+
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+
+    def busy() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        while not s.scope.told:
+            pass
+        while not told.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
+            told.wait(0.05)
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(busy)
+    assert s.branches[0].state is S
+    assert "waiting for par-1" in screen.text
 
 
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
@@ -753,15 +848,38 @@ def test_failures_of_cleaning_up_are_not_lost() -> None:
     with pytest.raises(BadArgument), finally_(is_wrong):
         fails()
 
+
+def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> None:
+    inside = Gate()
+
     def slow() -> None:
         with finally_(fails):
+            inside.open()
             Gate().pass_through()
 
-    with pursue as s:
+    def in_a_block() -> None:
+        with par as s:
+            s(slow)
+
+    def tried_again() -> None:
+        failure_handling(3).run(slow)
+
+    for branch in (slow, in_a_block, tried_again):
+        inside.is_open = False
+        with pytest.raises(NotCleanedUp, match=r"fails, done because .* Unreachable: left arm") as raised, pursue as s:
+            s(branch)
+            s(inside.pass_through)
+        assert [branch.state for branch in s.branches] == [F, S]
+        assert s.state is F
+        text = "".join(traceback.format_exception(raised.value))
+        assert "in fails" in text
+    inside.is_open = False
+    failures: list[BaseException] = []
+    with try_all(failures) as s:
         s(slow)
-        s(succeeds)
-    assert s.branches[0].state is F
-    assert [type(one) for one in s.failures] == [Unreachable]
+        s(inside.pass_through)
+    assert s.state is F
+    assert isinstance(failures[0].failure, Unreachable)
 
 
 def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
