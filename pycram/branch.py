@@ -10,10 +10,11 @@ from __future__ import annotations
 import copy
 import operator
 from contextvars import copy_context
+from types import AsyncGeneratorType, CoroutineType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.cancellation import checkpoint, wait
-from pycram.failures import UsageError
+from pycram.failures import BadArgument, UsageError
 from recorder.span import Span, plan_line
 from recorder.tasks import State
 
@@ -110,7 +111,7 @@ class Branch:
         """
         self._begun = True
         self._state = State.RUNNING
-        return unwrap(self.action())
+        return unwrap(completed(self.name, self.action()))
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
         """Says what came of it, once.
@@ -300,6 +301,24 @@ _REFLECTED: Final = frozenset(f"__r{name}__" for name in _BINARY)
 
 for _name in (*(f"__{name}__" for name in _BINARY), *_REFLECTED, "__neg__", "__pos__", "__abs__", "__index__"):
     setattr(Handle, _name, _operation(_name))
+
+
+def completed(action: str, result: Result) -> Result:
+    """What a function of the plan returned, if that function has been run.
+
+    Args:
+        action: name of the function.
+        result: what it returned.
+
+    Raises:
+        BadArgument: it is an async function: calling it has done nothing yet.
+    """
+    kind = type(result)  # isinstance() would wait for a handle
+    if kind is not CoroutineType and kind is not AsyncGeneratorType:
+        return result
+    if kind is CoroutineType:
+        result.close()  # Python warns of those that nobody awaits
+    raise BadArgument("action", action, "a plain function; `lambda: asyncio.run(...)` runs an async one to its end")
 
 
 def is_handle(value: object) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from pycram.branch import completed
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
@@ -48,7 +49,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
             first = error
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
-                task.result = action(*args, **kwargs)
+                task.result = completed(task.name, action(*args, **kwargs))
         except BaseException as second:
             if first is None:
                 raise

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram import checks
 from pycram.binding import Binding
-from pycram.branch import unwrap
+from pycram.branch import completed, unwrap
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, unfinished
@@ -164,7 +164,7 @@ class ProcessModule(ABC):
             solution = designator.reference()
             with span("process-module", type(self).__name__, solution) as task, whole():
                 task.solution = solution
-                task.result = result = self._execute(designator)
+                task.result = result = completed(task.name, self._execute(designator))
                 return result
 
     @staticmethod

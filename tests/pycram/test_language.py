@@ -4,7 +4,7 @@ Timing is controlled by gates, never by the clock: a branch that waits at a gate
 when it is cancelled.
 """
 
-# ruff: noqa: PT012  the blocks under test have bodies
+# ruff: noqa: PT012, PT031  the blocks under test have bodies
 from __future__ import annotations
 
 import copy
@@ -14,7 +14,7 @@ import signal
 import sys
 import threading
 import traceback
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -32,12 +32,29 @@ from pycram.failures import (
     Unreachable,
     UsageError,
 )
-from pycram.language import State, failure_handling, finally_, par, pursue, retry, seq, timeout, try_all, try_in_order
-from pycram.open_block import BlockClosed
+from pycram.language import (
+    BlocksMixed,
+    NeverOpened,
+    State,
+    failure_handling,
+    finally_,
+    par,
+    pursue,
+    retry,
+    seq,
+    timeout,
+    try_all,
+    try_in_order,
+)
+from pycram.open_block import BlockClosed, current_block
+from pycram.retries import FailureLeft
 from pycram.timeouts import TimedOut
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from pycram.language import Kind
+    from pycram.open_block import OpenBlock
 
 KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
 S, F, C = State.SUCCEEDED, State.FAILED, State.CANCELLED
@@ -598,6 +615,85 @@ def test_a_branch_may_ask_for_others_until_the_block_has_ended() -> None:
         s("not a function")
 
 
+@pytest.mark.parametrize("way", ["branch", "function", "attempt", "cleanup"])
+def test_async_functions_are_refused(way: str) -> None:
+    async def fetch() -> int:
+        return 1
+
+    with pytest.raises(BadArgument, match=r"fetch.*a plain function"):
+        if way == "branch":
+            with par as s:
+                s(lambda: s(fetch))
+        elif way == "function":
+            pursue(fetch)
+        elif way == "attempt":
+            failure_handling(1).run(fetch)
+        else:
+            with finally_(fetch):
+                pass
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_no_functions_give_no_results(name: str) -> None:
+    functions: list[Callable[[], object]] = []
+    results = KINDS[name](*functions)
+    assert results == []
+    assert [*results] == []
+
+
+def test_a_forgotten_with_is_told() -> None:
+    failures: list[BaseException] = []
+    with pytest.warns(NeverOpened, match=r"write `with par\(failures\) as s:`") as warned:
+        par(failures)
+    assert warned[0].filename == __file__
+
+
+def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
+    def plan(kind: Kind) -> Iterator[OpenBlock]:
+        with kind as s:
+            yield s
+
+    for kind in (par, seq):
+        first, second = plan(kind), plan(par)
+        s, t = next(first), next(second)
+        gate = Gate()
+        if kind is par:
+            s(gate.pass_through)
+        t(gate.pass_through)
+        with pytest.raises(BlocksMixed, match=f"a {kind} block ends while one"):
+            list(first)
+        assert State.RUNNING not in {branch.state for block in (s, t) for branch in block.branches}
+        with pytest.raises(BlocksMixed):
+            list(second)
+        assert current_block() is None
+        left = plan(kind)
+        with pytest.raises(BlocksMixed), par:
+            next(left)
+        with pytest.raises(BlocksMixed):
+            list(left)
+        assert current_block() is None
+        with par as u:
+            for v in plan(kind):
+                v(succeeds)
+        assert (u.state, v.state) == (S, S)
+
+
+def test_blocks_in_context_managers() -> None:
+    @contextmanager
+    def beside(action: Callable[[], object]) -> Iterator[OpenBlock]:
+        with par as s:
+            s(action)
+            yield s
+
+    done: list[int] = []
+    with beside(lambda: done.append(1)) as s, beside(lambda: done.append(2)) as t, ExitStack() as stack:
+        u = stack.enter_context(par)
+        u(done.append, 3)
+        stack.enter_context(seq)(done.append, 4)
+    assert sorted(done) == [1, 2, 3, 4]
+    assert (s.state, t.state, u.state) == (S, S, S)
+
+
 def test_the_five_words_may_be_used_again_in_threads_and_within_themselves() -> None:
     def deep(levels: int) -> int:
         if not levels:
@@ -747,16 +843,31 @@ def test_what_python_cannot_run_again_says_so() -> None:
             pass
 
 
-def test_leaving_the_loop_ends_the_handling() -> None:
-    for attempt in failure_handling(5):
-        with attempt:
-            fails()
-        if attempt.number == 2:
-            break
+def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
+    with pytest.warns(FailureLeft, match="after attempt 2 had failed: Unreachable: left arm") as warned:
+        for attempt in failure_handling(5):
+            with attempt:
+                fails()
+            if attempt.number == 2:
+                break
+    assert warned[0].filename == __file__
     node = tasks.tree().find(kind="failure-handling")[-1]
     assert len(node.attempts) == 2
     assert node.status is F
     assert tasks.current() is None
+
+
+def test_leaving_the_loop_with_the_failure_handled_or_raised() -> None:
+    for attempt in failure_handling(5):
+        with attempt:
+            try:
+                fails()
+            except Unreachable:
+                break
+    with pytest.raises(LookingFailed):
+        for attempt in failure_handling(5, Unreachable):
+            with attempt:
+                fails() if attempt.number == 1 else fails_to_look()
 
 
 def test_attempts_in_a_concurrent_body_see_their_failures() -> None:
