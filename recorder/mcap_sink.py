@@ -126,8 +126,12 @@ class McapSink:
             self._check()
             self._now = record.wall_time_ns
             self._add(topic, payload, record.seq, record.world if topic in _OF_WORLDS else "")
-            for other, message in self._companions(record):
-                self._add(other, message.SerializeToString(), record.seq)
+            if topic in _OF_WORLDS:
+                for other, message in self._frames.transforms(record):
+                    self._add(other, message.SerializeToString(), record.seq)
+            line = line_of(record)
+            if line is not None:
+                self._add("/log", line.SerializeToString(), record.seq)
             self._count += 1
             self._pending += 1
             if self._pending >= _MOST_RECORDS or self._writer.pending > _CHUNK or _is_end(record):
@@ -135,12 +139,6 @@ class McapSink:
                     self._flush()
             elif self._pending == 1:
                 self._wake.set()
-
-    def _companions(self, record: Record) -> Iterator[tuple[str, Message]]:
-        yield from self._frames.transforms(record)
-        line = line_of(record)
-        if line is not None:
-            yield "/log", line
 
     def _add(self, topic: str, payload: bytes, seq: int, world: str = "") -> None:
         channel = self._channels.get((topic, world))
