@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BranchesFailed, PlanFailure, leaves_uncleaned
-from pycram.open_block import BlockClosed, OpenBlock, hosted
+from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
 from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
@@ -136,10 +136,11 @@ class Block(OpenBlock):
             self._settle(branch, State.FAILED, error=error)
 
     def _run(self, branch: Branch) -> None:
-        """Runs a branch in this thread; its errors are its own."""
+        """Runs a branch in this thread and in its own context; its errors are its own."""
         result: Result = None
         try:
-            with hosted(None), entered(self.scope), branch.span:
+            enter_branch(self.scope)
+            with branch.span:
                 checkpoint()
                 branch.span.result = result = branch.begin()
         except Cancelled:

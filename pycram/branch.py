@@ -344,6 +344,6 @@ def unwrap(value: Result) -> Result:
     Raises:
         BaseException: what the branch raised.
     """
-    while (branch := branch_of(value)) is not None:
-        value = branch.result()
+    while is_handle(value):
+        value = value.result()
     return value

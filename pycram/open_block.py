@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pycram.binding import Binding
 from pycram.branch import Branch, Handle, Result
-from pycram.cancellation import checkpoint
+from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from recorder.tasks import State
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from pycram.cancellation import Scope
     from recorder.span import Span
 
 
@@ -82,6 +83,16 @@ def hosted(host: OpenBlock | None) -> Binding[OpenBlock | None]:
         host: the block; None lets actions happen one after the other.
     """
     return Binding(_host, host)
+
+
+def enter_branch(scope: Scope) -> None:
+    """Makes the context that of a branch, in which actions happen one after the other.
+
+    Args:
+        scope: its block's.
+    """
+    _host.set(None)
+    enter(scope)
 
 
 @contextmanager
