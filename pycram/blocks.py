@@ -269,7 +269,8 @@ class Block(OpenBlock):
         while True:
             while self.rule.concurrent and ended < len(self.branches):
                 branch = self.branches[ended]
-                branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
+                if not branch.done:
+                    branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
                 if branch.thread is not None:
                     branch.thread.join()
                 ended += 1

@@ -70,10 +70,11 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name = f"{record.kind} {record.name}"
-    if record.phase == Task.ASKED:
+    phase = record.phase
+    if phase == Task.ASKED:
         return f"{name} asked for", Log.DEBUG
-    if record.phase == Task.STARTED:
-        return f"{name}({values(record.parameters)})", Log.INFO
+    if phase == Task.STARTED:  # to go through protobuf's empty lists takes its time
+        return f"{name}({values(record.parameters) if record.parameters else ''})", Log.INFO
     took = f"{record.duration_ns / _MS:.1f} ms"
     if record.status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}", Log.INFO
