@@ -4,27 +4,32 @@ The whole difference between the five blocks is their :class:`Rule`: whether bra
 a branch decides the block. A block that is decided cancels its other branches; it ends when all its threads have ended,
 and as its deciding branch did. One that nothing decided failed if any of its branches did.
 
-A plan failure in the body ends the body and is one of the block's failures. What is asked for when the block is decided
-isn't run: its handle says so. A usage error, in a branch or in the body, ends any block and comes out as it is: it is
-never collected, retried or outvoted.
+A plan failure in the body ends the body and is one of the block's failures: it decides the block where a failure of a
+branch would, and never turns one that is decided. What is asked for when the block is decided isn't run: its handle
+says so.
+
+Two things come out of any block, however it is decided. A usage error, in a branch or in the body, ends it and comes
+out as it is: it is never collected, retried or outvoted. A branch that could not clean up when it was told to stop has
+left the world in a state that nobody reckons with, and fails the block.
 """
 
 from __future__ import annotations
 
+import sys
 import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BranchesFailed, PlanFailure
-from pycram.open_block import BlockClosed, OpenBlock, hosted
+from pycram.failures import BranchesFailed, PlanFailure, leaves_uncleaned
+from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
 from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
 
 if TYPE_CHECKING:
-    from types import TracebackType
+    from types import FrameType, TracebackType
 
     from typing_extensions import Self
 
@@ -53,10 +58,9 @@ class Block(OpenBlock):
         self._outer = current_scope()
         self.scope = Scope(self._outer)
         self.decider: Branch | None = None
-        self._lock = threading.Lock()
+        self._decided = False  # by that, or by a failure of the body
         self._state = State.CREATED
-        self._running: list[tuple[Branch, threading.Thread]] = []
-        self._body_failure: PlanFailure | None = None
+        self._body_failures: list[PlanFailure] = []
         self._exits = ExitStack()
         self._span = span if span is not None else Span("block", rule.name)
         self._owns_span = span is None
@@ -75,9 +79,9 @@ class Block(OpenBlock):
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
         errors = [branch.error for branch in list(self.branches)] if not self.rule.plain else []
-        if not any(error is self._body_failure for error in errors):
-            errors.append(self._body_failure)
-        return tuple(error for error in errors if isinstance(error, PlanFailure))
+        failures = [error for error in errors if isinstance(error, PlanFailure)]
+        known = {id(failure) for failure in failures}
+        return (*failures, *(failure for failure in self._body_failures if id(failure) not in known))
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
@@ -92,20 +96,9 @@ class Block(OpenBlock):
             PlanFailure: it failed, where that ends the body.
         """
         branch.span.parent = self._span.id
-        with self._lock:
-            closed = self._state is not State.RUNNING
-            if not closed:
-                self.branches.append(branch)
-        if closed:
-            branch.settle(State.CANCELLED)
-            raise BlockClosed(self.name, branch.name)
-        if self.decider is not None or self.scope.cancelled:
-            branch.settle(State.CANCELLED)
-            branch.span.ask()
-            branch.span.finish(Cancelled())
-        elif self.rule.concurrent:
-            self._begin(branch)
-        else:
+        with Uninterrupted():  # what is noted has begun, or is settled
+            begins_here = self._admit(branch)
+        if begins_here:
             branch.context.run(self._run, branch)
             error = branch.error
             if error is not None and (self.rule.plain or not isinstance(error, PlanFailure)):
@@ -113,23 +106,41 @@ class Block(OpenBlock):
         if self._outer is not None and self._outer.cancelled:
             raise Cancelled
 
+    def _admit(self, branch: Branch) -> bool:
+        """Notes a branch, and begins it in a thread of its own; returns whether it is to be run here instead."""
+        with self.changed:
+            closed = self._state is not State.RUNNING
+            if not closed:
+                self.branches.append(branch)
+        if closed:
+            branch.settle(State.CANCELLED)
+            raise BlockClosed(self.name, branch.name)
+        if self._decided or self.scope.cancelled:
+            branch.settle(State.CANCELLED)
+            branch.span.ask()
+            branch.span.finish(Cancelled())
+            return False
+        if self.rule.concurrent:
+            self._begin(branch)
+        return not self.rule.concurrent
+
     def _begin(self, branch: Branch) -> None:
-        name = f"{self.name}-{len(self._running) + 1} {branch.name}"
-        thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
+        name = f"{self.name}-{len(self.branches)} {branch.name}"
         try:
             branch.span.ask()
-            with Uninterrupted(), self._lock:  # a thread has started and is waited for, or neither
-                thread.start()
-                self._running.append((branch, thread))
+            branch.thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
+            branch.thread.start()
         except Exception as error:  # noqa: BLE001  no more threads, or a full disk: the block raises it
+            branch.thread = None
             branch.span.finish(error)
             self._settle(branch, State.FAILED, error=error)
 
     def _run(self, branch: Branch) -> None:
-        """Runs a branch in this thread; its errors are its own."""
+        """Runs a branch in this thread and in its own context; its errors are its own."""
         result: Result = None
         try:
-            with hosted(None), entered(self.scope), branch.span:
+            enter_branch(self.scope)
+            with branch.span:
                 checkpoint()
                 branch.span.result = result = branch.begin()
         except Cancelled:
@@ -140,12 +151,26 @@ class Block(OpenBlock):
             self._settle(branch, State.SUCCEEDED, result)
 
     def _settle(self, branch: Branch, state: State, result: Result = None, error: BaseException | None = None) -> None:
-        with self._lock:
-            decides = self.decider is None and state in self.rule.decided_by and not self.rule.plain
+        with self.changed:
+            decides = not self._decided and state in self.rule.decided_by and not self.rule.plain
             if decides:
+                self._decided = True
                 self.decider = branch
-        branch.settle(state, result, error)
+            branch.settle(state, result, error)
         if decides or (error is not None and not isinstance(error, PlanFailure)):
+            self.scope.cancel()
+
+    def body_failed(self, failure: PlanFailure) -> None:
+        """Takes a failure of the body, which has ended with it.
+
+        Args:
+            failure: the failure.
+        """
+        with self.changed:
+            self._body_failures.append(failure)
+            decides = not self._decided and State.FAILED in self.rule.decided_by
+            self._decided = self._decided or decides
+        if decides:
             self.scope.cancel()
 
     def report(self, branch: Branch, state: State, error: BaseException | None = None) -> None:
@@ -156,7 +181,7 @@ class Block(OpenBlock):
             state: how it ended.
             error: what it raised.
         """
-        with self._lock:
+        with self.changed:
             self.branches.append(branch)
         self._settle(branch, state, error=error)
 
@@ -188,14 +213,15 @@ class Block(OpenBlock):
     def _close(self, error: BaseException | None) -> BaseException | None:
         """Waits for the branches, says how the block ended, and gives what is to be raised."""
         if isinstance(error, PlanFailure):
-            self._body_failure = error
-        if error is not None and (self.rule.decided_by or not isinstance(error, PlanFailure)):
-            self.scope.cancel()  # only the branches of a par block go on when its body failed
+            self.body_failed(error)
+        elif error is not None:
+            self.scope.cancel()
         try:
             self._join()
         except BaseException:
-            self.scope.cancel()
-            self._join()
+            with _Waiting(self):  # no thread outlives its block, however often somebody presses Ctrl-C
+                self.scope.cancel()
+                self._join()
             raise
         failures = self.failures
         wrong = [error, *(branch.error for branch in self.branches)]
@@ -203,29 +229,53 @@ class Block(OpenBlock):
         if bugs:  # the program is wrong, or the user wants out
             self._state = State.FAILED
             return chained(bugs[0], [*bugs[1:], *failures])
-        if self.decider is None and self._body_failure is None:
-            cancelled = [branch for branch in self.branches if branch.state is State.CANCELLED]
-            if error is not None or cancelled:  # told to stop by a block around it
-                self._state = State.CANCELLED
-                return chained(error or Cancelled(), failures)
+        self._state = self._outcome(error, failures)
         if self._collected is not None:
             self._collected.extend(failures)
-        succeeded = not failures if self.decider is None else self.decider.state is State.SUCCEEDED
-        self._state = State.SUCCEEDED if succeeded and self._body_failure is None else State.FAILED
-        if self._state is State.SUCCEEDED or self._collected is not None:
+        if self._state is State.CANCELLED:
+            return chained(error if isinstance(error, Cancelled) else Cancelled(), failures)
+        if self._state is State.SUCCEEDED:
+            for failure in self._body_failures:
+                self._note_down(failure)
             return None
-        return BranchesFailed(self.name, failures)
+        return None if self._collected is not None else BranchesFailed(self.name, failures)
+
+    def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
+        """How the block ended, where the program is right.
+
+        Args:
+            error: what came out of the body.
+            failures: the block's.
+        """
+        if any(leaves_uncleaned(failure) for failure in failures):
+            return State.FAILED
+        if self.decider is not None:
+            return self.decider.state
+        stopped = isinstance(error, Cancelled) or any(branch.state is State.CANCELLED for branch in self.branches)
+        if stopped and not self._body_failures:  # by a block around it
+            return State.CANCELLED
+        return State.FAILED if failures else State.SUCCEEDED
+
+    def _note_down(self, failure: PlanFailure) -> None:
+        """Puts a failure of the body on record that is neither raised nor that of a branch."""
+        if not any(branch.error is failure for branch in self.branches):
+            body = Span("branch", "body", parent=self._span.id)
+            body.ask()
+            body.finish(failure)
 
     def _join(self) -> None:
-        joined = 0
+        """Waits for all branches; those of a block in which things happen in order have ended anyway."""
+        ended = 0
         while True:
-            while joined < len(self._running):
-                branch, thread = self._running[joined]
-                branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
-                thread.join()
-                joined += 1
-            with self._lock:  # a branch may have asked for another one
-                if joined == len(self._running):
+            while self.rule.concurrent and ended < len(self.branches):
+                branch = self.branches[ended]
+                if not branch.done:
+                    branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
+                if branch.thread is not None:
+                    branch.thread.join()
+                ended += 1
+            with self.changed:  # a branch may have asked for another one
+                if ended == len(self.branches) or not self.rule.concurrent:
                     self._state = State.CANCELLED  # closed; what it really is comes next
                     return
 
@@ -234,3 +284,19 @@ class Block(OpenBlock):
         if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
             self._span.error = BranchesFailed(self.name, self.failures)
         self._exits.__exit__(type(error) if error is not None else None, error, None)
+
+
+class _Waiting(Uninterrupted):
+    """Notes Ctrl-C, and says what the user has to wait for."""
+
+    __slots__ = ("_block",)
+
+    def __init__(self, block: Block) -> None:
+        self._block = block
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        super()._note(number, frame)
+        busy = [branch.thread.name for branch in self._block.branches if branch.thread is not None and not branch.done]
+        if busy:
+            told = f"waiting for {', '.join(busy)} to get to the next action; Ctrl-\\ ends the process at once\n"
+            sys.stderr.write(told)

@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import copy
 import operator
-import threading
 from contextvars import copy_context
+from types import AsyncGeneratorType, CoroutineType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.cancellation import checkpoint, wait
-from pycram.failures import UsageError
+from pycram.failures import BadArgument, UsageError
 from recorder.span import Span, plan_line
 from recorder.tasks import State
 
 if TYPE_CHECKING:
+    import threading
     from collections.abc import Callable, Iterator
 
 #: What an action of the plan gives: whatever its process module or function returns.
@@ -50,12 +51,14 @@ class Branch:
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
         context: where it was asked for.
         span: its node of the task tree.
+        thread: the thread that was made for it; None where it runs in that of others.
     """
 
     def __init__(
         self,
         name: str,
         action: Callable[[], Result],
+        changed: threading.Condition,
         *,
         ordered: bool = False,
         dropped: Callable[[], None] = lambda: None,
@@ -66,6 +69,7 @@ class Branch:
         Args:
             name: what people call it.
             action: what it does.
+            changed: notified when it ends; its block's.
             ordered: see above.
             dropped: called once if it is never begun; must not raise.
             span: its node of the task tree, if it isn't just a branch.
@@ -78,7 +82,8 @@ class Branch:
         self.span.source = plan_line()
         self._dropped = dropped
         self._begun = False
-        self._changed = threading.Condition()
+        self._changed = changed
+        self.thread: threading.Thread | None = None
         self._state = State.CREATED
         self._result: Result = None
         self._error: BaseException | None = None
@@ -106,7 +111,7 @@ class Branch:
         """
         self._begun = True
         self._state = State.RUNNING
-        return unwrap(self.action())
+        return unwrap(completed(self.name, self.action()))
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
         """Says what came of it, once.
@@ -298,6 +303,24 @@ for _name in (*(f"__{name}__" for name in _BINARY), *_REFLECTED, "__neg__", "__p
     setattr(Handle, _name, _operation(_name))
 
 
+def completed(action: str, result: Result) -> Result:
+    """What a function of the plan returned, if that function has been run.
+
+    Args:
+        action: name of the function.
+        result: what it returned.
+
+    Raises:
+        BadArgument: it is an async function: calling it has done nothing yet.
+    """
+    kind = type(result)  # isinstance() would wait for a handle
+    if kind is not CoroutineType and kind is not AsyncGeneratorType:
+        return result
+    if kind is CoroutineType:
+        result.close()  # Python warns of those that nobody awaits
+    raise BadArgument("action", action, "a plain function; `lambda: asyncio.run(...)` runs an async one to its end")
+
+
 def is_handle(value: object) -> bool:
     """Whether this is a handle, without waiting for what it stands for."""
     return issubclass(type(value), Handle)
@@ -321,6 +344,6 @@ def unwrap(value: Result) -> Result:
     Raises:
         BaseException: what the branch raised.
     """
-    while (branch := branch_of(value)) is not None:
-        value = branch.result()
+    while is_handle(value):
+        value = value.result()
     return value

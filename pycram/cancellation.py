@@ -26,6 +26,7 @@ __all__ = [
     "before_change",
     "checkpoint",
     "current_scope",
+    "enter",
     "entered",
     "shielded",
     "wait",
@@ -38,6 +39,7 @@ class Scope:
 
     Attributes:
         lineage: this scope, the one around it, and so on outwards.
+        told: whether this very scope has been told to stop.
         deadlines: what is left until their deadlines, of those that have one; see the constructor.
     """
 
@@ -54,13 +56,8 @@ class Scope:
         self.deadlines: tuple[Callable[[], float], ...] = around if remaining is None else (remaining, *around)
         self._remaining = remaining
         self._lock = threading.Lock()
-        self._told = threading.Event()
+        self.told = False
         self._waiting: list[threading.Condition] = []
-
-    @property
-    def told(self) -> bool:
-        """Whether this very scope has been told to stop."""
-        return self._told.is_set()
 
     @property
     def overdue(self) -> bool:
@@ -73,7 +70,7 @@ class Scope:
         for scope in self.lineage:
             if scope.told:
                 return True
-        return any(remaining() <= 0 for remaining in self.deadlines)
+        return bool(self.deadlines) and any(remaining() <= 0 for remaining in self.deadlines)
 
     def remaining(self) -> float | None:
         """Seconds by the clock for which a wait in it may sleep at most; None for as long as it likes."""
@@ -82,7 +79,7 @@ class Scope:
 
     def cancel(self) -> None:
         """Tells it to stop, and wakes whatever waits in it."""
-        self._told.set()
+        self.told = True
         self.wake()
 
     def wake(self) -> None:
@@ -127,6 +124,15 @@ def entered(scope: Scope | None) -> Binding[Scope | None]:
         scope: the scope; None for outside of all.
     """
     return Binding(_scope, scope)
+
+
+def enter(scope: Scope) -> None:
+    """From here on this context is in a scope.
+
+    Args:
+        scope: the scope.
+    """
+    _scope.set(scope)
 
 
 def shielded() -> Binding[Scope | None]:

@@ -6,6 +6,11 @@ moves or needs. A motion takes its place in the queue when it is asked for, gets
 as soon as no earlier motion conflicts with it. So conflicting motions run in the order in which the plan asks for them,
 whichever thread is quicker; others run side by side; since each waits for earlier ones only, there is no deadlock.
 
+What a motion needs is known for sure when it is resolved and its process module is chosen, which is when its turn has
+come. Until then it claims what its designator says, or the whole robot if that says nothing. Then it puts its claims
+right, *before* it moves anything. Where it needs more than it had, it gives up what it has, keeps its place, and waits
+also for those later ones that run already. These wait for nobody here, so there is no deadlock in that either.
+
 What this means for a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place,
 detect): the base starts when the arms are parked, since their posture decides whether the robot fits there; the head is
 turned when the base has arrived, since it is to look at a place in the world; and detecting, which needs the whole
@@ -15,17 +20,19 @@ meaning.
 
 from __future__ import annotations
 
-import itertools
 import threading
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.cancellation import wait
 from pycram.failures import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
+
+#: Stands among claims for all resources that there are, also those that nobody has named.
+WHOLE: Final = "the whole robot"
 
 
 class ClaimError(UsageError):
@@ -36,18 +43,20 @@ class ClaimError(UsageError):
 
     Attributes:
         motion: what wants it.
-        wanted: the resources that the outer motion doesn't have.
-        held: those that it has.
+        moves: what it moves and the outer motion doesn't.
+        at_rest: what it needs at rest and the outer motion hasn't claimed at all.
+        held: what the outer motion has.
     """
 
-    def __init__(self, motion: str, wanted: Iterable[str], held: Claims) -> None:
-        self.motion = motion
-        self.wanted = sorted(wanted)
-        self.held = sorted(held.moves | held.at_rest)
+    def __init__(self, motion: str, beyond: Claims, held: Claims) -> None:
         super().__init__(
-            f"{motion} needs {', '.join(self.wanted)}, but the motion that it is part of has claimed only "
-            f"{', '.join(self.held)}; perform it before, or give the outer designator the claims of both"
+            f"{motion} {beyond}, but the motion that it is part of {held}; "
+            "perform it before that one, or have claims() of that one's process module give the claims of both"
         )
+        self.motion = motion
+        self.moves = sorted(beyond.moves)
+        self.at_rest = sorted(beyond.at_rest)
+        self.held = held
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +64,7 @@ class Claims:
     """What a motion needs of the robot.
 
     Attributes:
-        moves: resources that it moves ("base", "head", "left-arm", "right-gripper", ...).
+        moves: resources that it moves: "base", "head", "left-arm", "right-gripper", ..., or :data:`WHOLE`.
         at_rest: resources that must not move meanwhile.
     """
 
@@ -64,26 +73,50 @@ class Claims:
 
     def conflicts(self, other: Claims) -> bool:
         """Whether the two can't be granted at the same time."""
-        return bool(self.moves & (other.moves | other.at_rest) or other.moves & self.at_rest)
+        return _meet(self.moves, other.moves | other.at_rest) or _meet(other.moves, self.at_rest)
 
-    def beyond(self, outer: Claims) -> frozenset[str]:
-        """The resources that it needs and that ``outer`` doesn't give."""
-        return (self.moves - outer.moves) | (self.at_rest - outer.at_rest - outer.moves)
+    def beyond(self, outer: Claims) -> Claims:
+        """What it needs and ``outer`` doesn't give."""
+        return Claims(_without(self.moves, outer.moves), _without(self.at_rest, outer.moves | outer.at_rest))
 
     def __bool__(self) -> bool:
         return bool(self.moves or self.at_rest)
 
+    def __str__(self) -> str:
+        parts = (("moves", self.moves), ("needs at rest", self.at_rest))
+        return " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in parts if names) or "claims nothing"
+
+
+EVERYTHING: Final = Claims(moves=frozenset({WHOLE}))
+"""What a motion claims of which nothing is known."""
+
+
+def _meet(one: frozenset[str], other: frozenset[str]) -> bool:
+    return bool(one and other) if WHOLE in one or WHOLE in other else bool(one & other)
+
+
+def _without(wanted: frozenset[str], given: frozenset[str]) -> frozenset[str]:
+    return frozenset() if WHOLE in given else wanted - given
+
 
 class Ticket:
-    """A place in a queue, taken; leave it when done, however that ended."""
+    """A place in a queue, taken; leave it when done, however that ended.
 
-    def __init__(self, queue: ResourceQueue, number: int, claims: Claims) -> None:
+    Attributes:
+        claims: what it stands for.
+        motion: for what, in messages.
+        granted: whether its turn has come.
+    """
+
+    def __init__(self, queue: ResourceQueue, claims: Claims, motion: str) -> None:
+        """Makes a place that isn't taken yet; :meth:`ResourceQueue.arrive` takes one."""
         self.claims = claims
-        self.number = number
+        self.motion = motion
+        self.granted = False
         self._queue = queue
 
     @contextmanager
-    def granted(self) -> Iterator[None]:
+    def turn(self) -> Iterator[None]:
         """Waits for its turn, runs its block, and leaves the queue.
 
         Raises:
@@ -95,6 +128,18 @@ class Ticket:
         finally:
             self.leave()
 
+    def change(self, claims: Claims | None) -> None:
+        """Puts its claims right when its turn has come and nothing has been done yet; waits again if need be.
+
+        Args:
+            claims: what is needed; None: nobody knows, all that there is.
+
+        Raises:
+            ClaimError: it is part of a motion that doesn't hold all of this.
+            Cancelled: the branch has been told to stop while it waited.
+        """
+        self._queue.change(self, claims)
+
     def leave(self) -> None:
         """Gives the place up; nothing happens if that was done already."""
         self._queue.leave(self)
@@ -103,39 +148,44 @@ class Ticket:
 class ResourceQueue:
     """Those who wait for parts of one robot, in order of arrival."""
 
-    def __init__(self, outer: Claims | None = None) -> None:
+    def __init__(self, outer: Claims = EVERYTHING) -> None:
         """Makes an empty queue.
 
         Args:
-            outer: for the motions that one motion is made of: what that one holds. None: the whole robot.
+            outer: for the motions that one motion is made of: what that one holds.
         """
         self._outer = outer
         self._changed = threading.Condition()
-        self._numbers = itertools.count()
         self._tickets: list[Ticket] = []
 
-    def arrive(self, claims: Claims, motion: str = "the motion") -> Ticket:
+    def arrive(self, claims: Claims | None, motion: str = "the motion") -> Ticket:
         """Takes the next place; doesn't wait.
 
         Args:
-            claims: what is needed.
+            claims: what is needed; None: nobody knows, all that there is.
             motion: for what, in messages.
 
         Returns:
-            The place; wait with :meth:`Ticket.granted`.
+            The place; wait with :meth:`Ticket.turn`.
 
         Raises:
             ClaimError: it is part of a motion that doesn't hold all of this.
         """
-        if self._outer is not None and (missing := claims.beyond(self._outer)):
-            raise ClaimError(motion, missing, self._outer)
+        ticket = Ticket(self, self._given(claims, motion), motion)
         with self._changed:
-            ticket = Ticket(self, next(self._numbers), claims)
             self._tickets.append(ticket)
         return ticket
 
+    def _given(self, claims: Claims | None, motion: str) -> Claims:
+        if claims is None:
+            return self._outer
+        beyond = claims.beyond(self._outer)
+        if beyond:
+            raise ClaimError(motion, beyond, self._outer)
+        return claims
+
     def wait(self, ticket: Ticket) -> None:
-        """Waits until no earlier ticket conflicts.
+        """Waits until no earlier ticket conflicts, and no later one that has been granted.
 
         Args:
             ticket: a place in this queue.
@@ -143,15 +193,26 @@ class ResourceQueue:
         Raises:
             Cancelled: the branch has been told to stop.
         """
-        wait(self._changed, lambda: self._free(ticket))
+        wait(self._changed, lambda: self._grant(ticket))
 
-    def _free(self, ticket: Ticket) -> bool:
-        for earlier in self._tickets:
-            if earlier is ticket:
-                return True
-            if earlier.claims.conflicts(ticket.claims):
+    def _grant(self, ticket: Ticket) -> bool:
+        earlier = True
+        for other in self._tickets:
+            if other is ticket:
+                earlier = False
+            elif (earlier or other.granted) and other.claims.conflicts(ticket.claims):
                 return False
+        ticket.granted = True
         return True
+
+    def change(self, ticket: Ticket, claims: Claims | None) -> None:
+        """Gives a ticket other claims, in its place; see :meth:`Ticket.change`."""
+        given = self._given(claims, ticket.motion)
+        if given != ticket.claims:
+            with self._changed:
+                ticket.claims, ticket.granted = given, False
+                self._changed.notify_all()
+            self.wait(ticket)
 
     def leave(self, ticket: Ticket) -> None:
         """Gives a place up.

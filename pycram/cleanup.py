@@ -9,9 +9,10 @@ from __future__ import annotations
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from pycram.branch import completed
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BadArgument, PlanFailure
+from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
 from pycram.open_block import alone, name_of
 from pycram.retries import Retry
 from recorder.span import span
@@ -25,7 +26,8 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     """Does something when its block has ended, however it did. In the block actions happen one after the other.
 
     When both the block and the cleaning up fail, the block's failure is raised with the other in its context; but a
-    failure goes before being cancelled, and a usage error before both.
+    usage error goes before a failure. Where the block was cancelled, a failure of the cleaning up is NotCleanedUp,
+    which fails the block of the plan that cancelled it.
 
     Args:
         action: what to do.
@@ -34,6 +36,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
 
     Raises:
         BadArgument: it can't be called.
+        NotCleanedUp: it failed when the block had been told to stop.
     """
     if not callable(action):
         raise BadArgument("action", action, "a function")
@@ -46,17 +49,19 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
             first = error
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
-                task.result = action(*args, **kwargs)
+                task.result = completed(task.name, action(*args, **kwargs))
         except BaseException as second:
             if first is None:
                 raise
-            first = _together(first, second)
+            first = _together(first, second, name_of(action))
     if first is not None:
         raise_unchanged(first)
 
 
-def _together(error: BaseException, cleaning: BaseException) -> BaseException:
+def _together(error: BaseException, cleaning: BaseException, action: str) -> BaseException:
     bug = isinstance(error, PlanFailure) and not isinstance(cleaning, PlanFailure)
+    if isinstance(error, Cancelled) and isinstance(cleaning, PlanFailure):
+        return chained(NotCleanedUp(action, cleaning), [error])
     if bug or isinstance(error, (Cancelled, Retry)):
         return chained(cleaning, [error])
     return chained(error, [cleaning])

@@ -155,6 +155,14 @@ class Designator(Equated, ABC):
                 self.timestamp = time.time()
         return own(solution)
 
+    def claims(self) -> Claims | None:
+        """What it needs of the robot, as far as that is known by now. Never waits, never fails.
+
+        Returns:
+            The claims; None: nobody knows, and it gets all that there is.
+        """
+        return None
+
     def next_solution(self) -> Self | None:
         """Another solution.
 
@@ -287,11 +295,17 @@ class MotionDesignator(Designator):
         value = self.prop_value("type")
         return value if isinstance(value, str) else ""
 
-    def claims(self) -> Claims:
-        """What it needs of the robot; nothing for a type that PyCRAM doesn't know. Never waits, never fails."""
+    def claims(self) -> Claims | None:
+        """What it needs of the robot: by the ``cmd`` of its solution once that is found, before that by its type.
+
+        Only PyCRAM's own are known; others get the whole robot, and their process module may make that less. A
+        subclass that says here what it needs has it from the moment in which it is asked for.
+        """
         from pycram import motion_designators  # noqa: PLC0415  the types are built on designators
 
-        return motion_designators.claims(self)
+        if self.effective and isinstance(solution := self.reference(), Mapping):
+            return motion_designators.claims_of(solution)
+        return motion_designators.claims_by_type(self)
 
     def next_solution(self) -> Self | None:
         """Another solution; see :meth:`Designator.next_solution`."""

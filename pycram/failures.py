@@ -383,6 +383,27 @@ class BranchesFailed(PlanFailure):
         return f"{self.block} failed: {'; '.join(told)}"
 
 
+class NotCleanedUp(PlanFailure):
+    """A branch was told to stop, and what it does at its end (``finally_``) failed.
+
+    Attributes:
+        action: what it does at its end.
+        failure: what that failed with; the cause of this.
+    """
+
+    def __init__(self, action: str, failure: PlanFailure) -> None:
+        super().__init__(f"{action}, done because the branch was told to stop, failed: {_told(failure)}")
+        self.action = action
+        self.failure = failure
+        self.__cause__ = failure
+
+
+def leaves_uncleaned(failure: BaseException) -> bool:
+    """Whether a failure is, or holds, that of a cleaning up which nobody reckons with."""
+    leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
+    return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
+
+
 class Tracebacks(PycramError):
     """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all.
 

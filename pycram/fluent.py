@@ -78,8 +78,11 @@ class NotTrueOrFalse(UsageError):
 class Fluent:
     """A value that threads share.
 
-    Fluents are hashable and equal to themselves only, though ``==`` makes a network: they can stand in sets, lists and
-    dictionaries, and ``in`` finds them there. A network that is dropped leaves nothing behind in its operands.
+    Fluents are hashable and equal to themselves only, though ``==`` makes a network: they can stand in sets,
+    dictionaries and lists of fluents, and ``in`` finds them there. In a list that holds other things too, ``in`` asks
+    whether those are ``==``, and that is neither true nor false: it raises NotTrueOrFalse, as ``if fluent == 3`` does;
+    ``any(one is fluent for one in things)`` finds it there. A network that is dropped leaves nothing behind in its
+    operands.
 
     Args:
         value: what it is at the beginning; a handle's result.
@@ -262,6 +265,33 @@ class Fluent:
     def __rtruediv__(self, other: object) -> Fluent:
         return _arithmetic("/", operator.truediv, other, self)
 
+    def __floordiv__(self, other: object) -> Fluent:
+        return _arithmetic("//", operator.floordiv, self, other)
+
+    def __rfloordiv__(self, other: object) -> Fluent:
+        return _arithmetic("//", operator.floordiv, other, self)
+
+    def __mod__(self, other: object) -> Fluent:
+        return _arithmetic("%", operator.mod, self, other)
+
+    def __rmod__(self, other: object) -> Fluent:
+        return _arithmetic("%", operator.mod, other, self)
+
+    def __pow__(self, other: object) -> Fluent:
+        return _arithmetic("**", operator.pow, self, other)
+
+    def __rpow__(self, other: object) -> Fluent:
+        return _arithmetic("**", operator.pow, other, self)
+
+    def __neg__(self) -> Fluent:
+        return _arithmetic_of_one("-{}", operator.neg, self)
+
+    def __pos__(self) -> Fluent:
+        return _arithmetic_of_one("+{}", operator.pos, self)
+
+    def __abs__(self) -> Fluent:
+        return _arithmetic_of_one("abs({})", abs, self)
+
 
 class Derived(Fluent):
     """A fluent whose value is not set, but comes from other fluents or from a world.
@@ -331,3 +361,11 @@ def _arithmetic(sign: str, function: Callable[[Value, Value], Value], one: objec
         return None if a is None or b is None else function(a, b)
 
     return _network(f"{{}} {sign} {{}}", work_out, one, other)
+
+
+def _arithmetic_of_one(form: str, function: Callable[[Value], Value], one: Fluent) -> Fluent:
+    def work_out(values: Iterator[Value]) -> Value:
+        (a,) = values
+        return None if a is None else function(a)
+
+    return _network(form, work_out, one)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from pycram import slots
 from pycram.branch import branch_of, unwrap
 from pycram.bullet_world import BulletWorld
-from pycram.claims import Claims
+from pycram.claims import WHOLE, Claims
 from pycram.designator import DesignatorError
 from pycram.failures import BadArgument
 
@@ -62,7 +62,7 @@ class MotionType:
         slots: what it takes beside ``type``.
         one_of: slots of which at least one has to be there.
         only_one: whether it has to be just one.
-        claims: what it needs of the robot, by what is given.
+        claims: what it needs of the robot, by its slots or by its solution.
         fixed: further parameters of its solutions.
     """
 
@@ -107,23 +107,25 @@ def _claims(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Claims:
     return Claims(frozenset(moves), frozenset(at_rest))
 
 
-_WHOLE: Final = ("base", "head", "left-arm", "right-arm", "left-gripper", "right-gripper")
-
-
 def _arm_claims(given: dict[str, Value]) -> Claims:
-    arm = given.get("arm")
-    arms = (arm,) if isinstance(arm, str) else slots.SIDES  # not known yet: either may be it
-    return _claims(tuple(f"{side}-{part}" for side in arms for part in ("arm", "gripper")), ("base",))
+    return _claims(tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",))
 
 
 def _gripper_claims(given: dict[str, Value]) -> Claims:
-    gripper = given.get("gripper")
-    sides = (gripper,) if isinstance(gripper, str) else slots.SIDES
-    return _claims(tuple(f"{side}-gripper" for side in sides))
+    return _claims(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
 
 
 def _joint_claims(given: dict[str, Value]) -> Claims:
-    return _claims(tuple(f"{side}-arm" for side in slots.SIDES if f"{side}-arm" in given))
+    return _claims(tuple(f"{side}-arm" for side in slots.sides() if f"{side}-arm" in given))
+
+
+def _base_claims(_: dict[str, Value]) -> Claims:
+    return _claims(("base",), tuple(f"{side}-{part}" for side in slots.sides() for part in ("arm", "gripper")))
+
+
+def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
+    side = given.get(slot)
+    return (side,) if isinstance(side, str) else slots.sides()  # not known yet: either may be it
 
 
 _ARM: Final = Slot("arm", slots.side, default=_left)
@@ -136,7 +138,7 @@ TYPES: Final = {
             "moving",
             "navigate",
             (Slot("target", slots.position, required=True), Slot("orientation", slots.orientation, default=_heading)),
-            lambda _: _claims(("base",), tuple(part for part in _WHOLE if part not in ("base", "head"))),
+            _base_claims,
         ),
         MotionType(
             "pick-up",
@@ -181,7 +183,7 @@ TYPES: Final = {
             "detecting",
             "detecting",
             (Slot("object-type", slots.kind, required=True, aliases=("object",)),),
-            lambda _: _claims((), _WHOLE),
+            lambda _: _claims((), (WHOLE,)),
         ),
         MotionType(
             "move-tcp",
@@ -206,19 +208,33 @@ TYPES: Final = {
 }
 
 
-def claims(designator: MotionDesignator) -> Claims:
-    """What a designator needs of the robot.
+def claims_by_type(designator: MotionDesignator) -> Claims | None:
+    """What a designator needs of the robot, by its type and slots.
 
     Args:
         designator: any; handles among its slots are not waited for.
 
     Returns:
-        Its claims; nothing for a type that isn't one of the eleven.
+        Its claims; None for a type that isn't one of the eleven.
     """
     given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
     kind = given.get("type")
     motion = TYPES.get(kind) if isinstance(kind, str) else None
-    return motion.claims(given) if motion else Claims()
+    return motion.claims(given) if motion else None
+
+
+def claims_of(solution: Solution) -> Claims | None:
+    """What a solution needs of the robot, whichever type it came from.
+
+    Args:
+        solution: what a designator was resolved to.
+
+    Returns:
+        Its claims; None for a ``cmd`` that isn't PyCRAM's own.
+    """
+    given = {key: value for key, value in solution.items() if value is not None}
+    motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
+    return motion.claims(given) if motion else None
 
 
 def resolve(designator: MotionDesignator) -> Iterator[Solution]:

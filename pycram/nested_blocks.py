@@ -57,7 +57,7 @@ class Alternative(Block):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        branch = Branch(self.name, lambda: None)
+        branch = Branch(self.name, lambda: None, self.changed)
         try:
             swallowed = super().__exit__(kind, error, trace)
         except PlanFailure as failure:
@@ -140,7 +140,11 @@ class Deferred(OpenBlock):
                 raise
             finally:
                 self._asked.close()
-                self._asked.wait_for_end()  # what the body does itself is part of this block too
+                error = self._asked.outcome()  # what the body does itself is part of this block too
+                if isinstance(error, PlanFailure):
+                    block.body_failed(error)
+            if error is not None and not isinstance(error, PlanFailure):
+                raise error
 
     def __enter__(self) -> Self:
         try:
@@ -157,7 +161,7 @@ class Deferred(OpenBlock):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         self._exits.close()
-        self._asked.end(error)
+        self._asked.end(error if isinstance(error, Exception) else None)
         if isinstance(error, Cancelled):  # by its own block, which is decided: the outer body goes on
             return self._outer is None or not self._outer.cancelled
         return error is None or isinstance(error, PlanFailure)
@@ -170,7 +174,7 @@ class _Asked:
         self._changed = threading.Condition()
         self._branches: deque[Branch] = deque()
         self._ended = False
-        self._error: BaseException | None = None
+        self._error: Exception | None = None
         self._closed = False
 
     def put(self, branch: Branch) -> None:
@@ -182,7 +186,7 @@ class _Asked:
                 return
         branch.settle(State.CANCELLED)
 
-    def end(self, error: BaseException | None) -> None:
+    def end(self, error: Exception | None) -> None:
         """The body has ended.
 
         Args:
@@ -193,10 +197,11 @@ class _Asked:
             self._error = error
             self._changed.notify_all()
 
-    def wait_for_end(self) -> None:
-        """Waits until the body has ended, whoever is told to stop."""
+    def outcome(self) -> Exception | None:
+        """Waits until the body has ended, whoever is told to stop; what it raised."""
         with self._changed:
             self._changed.wait_for(lambda: self._ended)
+            return self._error
 
     def close(self) -> None:
         """Nothing more will be done; drops what has not been."""
@@ -208,17 +213,11 @@ class _Asked:
             branch.settle(State.CANCELLED)
 
     def __iter__(self) -> Iterator[Branch]:
-        """The branches as they come.
-
-        Raises:
-            BaseException: what the body raised.
-        """
+        """The branches as they come, until the body has ended."""
         while True:
             wait(self._changed, lambda: bool(self._branches) or self._ended)
             with self._changed:
                 if not self._branches:
-                    break
+                    return
                 branch = self._branches.popleft()
             yield branch
-        if self._error is not None and isinstance(self._error, Exception):
-            raise self._error

@@ -6,6 +6,7 @@ in a branch there is none, and things happen one after the other.
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from pycram.binding import Binding
 from pycram.branch import Branch, Handle, Result
-from pycram.cancellation import checkpoint
+from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from recorder.tasks import State
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
+    from pycram.cancellation import Scope
     from recorder.span import Span
 
 
@@ -83,6 +85,16 @@ def hosted(host: OpenBlock | None) -> Binding[OpenBlock | None]:
     return Binding(_host, host)
 
 
+def enter_branch(scope: Scope) -> None:
+    """Makes the context that of a branch, in which actions happen one after the other.
+
+    Args:
+        scope: its block's.
+    """
+    _host.set(None)
+    enter(scope)
+
+
 @contextmanager
 def alone() -> Iterator[Callable[[], None]]:
     """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
@@ -117,6 +129,7 @@ class OpenBlock(ABC):
     Attributes:
         rule: what kind of block it is.
         branches: its branches, in the order in which they were asked for.
+        changed: notified when one of them ends; guards what it knows of them.
     """
 
     def __init__(self, rule: Rule) -> None:
@@ -127,6 +140,7 @@ class OpenBlock(ABC):
         """
         self.rule = rule
         self.branches: list[Branch] = []
+        self.changed = threading.Condition()
 
     @property
     def name(self) -> str:
@@ -189,7 +203,7 @@ class OpenBlock(ABC):
         Returns:
             A handle that serves as its result.
         """
-        branch = Branch(name, action, ordered=ordered, dropped=dropped, span=span)
+        branch = Branch(name, action, self.changed, ordered=ordered, dropped=dropped, span=span)
         self.take(branch)
         return Handle(branch)
 

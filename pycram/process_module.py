@@ -12,14 +12,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram import checks
-from pycram.branch import unwrap
+from pycram.binding import Binding
+from pycram.branch import completed, unwrap
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
-from pycram.designator import Designator, DesignatorError, MotionDesignator, unfinished
+from pycram.designator import Designator, DesignatorError, unfinished
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, NoWorld, UsageError
 from pycram.open_block import current_block
@@ -47,26 +47,10 @@ _of_world: weakref.WeakKeyDictionary[BulletWorld, tuple[ResourceQueue, dict[str,
 )
 _lock = threading.Lock()
 
-
-@dataclass(frozen=True, slots=True)
-class _Level:
-    """Where motions of one level queue: those of the plan, or those that one motion is made of.
-
-    A motion waits on its own level only, first for its claims and then for its module, and holds both until it ends. So
-    whatever motions are made of, none waits for one that waits for it.
-
-    Attributes:
-        queue: for parts of the robot.
-        around: the level of the motion that they are part of; None for that of the plan.
-        modules: for process modules.
-    """
-
-    queue: ResourceQueue
-    around: _Level | None = None
-    modules: dict[ProcessModule, ResourceQueue] = field(default_factory=dict)
-
-
-_level: ContextVar[_Level | None] = ContextVar("pycram_level", default=None)
+# Motions that one motion is made of queue among themselves, for what that one holds, and so do the process modules that
+# one module makes use of. Who is queued waits on his own level only, so none waits for one that waits for him.
+_parts: ContextVar[ResourceQueue | None] = ContextVar("pycram_parts", default=None)
+_modules: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
 
 
 class NoProcessModule(UsageError):
@@ -123,10 +107,15 @@ def register(robot: str, environment: str, modules: Modules) -> None:
 
 
 class ProcessModule(ABC):
-    """Carries out one kind of motion, one designator at a time, in order of arrival."""
+    """Carries out one kind of motion, one designator at a time, in order of arrival.
+
+    It may perform other motions to do so: these are parts of its own, within what that claims.
+    """
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
-    """Functions that choose a module for a designator, or None; asked before the registered ones."""
+    """Functions that choose a module for a designator, or None; asked before the registered ones.
+
+    Like resolvers, they are asked when the motion's turn has come. What they perform is part of it."""
 
     def __init__(self) -> None:
         self._arrivals = ResourceQueue()
@@ -145,21 +134,37 @@ class ProcessModule(ABC):
             PlanFailure: the world said no; the world is consistent then.
         """
 
+    def claims(self, designator: Designator) -> Claims | None:
+        """What carrying a designator out needs of the robot; asked when it is resolved, before anything moves.
+
+        The claims of PyCRAM's own motions are known by the solution's ``cmd``. A module for another ``cmd`` gets the
+        whole robot, unless it says here what it needs, for itself and for all motions that it performs::
+
+            def claims(self, designator):
+                return Claims(moves=frozenset({"left-arm"}), at_rest=frozenset({"base"}))
+
+        Args:
+            designator: what to do.
+
+        Returns:
+            The claims; None: nobody knows, all that there is.
+        """
+        return designator.claims()
+
     def execute(self, designator: Designator) -> Result:
         """Carries a designator out when all that came before are done; a failure frees the module for the next.
 
         Args:
             designator: what to do.
         """
-        level = _level.get()
-        around = level.around if level is not None else None
-        arrivals = self._arrivals if around is None else around.modules.setdefault(self, ResourceQueue())
-        with arrivals.arrive(_MODULE).granted():
+        queues = _modules.get()
+        arrivals = self._arrivals if queues is None else queues.setdefault(self, ResourceQueue())
+        with arrivals.arrive(_MODULE).turn(), Binding(_modules, {}):
             checkpoint()
             solution = designator.reference()
             with span("process-module", type(self).__name__, solution) as task, whole():
                 task.solution = solution
-                task.result = result = self._execute(designator)
+                task.result = result = completed(task.name, self._execute(designator))
                 return result
 
     @staticmethod
@@ -180,7 +185,7 @@ class ProcessModule(ABC):
         """
         if not isinstance(designator, Designator):
             raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
-        motion = _Motion(designator, _level.get() or _Level(_state(_world())[0]))
+        motion = _Motion(designator, _parts.get() or _state(_world())[0])
         block = current_block()
         if block is None:
             with motion.span:
@@ -219,18 +224,18 @@ class _Motion:
         span: its node of the task tree.
     """
 
-    def __init__(self, designator: Designator, level: _Level) -> None:
+    def __init__(self, designator: Designator, queue: ResourceQueue) -> None:
         self.name = str(dict(designator.description).get("type", type(designator).__name__))
         self._designator = designator
-        self._level = level
-        self._claims = designator.claims() if isinstance(designator, MotionDesignator) else Claims()
+        self._queue = queue
+        self._claims = designator.claims()
         self._ticket: Ticket | None = None
         slots = {key: value for key, value in designator.description if key != "type"}
         self.span = Span("motion", self.name, parameters=slots)
 
     def arrive(self) -> Ticket:
         """Takes its place among those that wait for parts of the robot."""
-        self._ticket = self._level.queue.arrive(self._claims, self.name)
+        self._ticket = self._queue.arrive(self._claims, self.name)
         return self._ticket
 
     def leave(self) -> None:
@@ -240,21 +245,20 @@ class _Motion:
 
     def carry_out(self) -> Result:
         """Waits for its turn and does it, as the task that its span is."""
+        designator = self._designator
         try:
-            ticket = self._ticket
-            if ticket is None:
-                for _, value in self._designator.description:
-                    unwrap(value)  # waits for what may wait itself, while it keeps nobody waiting
-                ticket = self.arrive()
-            with ticket.granted():
+            for _, value in designator.description:
+                unwrap(value)  # waits for what may wait itself, while it holds nothing of the robot
+            ticket = self._ticket or self.arrive()
+            with ticket.turn():
                 checkpoint()
-                self.span.solution = self._designator.reference()
-                module = choose(self._designator)
-                token = _level.set(_Level(ResourceQueue(self._claims), self._level))
-                try:
-                    return module.execute(self._designator)
-                finally:
-                    _level.reset(token)
+                with Binding(_parts, ResourceQueue(ticket.claims)):  # for what resolvers perform
+                    self.span.solution = designator.reference()
+                    module = choose(designator)
+                    claims = module.claims(designator)
+                ticket.change(claims)
+                with Binding(_parts, ResourceQueue(ticket.claims)):
+                    return module.execute(designator)
         finally:
             self.leave()
 

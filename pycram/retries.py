@@ -22,21 +22,27 @@ or in the body itself, where ``retry`` ends the attempt as the original's does::
 
 The same for a function: ``failure_handling(5).run(pick_up, milk)``, or ``@failure_handling(5)`` before its definition.
 Only plan failures are tried again. In the body of an attempt actions happen one after the other.
+
+What follows ``with attempt`` in the loop happens after failed attempts too. Who leaves the loop there, by ``break`` or
+``return``, drops a failure that nobody has handled: Python lets nothing be raised then, so :class:`FailureLeft` warns
+of it. To give up, raise something or handle the failure inside of ``with attempt``.
 """
 
 from __future__ import annotations
 
 import functools
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
+from pycram.branch import completed
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BadArgument, PlanFailure, UsageError
-from pycram.open_block import alone
-from recorder.span import Span
+from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
+from pycram.open_block import alone, name_of
+from recorder.span import Span, plan_line
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -59,6 +65,10 @@ class RetriesUsedUp(PlanFailure):
     def __init__(self, retries: int) -> None:
         super().__init__(f"all {retries} retries are used up")
         self.retries = retries
+
+
+class FailureLeft(RuntimeWarning):
+    """A plan left the loop of a failure handling after a failed attempt; the failure was neither handled nor raised."""
 
 
 class Retry(BaseException):
@@ -139,8 +149,8 @@ class FailureHandling:
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
-        """Whether there is to be another attempt after an error, if one is left."""
-        return isinstance(error, self.kinds)
+        """Whether there is to be another attempt after an error, if one is left; none where it was told to stop."""
+        return isinstance(error, self.kinds) and not leaves_uncleaned(error)
 
     def recover(self, failure: BaseException) -> Parameters:
         """Does what was said about a failure.
@@ -191,7 +201,7 @@ class FailureHandling:
         result: Result = None
         for attempt in self:
             with attempt:
-                result = action(*args, **{**kwargs, **attempt.parameters})
+                result = completed(name_of(action), action(*args, **{**kwargs, **attempt.parameters}))
         return result
 
     def __call__(self, function: Callable[..., Result]) -> Callable[..., Result]:
@@ -339,9 +349,13 @@ class _Attempts:
         return False
 
     def close(self) -> None:
-        """Ends the row if the plan has left it between two attempts."""
+        """Ends the row if the plan has left it between two attempts; says so if the last of them failed."""
         if not self.over:
-            self.finish(self._failures[-1] if self._failures else None)
+            last = self._failures[-1] if self._failures else None
+            self.finish(last)
+            if last is not None:
+                told = f"the loop was left after attempt {self._number} had failed: {type(last).__name__}: {last}"
+                warnings.warn_explicit(told, FailureLeft, *plan_line())
 
     def finish(self, error: BaseException | None) -> None:
         """Ends the row.

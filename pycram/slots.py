@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 Value: TypeAlias = Any
 Check: TypeAlias = Callable[[str, Value], Value]
 
-SIDES = ("left", "right")
+
+def sides() -> tuple[str, ...]:
+    """Names of the current robot's arms; those of most robots where nothing is known of it."""
+    return tuple(_arms()) or ("left", "right")
 
 
 def position(name: str, value: Value) -> Value:
@@ -57,9 +60,9 @@ def kind(name: str, value: Value) -> Value:
 
 def side(name: str, value: Value) -> Value:
     """An arm's name: "left" or "right" on the PR2."""
-    arms = _arms()
-    if checks.text(name, value) not in (arms or SIDES):
-        raise BadArgument(name, value, f"one of {', '.join(arms or SIDES)}")
+    arms = sides()
+    if checks.text(name, value) not in arms:
+        raise BadArgument(name, value, f"one of {', '.join(arms)}")
     return value
 
 

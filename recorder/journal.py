@@ -195,6 +195,18 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.sim_step = sim_step
     record.task = task_id.get() if task is None else task
     record.thread = threading.current_thread().name
+    tell(record)
+
+
+def tell(record: Record) -> None:
+    """Appends a record that has its envelope, but for number and wall time, to every open journal.
+
+    Args:
+        record: the record.
+
+    Raises:
+        RecordingError: a sink can't keep it.
+    """
     for journal in _listening():
         journal.append(record)
 

@@ -27,12 +27,13 @@ def line_of(record: Record) -> Log | None:
     Returns:
         The message; None where there is nothing to say (keyframes, and tasks that are only asked for).
     """
-    if isinstance(record, Keyframe) or (isinstance(record, Task) and record.phase == Task.ASKED):
+    kind = type(record)
+    if kind is Keyframe or (isinstance(record, Task) and record.phase == Task.ASKED):
         return None
     text, level = text_of(record)
-    name = "plan" if isinstance(record, (Run, Task)) else record.world or "plan"
-    line = Log(level=level, message=text, name=name)
-    line.timestamp.seconds, line.timestamp.nanos = divmod(record.wall_time_ns, _NS)
+    line = Log(level=level, message=text, name="plan" if kind is Run or kind is Task else record.world or "plan")
+    moment = line.timestamp
+    moment.seconds, moment.nanos = divmod(record.wall_time_ns, _NS)
     return line
 
 
@@ -42,8 +43,6 @@ def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911
     Args:
         record: any.
     """
-    if isinstance(record, Run):
-        return _run(record)
     if isinstance(record, Task):
         return _task(record)
     if isinstance(record, Mutation):
@@ -56,6 +55,8 @@ def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911
         if record.HasField("failure"):
             return f"{record.name}({values(record.arguments)}) raised {record.failure.type}", Log.WARNING
         return f"{record.name}({values(record.arguments)}) -> {by_name(record.answer_json)}", Log.INFO
+    if isinstance(record, Run):
+        return _run(record)
     return f"keyframe of {record.world}", Log.DEBUG
 
 
@@ -69,10 +70,11 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name = f"{record.kind} {record.name}"
-    if record.phase == Task.ASKED:
+    phase = record.phase
+    if phase == Task.ASKED:
         return f"{name} asked for", Log.DEBUG
-    if record.phase == Task.STARTED:
-        return f"{name}({values(record.parameters)})", Log.INFO
+    if phase == Task.STARTED:  # to go through protobuf's empty lists takes its time
+        return f"{name}({values(record.parameters) if record.parameters else ''})", Log.INFO
     took = f"{record.duration_ns / _MS:.1f} ms"
     if record.status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}", Log.INFO
@@ -139,7 +141,7 @@ def values(arguments: Iterable[Argument]) -> str:
     Args:
         arguments: as records carry them.
     """
-    return ", ".join(f"{argument.name}={by_name(argument.json)}" for argument in arguments)
+    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments])
 
 
 def by_name(text: str) -> str:

@@ -128,10 +128,13 @@ class McapSink:
             self._now = record.wall_time_ns
             if topic in _OF_WORLDS:
                 self._add(topic, payload, record.seq, record.world, self._life(record))
+                for other, message in self._frames.transforms(record):
+                    self._add(other, message.SerializeToString(), record.seq)
             else:
                 self._add(topic, payload, record.seq)
-            for other, message in self._companions(record):
-                self._add(other, message.SerializeToString(), record.seq)
+            line = line_of(record)
+            if line is not None:
+                self._add("/log", line.SerializeToString(), record.seq)
             self._count += 1
             self._pending += 1
             if self._pending >= _MOST_RECORDS or self._writer.pending > _CHUNK or _is_end(record):
@@ -139,12 +142,6 @@ class McapSink:
                     self._flush()
             elif self._pending == 1:
                 self._wake.set()
-
-    def _companions(self, record: Record) -> Iterator[tuple[str, Message]]:
-        yield from self._frames.transforms(record)
-        line = line_of(record)
-        if line is not None:
-            yield "/log", line
 
     def _life(self, record: Record) -> int:
         """Which world of its name it is about, from 1: a name can be taken again when its world has ended."""

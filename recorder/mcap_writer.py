@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of what follows, channel, sequence, log and publish time
+_MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE_FIELDS: Final = _MESSAGE.size - 9  # without opcode and length
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC covers it
@@ -130,8 +131,11 @@ class McapWriter:
         self._last_ns = time_ns
         self._entries[channel] += (time_ns, self._chunk_size)
         length = _MESSAGE_FIELDS + len(payload)
-        self._append(_MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence & 0xFFFFFFFF, time_ns, time_ns))
-        self._append(payload)
+        self._chunk += (
+            _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence & 0xFFFFFFFF, time_ns, time_ns),
+            payload,
+        )
+        self._chunk_size += _MESSAGE.size + len(payload)
 
     def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Adds a file; it is written at once, behind the chunk.

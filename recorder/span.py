@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import itertools
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 KEPT: Final = 20_000
 KEPT_BYTES: Final = 100_000_000
 
+_FINISHED: Final = Task.FINISHED
 _ids = itertools.count(1)
 _current: ContextVar[Span | None] = ContextVar("pycram_span", default=None)
 
@@ -120,8 +122,13 @@ class Span:
             error: what it failed with, or was cancelled by; None if it succeeded.
         """
         ended = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
+        world, sim_step = journal.now()
         record = Task(
-            phase=Task.FINISHED,
+            world=world,
+            sim_step=sim_step,
+            task=self.id,
+            thread=threading.current_thread().name,
+            phase=_FINISHED,
             status=Task.SUCCEEDED if error is None else ended,
             parent=self.parent,
             kind=self.kind,
@@ -131,9 +138,10 @@ class Span:
         )
         recorded = journal.recording()
         if recorded:
-            record.solution.extend(arguments(self.solution))
+            if self.solution:
+                record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result) if self.result is not None else "null"
-        if record.status == Task.FAILED and error is not None:
+        if error is not None and ended == Task.FAILED:
             record.failure.CopyFrom(failure(error, trace=recorded))
         try:
             self._emit(record)
@@ -174,14 +182,19 @@ class Span:
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
         file, line = plan_line() if self.source is None else self.source
+        world, sim_step = journal.now()
         self._emit(
             Task(
+                world=world,
+                sim_step=sim_step,
+                task=self.id,
+                thread=threading.current_thread().name,
                 phase=phase,
                 status=status,
                 parent=self.parent,
                 kind=self.kind,
                 name=self.name,
-                parameters=arguments(self.parameters),
+                parameters=arguments(self.parameters) if self.parameters else None,
                 source_file=file,
                 source_line=line,
                 attempt=self.attempt,
@@ -189,11 +202,10 @@ class Span:
         )
 
     def _emit(self, record: Task) -> None:
-        if not self.parent and record.phase != Task.FINISHED:
+        if not self.parent and record.phase != _FINISHED:
             _plan.begin()
-        world, sim_step = journal.now()
         try:
-            journal.emit(record, world=world, sim_step=sim_step, task=self.id)
+            journal.tell(record)
         finally:
             if not record.wall_time_ns:  # no journal numbered it
                 record.wall_time_ns = time.time_ns()

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 _STEPS_PER_SECOND: Final = 240
 _BY_ID: Final = attrgetter("id")
+_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class State(IntEnum):
@@ -293,22 +294,23 @@ class Tree:
         Returns:
             The task that it is about.
         """
+        number, phase = record.task, record.phase
         with self._lock:
-            node = self.nodes.get(record.task)
+            node = self.nodes.get(number)
             if node is None:
                 parent = self.nodes.get(record.parent)
-                node = self.nodes[record.task] = Node(record, parent)
-                (parent._parts if parent is not None else self._roots)[record.task] = node  # noqa: SLF001  one module
-                if record.phase == Task.ASKED:
+                node = self.nodes[number] = Node(record, parent)
+                (parent._parts if parent is not None else self._roots)[number] = node  # noqa: SLF001  one module
+                if phase == _ASKED:
                     node.asked = record
-            elif record.phase == Task.STARTED:
+            elif phase == _STARTED:
                 node.started = record
-            if record.phase == Task.FINISHED:
+            if phase == _FINISHED:
                 node.finished = record
-                self._ended.append(record.task)
+                self._ended.append(number)
             if self._size_limit is not None:
                 self._size += record.ByteSize()
-            while self._ended and self._is_too_much():
+            while self._is_too_much() and self._ended:
                 self._forget(self._ended.popleft())
             return node
 

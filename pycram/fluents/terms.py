@@ -35,6 +35,7 @@ State: TypeAlias = dict["Term", Value]
 
 lock: Final = threading.RLock()
 _DEEPEST: Final = 4  # operations within each other that a name spells out
+_HIGHEST: Final = 100  # operations within each other that are worked out by calls within each other
 
 
 class Ended(NamedTuple):
@@ -155,9 +156,10 @@ class Operation(Term):
     Attributes:
         function: takes an iterator over the operands' values, which works out those only that are asked for.
         form: its text, with ``{}`` for each operand.
+        height: how many operations lie below each other from here down.
     """
 
-    __slots__ = ("form", "function", "leaves")
+    __slots__ = ("form", "function", "height", "leaves")
 
     leaves: tuple[Leaf, ...]
 
@@ -166,11 +168,26 @@ class Operation(Term):
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form
         self.function = function
+        self.height: int = 1 + max((one.height for one in operands if isinstance(one, Operation)), default=0)
 
     def value(self, state: State) -> Value:
         """What the function makes of the operands' values."""
         if self not in state:
+            if self.height > _HIGHEST:
+                return self._value_from_below(state)
             state[self] = self.function(map(methodcaller("value", state), self.operands))
+        return state[self]
+
+    def _value_from_below(self, state: State) -> Value:
+        """The same without calls within each other: a function that lacks an operand's value is asked again later."""
+        asked: list[Operation] = [self]
+        while asked:
+            one = asked[-1]
+            try:
+                state[one] = one.function(_at_hand(operand, state) for operand in one.operands)
+                asked.pop()
+            except _Lacking as lacking:
+                asked.append(lacking.operation)
         return state[self]
 
     def text(self, depth: int = 0) -> str:
@@ -178,7 +195,21 @@ class Operation(Term):
         if depth > _DEEPEST:
             return "..."
         told = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
-        return f"({told})" if depth and self.form.startswith(("{} ", "NOT ")) else told
+        return f"({told})" if depth and self.form.startswith(("{} ", "NOT ", "-", "+")) else told
+
+
+class _Lacking(BaseException):
+    """A function asks for the value of an operation that is too high to be worked out within it."""
+
+    def __init__(self, operation: Operation) -> None:
+        super().__init__()
+        self.operation = operation
+
+
+def _at_hand(operand: Term, state: State) -> Value:
+    if isinstance(operand, Operation) and operand.height > _HIGHEST and operand not in state:
+        raise _Lacking(operand)
+    return operand.value(state)
 
 
 def wake(changed: Iterable[Term]) -> None:

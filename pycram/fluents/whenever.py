@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.branch import unwrap
+from pycram.branch import completed, unwrap
 from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument
 from pycram.fluents.pulses import Account
 from pycram.fluents.watch import first_value
+from pycram.open_block import name_of
 from recorder.span import span
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         raise BadArgument("body", body, "a function without arguments")
     for _ in runs:
         with span("whenever", watched.name):
-            body()
+            completed(name_of(body), body())
     return None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
 import threading
 import time
 from typing import TYPE_CHECKING
@@ -20,14 +19,16 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 
-def milliseconds(action: Callable[[], object], times: int = 300) -> float:
-    """The time that it takes where nobody else wants the processor: the best tenth of all runs."""
-    took = []
-    for _ in range(times):
-        start = time.perf_counter()
-        action()
-        took.append(time.perf_counter() - start)
-    return statistics.quantiles(took, n=10)[0] * 1e3
+def milliseconds(*actions: Callable[[], object], rounds: int = 15, times: int = 40) -> list[float]:
+    """Processor time of each, of all its threads: the best round, as others on the machine only add to it."""
+    best = [float("inf")] * len(actions)
+    for _ in range(rounds):
+        for place, action in enumerate(actions):
+            start = time.process_time()
+            for _ in range(times):
+                action()
+            best[place] = min(best[place], (time.process_time() - start) / times * 1e3)
+    return best
 
 
 def nothing() -> None:
@@ -63,14 +64,17 @@ def six_attempts() -> None:
 
 
 def test_blocks(tmp_path: Path) -> None:
-    threads = milliseconds(three_threads)
-    bare = {action.__name__: milliseconds(action) for action in (three_branches, in_order, six_attempts)}
+    actions = (three_threads, three_branches, in_order, six_attempts)
+    threads, *bare = milliseconds(*actions)
     with recorder.record(tmp_path / "x.mcap"):
-        recorded = {action.__name__: milliseconds(action) for action in (three_branches, in_order, six_attempts)}
-        many = milliseconds(lambda: [tasks.tree().roots[-1].path for _ in range(100)], 10)
+        threads_then, *recorded = milliseconds(*actions)
+        (many,) = milliseconds(lambda: [tasks.tree().roots[-1].path for _ in range(100)], rounds=3, times=1)
+    threads = min(threads, threads_then)
     print(f"\nthree bare threads {threads:.3f} ms")
-    for name, took in recorded.items():
-        print(f"{name:15} {bare[name]:.3f} ms, recorded {took:.3f} ms ({took / threads:.1f} times three bare threads)")
+    for action, alone, on_record in zip(actions[1:], bare, recorded, strict=True):
+        ratio = on_record / threads
+        print(
+            f"{action.__name__:15} {alone:.3f} ms, recorded {on_record:.3f} ms ({ratio:.1f} times three bare threads)"
+        )
     print(f"the path of the last of {len(tasks.tree().roots)} outermost tasks: {many / 100:.3f} ms")
-    assert recorded["three_branches"] < 20 * threads  # 1 ms is the goal; a noisy machine needs room
-    assert recorded["three_branches"] < 5
+    assert recorded[0] < max(1.0, 6 * threads)  # ms; where three bare threads take longer than 0.17 ms, so may this

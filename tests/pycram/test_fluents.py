@@ -250,6 +250,52 @@ def test_a_fluent_as_a_condition_is_an_error_that_says_what_to_do(condition: Cal
         assert condition(Fluent(1))
 
 
+def test_in_a_list_of_other_things_is_an_error_too() -> None:
+    fluent = Fluent(1)
+    things: list[object] = [3, fluent]
+    with pytest.raises(NotTrueOrFalse):
+        assert fluent in things
+    assert any(one is fluent for one in things)
+
+
+def test_the_rest_of_arithmetic() -> None:
+    a, b, none = Fluent(7, "a"), Fluent(2, "b"), Fluent(None, "c")
+    for made, value, name in (
+        (a // b, 3, "a // b"),
+        (15 // a, 2, "15 // a"),
+        (a % 4, 3, "a % 4"),
+        (9 % a, 2, "9 % a"),
+        (a**b, 49, "a ** b"),
+        (2**a, 128, "2 ** a"),
+        (-a + b, -5, "(-a) + b"),
+        (+a, 7, "+a"),
+        (abs(b - a), 5, "abs((b - a))"),
+    ):
+        assert (made.get_value(), made.name) == (value, name)
+    assert [made.get_value() for made in (none // 2, none % 2, none**2, -none, abs(none))] == [None] * 5
+
+
+def test_networks_may_be_as_deep_as_they_like() -> None:
+    one, asked = Fluent(1), []
+    deep = never = one
+    for _ in range(3000):
+        deep = deep + one
+        never = network(lambda *values: asked.append(values), never)
+    assert deep.get_value() == 3001
+    assert (one == 2).OR(deep > 0).get_value() is True
+    assert (one == 1).OR(never).get_value() is True
+    assert not asked  # the second operand is looked at only if the first one isn't true
+    condition = deep > 6000
+    with waiting(condition) as running:
+        one.set_value(2)
+    assert running.end() is True
+    for _ in range(1500):
+        condition = (one == 2).AND(condition)
+    assert condition.get_value() is True
+    del deep, condition, never  # all at once, and however deep
+    assert one.get_value() == 2
+
+
 def test_arrays_leave_operators_to_fluents() -> None:
     shift = np.array([1.0, 2.0])
     moved = shift + Fluent(np.array([1.0, 1.0]))

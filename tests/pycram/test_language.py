@@ -4,16 +4,17 @@ Timing is controlled by gates, never by the clock: a branch that waits at a gate
 when it is cancelled.
 """
 
-# ruff: noqa: PT012  the blocks under test have bodies
+# ruff: noqa: PT012, PT031  the blocks under test have bodies
 from __future__ import annotations
 
 import copy
 import faulthandler
 import os
 import signal
+import sys
 import threading
 import traceback
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -26,16 +27,34 @@ from pycram.failures import (
     BranchesFailed,
     InCollision,
     LookingFailed,
+    NotCleanedUp,
     PlanFailure,
     Unreachable,
     UsageError,
 )
-from pycram.language import State, failure_handling, finally_, par, pursue, retry, seq, timeout, try_all, try_in_order
-from pycram.open_block import BlockClosed
+from pycram.language import (
+    BlocksMixed,
+    NeverOpened,
+    State,
+    failure_handling,
+    finally_,
+    par,
+    pursue,
+    retry,
+    seq,
+    timeout,
+    try_all,
+    try_in_order,
+)
+from pycram.open_block import BlockClosed, current_block
+from pycram.retries import FailureLeft
 from pycram.timeouts import TimedOut
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from pycram.language import Kind
+    from pycram.open_block import OpenBlock
 
 KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
 S, F, C = State.SUCCEEDED, State.FAILED, State.CANCELLED
@@ -406,6 +425,72 @@ def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others()
     assert [branch.state for branch in s.branches] == [C]
 
 
+@pytest.mark.parametrize("name", ["pursue", "try_all", "try_in_order"])
+def test_a_decided_block_stands_whatever_its_body_does_then(name: str) -> None:
+    def late(failures: list[BaseException] | None = None) -> object:
+        with KINDS[name](failures) if failures is not None else KINDS[name] as s:
+            s(succeeds)
+            s.branches[0].wait()
+            fails()
+        return s
+
+    s = late()
+    assert s.state is S
+    assert [type(one) for one in s.failures] == [Unreachable]  # nothing vanishes
+    node = tasks.tree().roots[-1]
+    assert node.status is S
+    assert [(part.name, part.status) for part in node.children] == [("succeeds", S), ("body", F)]
+    assert node.children[1].failure.type == "Unreachable"
+    failures: list[BaseException] = []
+    assert late(failures).state is S
+    assert [type(one) for one in failures] == [Unreachable]
+    with par as outer:
+        inner = late()  # read here, done in a thread of its own
+        outer(succeeds)
+    assert (outer.state, inner.state) == (S, S)
+    assert [type(one) for one in inner.failures] == [Unreachable]
+
+
+def test_a_failing_body_is_one_more_that_was_tried() -> None:
+    gate = Gate()
+    with try_all as s:
+        s(gate.pass_through)
+        s(gate.open)
+        fails()
+    assert s.state is S
+    with pytest.raises(BranchesFailed, match=r"Look.*Unreach") as raised, try_all as s:
+        s(fails_to_look)
+        fails()
+    assert len(raised.value.failures) == 2
+    gate = Gate()
+    with pytest.raises(Unreachable), pursue as s:  # was first
+        s(lambda: gate.pass_through() if not s.scope.told else succeeds())
+        fails()
+    gate = Gate()
+    with pytest.raises(Unreachable), par, par as t:  # the same for a block that is read
+        t(gate.pass_through)
+        t(gate.open)
+        fails()
+    assert [branch.state for branch in t.branches] == [S, S]
+
+
+def test_a_cancelled_block_hands_over_what_failed_in_it() -> None:
+    failed, failures = Gate(), []
+
+    def inner() -> None:
+        with par(failures) as s:
+            s(fails)
+            s.branches[0].wait()
+            s(failed.open)
+            s(Gate().pass_through)
+
+    with pursue as s:
+        s(inner)
+        s(failed.pass_through)
+    assert s.branches[0].state is C
+    assert [type(one) for one in failures] == [Unreachable]
+
+
 def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
     done = []
     with seq as s:
@@ -444,6 +529,33 @@ def test_ctrl_c_ends_a_block_and_its_threads(times: int) -> None:
         s(gate.pass_through)
         s(interrupt)
     assert {branch.state for branch in s.branches} == {C}
+
+
+def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = threading.Event()
+
+    class Screen:
+        text = ""
+
+        def write(self, text: str) -> None:
+            self.text += text
+            told.set()
+
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+
+    def busy() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        while not s.scope.told:
+            pass
+        while not told.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
+            told.wait(0.05)
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(busy)
+    assert s.branches[0].state is S
+    assert "waiting for par-1" in screen.text
 
 
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
@@ -501,6 +613,85 @@ def test_a_branch_may_ask_for_others_until_the_block_has_ended() -> None:
         par(1)
     with pytest.raises(BadArgument), par as s:
         s("not a function")
+
+
+@pytest.mark.parametrize("way", ["branch", "function", "attempt", "cleanup"])
+def test_async_functions_are_refused(way: str) -> None:
+    async def fetch() -> int:
+        return 1
+
+    with pytest.raises(BadArgument, match=r"fetch.*a plain function"):
+        if way == "branch":
+            with par as s:
+                s(lambda: s(fetch))
+        elif way == "function":
+            pursue(fetch)
+        elif way == "attempt":
+            failure_handling(1).run(fetch)
+        else:
+            with finally_(fetch):
+                pass
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_no_functions_give_no_results(name: str) -> None:
+    functions: list[Callable[[], object]] = []
+    results = KINDS[name](*functions)
+    assert results == []
+    assert [*results] == []
+
+
+def test_a_forgotten_with_is_told() -> None:
+    failures: list[BaseException] = []
+    with pytest.warns(NeverOpened, match=r"write `with par\(failures\) as s:`") as warned:
+        par(failures)
+    assert warned[0].filename == __file__
+
+
+def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
+    def plan(kind: Kind) -> Iterator[OpenBlock]:
+        with kind as s:
+            yield s
+
+    for kind in (par, seq):
+        first, second = plan(kind), plan(par)
+        s, t = next(first), next(second)
+        gate = Gate()
+        if kind is par:
+            s(gate.pass_through)
+        t(gate.pass_through)
+        with pytest.raises(BlocksMixed, match=f"a {kind} block ends while one"):
+            list(first)
+        assert State.RUNNING not in {branch.state for block in (s, t) for branch in block.branches}
+        with pytest.raises(BlocksMixed):
+            list(second)
+        assert current_block() is None
+        left = plan(kind)
+        with pytest.raises(BlocksMixed), par:
+            next(left)
+        with pytest.raises(BlocksMixed):
+            list(left)
+        assert current_block() is None
+        with par as u:
+            for v in plan(kind):
+                v(succeeds)
+        assert (u.state, v.state) == (S, S)
+
+
+def test_blocks_in_context_managers() -> None:
+    @contextmanager
+    def beside(action: Callable[[], object]) -> Iterator[OpenBlock]:
+        with par as s:
+            s(action)
+            yield s
+
+    done: list[int] = []
+    with beside(lambda: done.append(1)) as s, beside(lambda: done.append(2)) as t, ExitStack() as stack:
+        u = stack.enter_context(par)
+        u(done.append, 3)
+        stack.enter_context(seq)(done.append, 4)
+    assert sorted(done) == [1, 2, 3, 4]
+    assert (s.state, t.state, u.state) == (S, S, S)
 
 
 def test_the_five_words_may_be_used_again_in_threads_and_within_themselves() -> None:
@@ -652,16 +843,31 @@ def test_what_python_cannot_run_again_says_so() -> None:
             pass
 
 
-def test_leaving_the_loop_ends_the_handling() -> None:
-    for attempt in failure_handling(5):
-        with attempt:
-            fails()
-        if attempt.number == 2:
-            break
+def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
+    with pytest.warns(FailureLeft, match="after attempt 2 had failed: Unreachable: left arm") as warned:
+        for attempt in failure_handling(5):
+            with attempt:
+                fails()
+            if attempt.number == 2:
+                break
+    assert warned[0].filename == __file__
     node = tasks.tree().find(kind="failure-handling")[-1]
     assert len(node.attempts) == 2
     assert node.status is F
     assert tasks.current() is None
+
+
+def test_leaving_the_loop_with_the_failure_handled_or_raised() -> None:
+    for attempt in failure_handling(5):
+        with attempt:
+            try:
+                fails()
+            except Unreachable:
+                break
+    with pytest.raises(LookingFailed):
+        for attempt in failure_handling(5, Unreachable):
+            with attempt:
+                fails() if attempt.number == 1 else fails_to_look()
 
 
 def test_attempts_in_a_concurrent_body_see_their_failures() -> None:
@@ -753,15 +959,38 @@ def test_failures_of_cleaning_up_are_not_lost() -> None:
     with pytest.raises(BadArgument), finally_(is_wrong):
         fails()
 
+
+def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> None:
+    inside = Gate()
+
     def slow() -> None:
         with finally_(fails):
+            inside.open()
             Gate().pass_through()
 
-    with pursue as s:
+    def in_a_block() -> None:
+        with par as s:
+            s(slow)
+
+    def tried_again() -> None:
+        failure_handling(3).run(slow)
+
+    for branch in (slow, in_a_block, tried_again):
+        inside.is_open = False
+        with pytest.raises(NotCleanedUp, match=r"fails, done because .* Unreachable: left arm") as raised, pursue as s:
+            s(branch)
+            s(inside.pass_through)
+        assert [branch.state for branch in s.branches] == [F, S]
+        assert s.state is F
+        text = "".join(traceback.format_exception(raised.value))
+        assert "in fails" in text
+    inside.is_open = False
+    failures: list[BaseException] = []
+    with try_all(failures) as s:
         s(slow)
-        s(succeeds)
-    assert s.branches[0].state is F
-    assert [type(one) for one in s.failures] == [Unreachable]
+        s(inside.pass_through)
+    assert s.state is F
+    assert isinstance(failures[0].failure, Unreachable)
 
 
 def test_cancelled_is_what_a_cancelled_branch_sees() -> None:

@@ -38,6 +38,38 @@ class Doer(ProcessModule):
         return designator.reference()["action"]()
 
 
+class Told(ProcessModule):
+    """A module for a type of the user's, which may say what it needs."""
+
+    def __init__(self, action: Callable[[], object], needs: Claims | None = None) -> None:
+        super().__init__()
+        self.action = action
+        self.needs = needs
+
+    def claims(self, designator: Doing) -> Claims | None:
+        return self.needs or super().claims(designator)
+
+    def _execute(self, designator: Doing) -> object:
+        return self.action()
+
+    def perform(self, kind: str, **slots: object) -> object:
+        """As a user does it: a designator that was given a resolver."""
+        given = {"type": kind, "module": self, **slots}
+        return ProcessModule.perform(MotionDesignator(list(given.items())))
+
+
+@pytest.fixture
+def _resolver() -> Iterator[None]:
+    """A user's resolver: "drive" has a cmd of its own; "my-looking" is PyCRAM's looking; "moving" is done otherwise."""
+
+    def resolve(designator: MotionDesignator) -> list[dict[str, object]]:
+        cmds = {"drive": "drive", "my-looking": "looking", "moving": "fly", "fly": "fly"}
+        return [{"cmd": cmds[designator.type]}] if designator.type in cmds else []
+
+    with MotionDesignator.resolvers.added(resolve):
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _modules(world: BulletWorld) -> Iterator[None]:
     faulthandler.dump_traceback_later(60, exit=True)
@@ -157,8 +189,121 @@ def test_a_motion_may_be_made_of_blocks_within_what_it_has() -> None:
         do(lambda: done.append(5), "left-arm")
     assert sorted(done[:3]) == [1, 2, 3]
     assert done[3:] == [4, 5]
-    with pytest.raises(ClaimError, match="head"):
+    with pytest.raises(ClaimError, match="do moves head, but the motion that it is part of moves left-arm;") as raised:
         do(lambda: do(lambda: None, "head"), "left-arm")
+    assert (raised.value.motion, raised.value.moves, raised.value.at_rest) == ("do", ["head"], [])
+
+
+@pytest.mark.usefixtures("_resolver")
+def test_a_motion_may_not_move_what_the_one_around_it_needs_at_rest() -> None:
+    rests = Told(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
+    with pytest.raises(ClaimError, match=r"do moves left-arm, but .* moves base and needs at rest left-arm;"):
+        rests.perform("fly")
+
+
+@pytest.mark.usefixtures("_resolver")
+@pytest.mark.parametrize("kind", ["drive", "moving"])  # of the latter more is known, though nothing of how it is done
+def test_a_users_motion_of_which_nothing_is_known_has_the_whole_robot(kind: str) -> None:
+    order, begun = [], threading.Event()
+
+    def drive() -> None:
+        begun.set()
+        order.append("begins")
+        do(lambda: order.append("part"), "left-arm", "anything")  # may be made of whatever it likes
+        Told(lambda: order.append("unknown part")).perform("drive")
+        order.append("ends")
+
+    with par as s:
+        Told(drive).perform(kind)
+        s(begun.wait)
+        do(lambda: order.append("later"), "left-arm")
+        Told(lambda: order.append("last")).perform("drive")
+    assert order == ["begins", "part", "unknown part", "ends", "later", "last"]
+
+
+@pytest.mark.usefixtures("_resolver")
+def test_a_users_motion_claims_what_its_module_says_or_its_cmd_needs() -> None:
+    meeting = threading.Barrier(2, timeout=20)
+    for kind, needs in (("drive", Claims(frozenset({"head"}))), ("my-looking", None)):  # cmd "looking" moves the head
+        order = []
+        with par:
+            Told(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
+            do(meeting.wait, "left-arm")
+            do(lambda order=order: order.append(2), "head")
+        assert order == [1, 2]
+
+
+def test_a_motion_that_turns_out_to_need_more_waits_for_those_that_have_it() -> None:
+    order, begun, resolved = [], threading.Event(), threading.Event()
+
+    def resolve(designator: MotionDesignator) -> Iterator[dict[str, object]]:
+        if designator.type == "looking":
+            begun.wait(20)  # until the arm moves, which this one doesn't seem to need
+            resolved.set()
+            yield {"cmd": "point"}
+
+    def move_arm() -> None:
+        begun.set()
+        resolved.wait(20)
+        order.append("arm")
+
+    pointing = Told(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
+    with MotionDesignator.resolvers.added(resolve):
+        with par:
+            pointing.perform("looking")
+            do(move_arm, "left-arm")
+            do(lambda: order.append("next"), "left-arm")
+        assert order == ["arm", "point", "next"]
+        with par:  # what waits for its result has nothing yet that it could come to need
+            pointed = pointing.perform("looking")
+            do(lambda: order.append("after"), "left-arm", given=pointed)
+    assert order[3:] == ["point", "after"]
+
+
+def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
+    done = []
+
+    def look_first(designator: MotionDesignator) -> None:
+        if "module" in dict(designator.description) and not designator.prop_value("quiet"):
+            do(lambda: done.append("looked"), "head", quiet=True)
+            with par as s:
+                do(lambda: done.append("moved"), "left-arm", quiet=True)
+                s(lambda: do(lambda: done.append("moved"), "left-arm", quiet=True))
+
+    def resolve(designator: MotionDesignator) -> list[dict[str, object]] | None:
+        look_first(designator)
+        return [{"cmd": "drive"}] if designator.type == "drive" else None
+
+    driving = Told(lambda: done.append("driven"))
+    with MotionDesignator.resolvers.added(resolve), par:
+        driving.perform("drive")
+        do(lambda: done.append("next"), "head", quiet=True)
+    assert done == ["looked", "moved", "moved", "driven", "next"]
+    done.clear()
+    own = next(iter(ProcessModule.resolvers))
+    with ProcessModule.resolvers.added(look_first):
+        ProcessModule.resolvers.remove(own)
+        ProcessModule.resolvers.append(own)  # now asked after the other
+        do(lambda: done.append("did"), "head", "left-arm")
+        with pytest.raises(ClaimError, match="do moves head"):
+            do(lambda: done.append("never"), "left-arm")
+    assert done == ["looked", "moved", "moved", "did"]
+
+
+def test_a_process_module_carries_out_one_motion_at_a_time() -> None:
+    module, running, most = Doer(), [], []
+
+    def action() -> None:
+        running.append(1)
+        most.append(len(running))
+        wait(gate, lambda: len(running) > 1, 0.02)  # for another one, if there may be one
+        running.pop()
+
+    gate = threading.Condition()
+    with par:
+        for arm in ("left-arm", "right-arm", "head"):
+            do(action, arm, module=module)
+    assert most == [1, 1, 1]
 
 
 def test_alternatives_that_want_the_same_arm() -> None:
