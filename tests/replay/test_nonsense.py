@@ -84,7 +84,7 @@ def spoilt(sound: Path, target: Path, seed: int) -> Path:
     dice = random.Random(seed)
     with replay.open(sound) as log:
         sink = McapSink(target, log.metadata)
-        sink._companions = lambda record: iter(())  # type: ignore[method-assign]  it would refuse
+        sink._frames.transforms = lambda record: iter(())  # type: ignore[method-assign]  it would refuse
         for name, content in log.assets.items():
             sink.attach(AssetFile(name.partition("/")[2], content))
         for record in log.records():
