@@ -13,19 +13,17 @@ files, and an empty one at the end.
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
-import tempfile
 import threading
 from multiprocessing.connection import Connection
-from typing import IO, TYPE_CHECKING, Final
-from urllib.parse import quote
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
 from recorder.records import TOPICS
 from recorder.viewer.translator import Translator
-from recorder.viewers import HOST, PAGE_PORT, PORT, Kind, Wish, Word, address, answers, free_port
+from recorder.viewer.windows import APPLICATION, ViewerGone, open_window, serve_page
+from recorder.viewers import Kind, Wish, Word, answers
 
 if TYPE_CHECKING:
     from recorder.backlog import Item
@@ -35,10 +33,6 @@ _NICE: Final = 5  # the plan goes first where cores are few
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
 _LAST_WORDS: Final = 2.0  # s to hand over what is here when the plan's process was killed
 _PATIENCE: Final = 1.0  # s that one call of the viewer's library may take
-
-
-class ViewerGone(Exception):
-    """The viewer has ended."""
 
 
 def main(arguments: list[str]) -> None:
@@ -69,13 +63,14 @@ def _end_with_parent() -> None:
 
 
 def _serve(connection: Connection, wish: Wish, title: str) -> None:
-    stream = rr.RecordingStream(title)
+    stream = rr.RecordingStream(APPLICATION)
+    stream.send_recording_name(title)
     if wish.kind is Kind.SERVE:
-        _open_page(stream)
+        print(f"recorder: live at {serve_page(stream)}", file=sys.stderr, flush=True)
     else:
         url = wish.url
         if wish.kind is Kind.SPAWN:
-            url = _spawn()
+            url = open_window()
         elif not answers(url):
             connection.send(Word.ABSENT)
             print(
@@ -127,51 +122,3 @@ def _await(url: str) -> None:
     pause = threading.Event()
     while not answers(url):
         pause.wait(_LOOK_AGAIN)
-
-
-def _open_page(stream: rr.RecordingStream) -> None:
-    """Serves the records, and the viewer as a page to see them with; says where.
-
-    Both servers live in this process. Pages that are opened late get everything from the beginning.
-    """
-    port = free_port(PORT)
-    stream.set_sinks(rr.GrpcServerSink(bind_ip=HOST, port=port))
-    page = free_port(PAGE_PORT)
-    rr.serve_web_viewer(web_port=page, open_browser=False, connect_to=address(port))
-    place = f"http://{HOST}:{page}/?url={quote(address(port), safe='')}"
-    print(f"recorder: live at {place}", file=sys.stderr, flush=True)
-
-
-def _spawn() -> str:
-    """Starts a viewer that outlives the plan, and waits until it is there; one that is open already is taken.
-
-    Returns:
-        Its address.
-
-    Raises:
-        ViewerGone: it ended at once, for example because there is no screen.
-    """
-    if answers(address(PORT)):
-        return address(PORT)
-    port = free_port(PORT)
-    with tempfile.TemporaryFile() as said:
-        viewer = subprocess.Popen(  # noqa: S603  the viewer that came with the library
-            [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=said,
-            start_new_session=True,  # Ctrl-C is for the plan
-            env=os.environ | {"RERUN_APP_ONLY": "true"},
-        )
-        pause = threading.Event()
-        while not answers(address(port)):
-            if viewer.poll() is not None:
-                raise ViewerGone(f"the viewer didn't open ({_last_line(said)}); the plan goes on without")
-            pause.wait(_LOOK_AGAIN)
-    return address(port)
-
-
-def _last_line(said: IO[bytes]) -> str:
-    said.seek(0)
-    lines = said.read().decode(errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "it didn't say why")

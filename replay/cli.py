@@ -31,6 +31,7 @@ VERBS: Final = {
     "why": "why the plan failed, in plain words",
     "ask": "any reasoning query at a step, also with things moved",
     "render": "a picture of a step, without a viewer",
+    "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "whether a recording is sound, and its changes, made again, have the effects on record",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }

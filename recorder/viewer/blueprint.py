@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import rerun.blueprint as rrb
+from rerun import new_entity_path
 
 from recorder.frames import ROOT
 from recorder.viewer.graph import GRAPH
@@ -14,6 +15,7 @@ from recorder.viewer.plots import HEIGHTS, JOINTS
 from recorder.viewer.questions import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
 from recorder.viewer.tables import RECORDS
+from recorder.viewer.targets import FAILURES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -30,45 +32,70 @@ def blueprint(worlds: Mapping[str, Vector]) -> rrb.Blueprint:
     Args:
         worlds: middles of its worlds, as far as they are known; the last one is in front.
     """
-    names = list(worlds) or [_WORLD]
-    scenes = [_scene(world, worlds.get(world, (0.0, 0.0, 0.0))) for world in names]
-    log = [f"/{LOG}/**", *(f"/{world}/failures" for world in names)]
+    left, right = _see("", worlds), _read("", worlds)
+    return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
+
+
+def side_by_side(recordings: Mapping[str, Mapping[str, Vector]]) -> rrb.Blueprint:
+    """The layout for recordings that are to be compared.
+
+    Args:
+        recordings: middles of worlds, by the root of each recording's entities.
+    """
+    columns = [
+        rrb.Vertical(_see(root, worlds), _read(root, worlds), row_shares=[3, 2], name=root)
+        for root, worlds in recordings.items()
+    ]
+    return _whole(rrb.Horizontal(*columns))
+
+
+def _whole(views: rrb.Container) -> rrb.Blueprint:
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Tabs(*scenes, active_tab=len(scenes) - 1) if len(scenes) > 1 else scenes[0],
-                rrb.StateTimelineView(origin=f"/tasks/{LANES}", name="Tasks over time"),
-                row_shares=[5, 2],
-            ),
-            rrb.Vertical(
-                rrb.Tabs(
-                    rrb.GraphView(origin=f"/tasks/{GRAPH}", name="Task tree"),
-                    rrb.TextDocumentView(origin=f"/{QUERIES}/{PAGE}", name="Query"),
-                    rrb.Spatial2DView(origin=f"/{QUERIES}/{PICTURE}", name="What it saw"),
-                ),
-                rrb.Tabs(
-                    rrb.TextLogView(origin="/", contents=log, name="Log"),
-                    rrb.TimeSeriesView(origin=f"/plots/{HEIGHTS}", name="Heights"),
-                    rrb.TimeSeriesView(origin=f"/plots/{JOINTS}", name="Joints"),
-                    rrb.DataframeView(origin=f"/{RECORDS}", name="Records"),
-                ),
-            ),
-            column_shares=[3, 2],
-        ),
+        views,
         rrb.TimePanel(timeline="step", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _scene(world: str, middle: Vector) -> rrb.Spatial3DView:
+def _see(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
+    """The scenes and the tasks over time."""
+    scenes = [_scene(root, world, middle) for world, middle in (worlds or {_WORLD: (0.0, 0.0, 0.0)}).items()]
+    lanes = rrb.StateTimelineView(origin=f"{_below(root)}/tasks/{LANES}", name="Tasks over time")
+    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=len(scenes) - 1), lanes, row_shares=[5, 2])
+
+
+def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
+    """The task tree and queries, and below them what is told in lines, curves and tables."""
+    top = _below(root)
+    log = [f"{top}/{LOG}/**", *(f"{top}/{world}/{FAILURES}" for world in worlds)]
+    return rrb.Vertical(
+        rrb.Tabs(
+            rrb.GraphView(origin=f"{top}/tasks/{GRAPH}", name="Task tree"),
+            rrb.TextDocumentView(origin=f"{top}/{QUERIES}/{PAGE}", name="Query"),
+            rrb.Spatial2DView(origin=f"{top}/{QUERIES}/{PICTURE}", name="What it saw"),
+        ),
+        rrb.Tabs(
+            rrb.TextLogView(origin="/", contents=log, name="Log"),
+            rrb.TimeSeriesView(origin=f"{top}/plots/{HEIGHTS}", name="Heights"),
+            rrb.TimeSeriesView(origin=f"{top}/plots/{JOINTS}", name="Joints"),
+            rrb.DataframeView(origin=f"{top}/{RECORDS}", name="Records"),
+        ),
+    )
+
+
+def _scene(root: str, world: str, middle: Vector) -> rrb.Spatial3DView:
+    path = new_entity_path([*([root] if root else []), world])
+    x, y, z = (place + way for place, way in zip(middle, _FROM, strict=True))
     return rrb.Spatial3DView(
         origin="/",
-        contents=[f"/{world}/**"],
-        name=world,
-        eye_controls=rrb.EyeControls3D(
-            position=[place + way for place, way in zip(middle, _FROM, strict=True)], look_target=middle
-        ),
-        spatial_information=rrb.SpatialInformation(target_frame=ROOT),
-        overrides={f"/{world}/{COLLISION}": rrb.EntityBehavior(visible=False)},
+        contents=[f"{path}/**"],
+        name=f"{root} {world}".strip(),
+        eye_controls=rrb.EyeControls3D(position=(x, y, z), look_target=middle),
+        spatial_information=rrb.SpatialInformation(target_frame=f"{root}/{ROOT}" if root else ROOT),
+        overrides={f"{path}/{COLLISION}": rrb.EntityBehavior(visible=False)},
     )
+
+
+def _below(root: str) -> str:
+    return new_entity_path([root]) if root else ""

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from recorder.asset import AssetFile
+    from recorder.geometry import Vector
     from recorder.records import Record
 
 _STEP_NS: Final = 1_000_000_000 / 240  # of a simulated step
@@ -34,7 +35,11 @@ class Translator:
 
     Args:
         stream: where it goes.
-        root: the entity that all others are below, and the prefix of all frames; "" for none.
+        root: the entity that all others are below, and the prefix of all frames; "" for none. Whoever names one lays
+            the view out himself.
+
+    Attributes:
+        worlds: middles of the worlds that plans did something in, when they began to.
     """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
@@ -47,16 +52,11 @@ class Translator:
         self._holds, self._targets = Holds(self._columns, self._scene), Targets(self._columns, self._scene)
         self._answers, self._questions = Answers(self._columns, self._scene), Questions(self._columns)
         self._root = root
-        self._worlds: list[str] = []
+        self.worlds: dict[str, Vector] = {}
         self._sim = 0  # ns, of the world that something happened in last
         self._waiting = 0  # records
         self._before = 0  # the clock at the record before
         self._lay_out()
-
-    @property
-    def worlds(self) -> list[str]:
-        """Names of the worlds that were seen."""
-        return list(self._worlds)
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file.
@@ -108,13 +108,13 @@ class Translator:
 
     def _meet(self, world: str) -> None:
         """Lays the view out anew when a plan first does something in a world: then it is known what is there."""
-        if world and world not in self._worlds:
-            self._worlds.append(world)
+        if world and world not in self.worlds:
+            self.worlds[world] = self._scene.middle(world)
             self._lay_out()
 
     def _lay_out(self) -> None:
         if not self._root:
-            self._stream.send_blueprint(blueprint({world: self._scene.middle(world) for world in self._worlds}))
+            self._stream.send_blueprint(blueprint(self.worlds))
 
 
 def _moments(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:

@@ -1,0 +1,89 @@
+"""``view``: a recording, or two side by side, in the Rerun viewer."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import webbrowser
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from replay.errors import ReplayError
+from replay.log import open_log
+from replay.outlet import remark, results_only, tell, tell_json
+from replay.steps import HINT
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from replay.log import Log
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes another recording, where to begin, and where to show or save it."""
+    parser.add_argument("other", metavar="LOG2", nargs="?", help="another recording, shown beside it")
+    parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
+    parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
+    parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
+    parser.add_argument("--web", action="store_true", help="in the browser, until Ctrl-C")
+    parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Shows or saves it, and prints where."""
+    if options.web and (options.save or options.at or options.connect):
+        raise ReplayError("--web shows the recording in the browser from its beginning; give it alone")
+    step = log.step(options.at) if options.at is not None else None
+    with ExitStack() as opened, results_only():
+        logs = [log, *([opened.enter_context(open_log(options.other))] if options.other else [])]
+        if options.web:
+            return _serve(logs, json_wanted=options.json)
+        told = _open(logs, step, options)
+    if options.json:
+        tell_json(told)
+    else:
+        tell(str(told["file"]))
+    return 0
+
+
+def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) -> dict[str, object]:
+    from replay.view import cached, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
+
+    if options.save:
+        file = Path(options.save)
+        if file.suffix != ".rrd":
+            raise ReplayError(f"{file}: what the viewer opens is called .rrd")
+        convert(logs, file)
+    elif len(logs) == 1:
+        file = cached(logs[0])
+    else:
+        names = "_".join(log.path.stem for log in logs)
+        file = Path(tempfile.gettempdir()) / f"{names}.rrd"
+        convert(logs, file)
+    told: dict[str, object] = {"file": str(file)}
+    if options.open or not options.save:
+        told["viewer"] = show(file, step, options.connect)
+    return told
+
+
+def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
+    import rerun as rr  # noqa: PLC0415
+
+    from recorder.viewer.windows import APPLICATION, serve_page  # noqa: PLC0415
+    from replay.view import translate  # noqa: PLC0415
+
+    stream = rr.RecordingStream(APPLICATION)
+    stream.send_recording_name(" and ".join(log.path.name for log in logs))
+    page = serve_page(stream)
+    translate(logs, stream)
+    stream.flush()
+    if json_wanted:
+        tell_json({"page": page}, flush=True)
+    else:
+        tell(page, flush=True)
+    remark("shown in the browser until Ctrl-C")
+    webbrowser.open(page)
+    threading.Event().wait()
+    return 0

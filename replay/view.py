@@ -1,0 +1,157 @@
+"""Recordings in the Rerun viewer: translated into an ``.rrd`` that is kept beside the recording, and opened.
+
+The same code translates as while the plan runs (:mod:`recorder.viewer`): both show the same. An ``.rrd`` is a cache:
+viewers of other versions may not read it, so it is made anew when the recording or the software is newer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import rerun as rr
+from rerun.experimental import ViewerClient
+
+import recorder.viewer
+from recorder.asset import AssetFile
+from recorder.records import TOPICS
+from recorder.viewer.blueprint import side_by_side
+from recorder.viewer.translator import Translator
+from recorder.viewer.windows import APPLICATION, ViewerGone, open_window
+from recorder.viewers import answers
+from replay.errors import Damaged, ReplayError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from replay.log import Log
+
+_PATIENCE: Final = 60.0  # s for the last rows to be written
+
+
+def convert(logs: Sequence[Log], path: Path) -> None:
+    """Writes recordings as one for the viewer; what is there already is replaced when all is written.
+
+    Args:
+        logs: one recording, or several that are shown side by side.
+        path: the ``.rrd`` file.
+
+    Raises:
+        ReplayError: it can't be written.
+        Damaged: a record makes no sense.
+    """
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".rrd", dir=path.parent)
+    except OSError as error:
+        raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
+    os.close(handle)
+    try:
+        title = " and ".join(log.path.name for log in logs)
+        stream = rr.RecordingStream(APPLICATION, recording_id=f"{title} {logs[0].metadata.get('started_ns', '')}")
+        stream.save(name)
+        stream.send_recording_name(title)
+        translate(logs, stream)
+        stream.flush(timeout_sec=_PATIENCE)
+        stream.disconnect()
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+    except OSError as error:
+        raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
+    finally:
+        Path(name).unlink(missing_ok=True)
+
+
+def translate(logs: Sequence[Log], stream: rr.RecordingStream) -> None:
+    """Sends recordings to where the viewer gets its data from.
+
+    Args:
+        logs: one recording, or several that are shown side by side.
+        stream: where they go.
+
+    Raises:
+        Damaged: a record makes no sense.
+    """
+    if len(logs) == 1:
+        _translate(logs[0], Translator(stream))
+        return
+    translators = {root: Translator(stream, root) for root in _roots(logs)}
+    for log, translator in zip(logs, translators.values(), strict=True):
+        _translate(log, translator)
+    stream.send_blueprint(side_by_side({root: translator.worlds for root, translator in translators.items()}))
+
+
+def _translate(log: Log, translator: Translator) -> None:
+    for name in log.assets:
+        with contextlib.suppress(Damaged):  # which the recording remembers; what needs it isn't shown
+            translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
+    for record in log:
+        try:
+            translator.show(TOPICS[type(record)], record)
+        except (ValueError, KeyError, TypeError, IndexError, ArithmeticError) as error:
+            raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
+    translator.flush()
+
+
+def _roots(logs: Sequence[Log]) -> list[str]:
+    """Names for recordings that are shown side by side: those of their files, if these are different."""
+    names = [log.path.stem for log in logs]
+    return names if len(set(names)) == len(names) else [f"{number}_{name}" for number, name in enumerate(names, 1)]
+
+
+def cached(log: Log) -> Path:
+    """A recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
+
+    Args:
+        log: the recording.
+
+    Returns:
+        The file; in the folder for temporary files where beside the recording nothing can be written.
+
+    Raises:
+        Damaged: a record makes no sense.
+    """
+    beside = log.path.with_name(f"{log.path.name}.rrd")
+    newest = max(log.path.stat().st_mtime_ns, *(file.stat().st_mtime_ns for file in _sources()))
+    if beside.exists() and beside.stat().st_mtime_ns > newest:
+        return beside
+    if not os.access(log.path.parent, os.W_OK):
+        beside = Path(tempfile.gettempdir()) / beside.name
+    convert([log], beside)
+    return beside
+
+
+def _sources() -> Iterator[Path]:
+    """What an ``.rrd`` depends on, beside its recording."""
+    yield Path(rr.__file__)
+    yield from Path(recorder.viewer.__file__).parent.glob("*.py")
+
+
+def show(path: Path, step: int | None = None, url: str | None = None) -> str:
+    """Opens a file in a viewer: in one that is open already, else in a new one, which outlives this process.
+
+    Args:
+        path: the ``.rrd`` file.
+        step: where to begin; by default at the beginning.
+        url: address of the viewer; by default that of one on this machine.
+
+    Returns:
+        The viewer's address.
+
+    Raises:
+        ReplayError: no viewer answers there, or none can be started.
+    """
+    if url is not None and not answers(url):
+        raise ReplayError(f"no viewer answers at {url}; start one: rerun")
+    try:
+        place = url or open_window()
+        client = ViewerClient.connect(place)
+        opening = getattr(client, "open", None) or client.open_url  # by version
+        opening(str(path.resolve()))
+        if step is not None:
+            client.set_time("step", sequence=step)
+    except (ViewerGone, RuntimeError, OSError) as error:
+        raise ReplayError(f"{path} can't be shown: {error}") from error
+    return place
