@@ -14,7 +14,7 @@ from recorder.viewer.lines import LOG
 from recorder.viewer.plots import HEIGHTS, JOINTS
 from recorder.viewer.questions import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
-from recorder.viewer.tables import RECORDS
+from recorder.viewer.tables import KINDS, RECORDS
 from recorder.viewer.targets import FAILURES
 
 if TYPE_CHECKING:
@@ -78,8 +78,12 @@ def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
         rrb.Tabs(
             rrb.TextLogView(origin="/", contents=log, name="Log"),
             rrb.TimeSeriesView(origin=f"{top}/plots/{HEIGHTS}", name="Heights"),
-            rrb.TimeSeriesView(origin=f"{top}/plots/{JOINTS}", name="Joints"),
-            rrb.DataframeView(origin=f"{top}/{RECORDS}", name="Records"),
+            rrb.TimeSeriesView(
+                origin=f"{top}/plots/{JOINTS}", name="Joints", plot_legend=rrb.PlotLegend(visible=False)
+            ),
+            rrb.Tabs(
+                *(rrb.DataframeView(origin=f"{top}/{RECORDS}/{kind}", name=kind) for kind in KINDS), name="Records"
+            ),
         ),
     )
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 HEIGHTS: Final = "heights"
 JOINTS: Final = "joints"
+_STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until the next record
 
 
 class Plots:
@@ -30,7 +31,7 @@ class Plots:
     def __init__(self, columns: Columns, scene: Scene) -> None:
         self._columns = columns
         self._scene = scene
-        self._last: dict[tuple[str, str, str], float] = {}
+        self._last: dict[tuple[str, str, str], tuple[Moment, float]] = {}
         self._series: dict[tuple[str, str, str], Series] = {}
 
     def show(self, record: Mutation | Keyframe, moments: Mapping[int, Moment]) -> None:
@@ -48,14 +49,20 @@ class Plots:
                     self._add(record.world, state.body, joint, value, now)
 
     def _add(self, world: str, body: str, joint: str, value: float, now: Moment) -> None:
+        """Adds a value that has changed; what never changes has no curve."""
         key = (world, body, joint)
-        if self._last.get(key) == value:
+        last = self._last.get(key)
+        if last is not None and last[1] == value:
             return
-        self._last[key] = value
+        self._last[key] = (now, value)
+        if last is None:
+            return
         series = self._series.get(key)
         if series is None:
-            told = (JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)
-            series = self._series[key] = self._columns.series(self._columns.path("plots", *told), _scalars)
+            path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
+            self._columns.fix(path, rr.SeriesLines(interpolation_mode=_STEPS))
+            series = self._series[key] = self._columns.series(path, _scalars)
+            series.add(last[0], (last[1],))
         series.add(now, (value,))
 
 

@@ -42,15 +42,6 @@ def _query(record: Query) -> tuple[Any, ...]:
 
 
 _TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]]]]] = {
-    Run: (
-        ("phase", "name", "succeeded", "failure"),
-        lambda record: (
-            Run.Phase.Name(record.phase).lower(),
-            record.name,
-            record.succeeded,
-            f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else "",
-        ),
-    ),
     Task: (("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "source"), _task),
     Mutation: (
         ("command", "bodies"),
@@ -68,7 +59,20 @@ _TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[
         lambda record: (record.name, by_name(record.before_json), by_name(record.after_json)),
     ),
     Query: (("name", "arguments", "answer", "evidence", "failure", "duration_ms"), _query),
+    Run: (
+        ("phase", "name", "succeeded", "failure"),
+        lambda record: (
+            Run.Phase.Name(record.phase).lower(),
+            record.name,
+            record.succeeded,
+            f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else "",
+        ),
+    ),
 }
+
+
+KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _TELL)
+"""Names of the tables."""
 
 
 class Tables:
@@ -80,7 +84,12 @@ class Tables:
 
     def __init__(self, columns: Columns) -> None:
         self._series = {
-            kind: (columns.series(columns.path(RECORDS, TOPICS[kind][1:]), partial(_rows, kind.__name__, names)), tell)
+            kind: (
+                columns.series(
+                    columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind.__name__, names)
+                ),
+                tell,
+            )
             for kind, (names, tell) in _TELL.items()
         }
 
