@@ -13,6 +13,7 @@ files, and an empty one at the end.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from multiprocessing.connection import Connection
@@ -41,6 +42,7 @@ def main(arguments: list[str]) -> None:
     Args:
         arguments: the socket's descriptor, the wish, the recording's title.
     """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
     os.nice(_NICE)

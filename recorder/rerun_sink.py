@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from recorder.asset import AssetFile
     from recorder.records import Record
 
-_AT_THE_END: Final = 1.5  # s for the viewer to take what is left
+_AT_THE_END: Final = 1.8  # s for the viewer to take what is left
 _TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
-_RHYTHM: Final = 0.05  # s between batches: many small ones cost more than they show
+_RHYTHM: Final = 0.1  # s between batches: many small ones cost more than they show
 _MOST_ITEMS: Final = 500
 _MOST_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent)
@@ -133,6 +133,5 @@ def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[theirs.fileno()],
-        start_new_session=True,  # Ctrl-C is for the plan
         env={"RUST_LOG": "off"} | os.environ,  # what matters it says itself
     )

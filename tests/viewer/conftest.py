@@ -179,7 +179,7 @@ class Browser:
             "--use-gl=angle",
             "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader",
-            "--window-size=1280,800",
+            "--window-size=1000,700",
             "--remote-debugging-pipe",
         ]
         # it reads its orders from descriptor 3 and answers on 4
@@ -232,6 +232,13 @@ class Browser:
     def asked(self) -> set[str]:
         """The addresses that its page asked for something."""
         return {e["params"]["request"]["url"] for e in self.events if e.get("method") == "Network.requestWillBeSent"}
+
+    def errors(self) -> list[str]:
+        """What the viewer in its page complains of."""
+        told = [e["params"]["args"] for e in self.events if e.get("method") == "Runtime.consoleAPICalled"]
+        lines = [str(one.get("value", "")) for arguments in told for one in arguments]
+        thrown = [str(e["params"]) for e in self.events if e.get("method") == "Runtime.exceptionThrown"]
+        return [line for line in lines if line.lstrip().startswith("ERROR")] + thrown
 
     def picture(self, file: Path) -> Image.Image:
         file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
