@@ -17,11 +17,12 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.asset import AssetFile
+from recorder.errors import RecordingError
 from recorder.records import TOPICS
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
 from recorder.viewer.windows import APPLICATION, ViewerGone, open_window
-from recorder.viewers import answers
+from recorder.viewers import Wish, answers
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:
@@ -49,10 +50,8 @@ def convert(logs: Sequence[Log], path: Path) -> None:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     os.close(handle)
     try:
-        title = " and ".join(log.path.name for log in logs)
-        stream = rr.RecordingStream(APPLICATION, recording_id=f"{title} {logs[0].metadata.get('started_ns', '')}")
+        stream = rr.RecordingStream(APPLICATION)
         stream.save(name)
-        stream.send_recording_name(title)
         translate(logs, stream)
         stream.flush(timeout_sec=_PATIENCE)
         stream.disconnect()
@@ -74,6 +73,7 @@ def translate(logs: Sequence[Log], stream: rr.RecordingStream) -> None:
     Raises:
         Damaged: a record makes no sense.
     """
+    stream.send_recording_name(_title(logs))
     if len(logs) == 1:
         _translate(logs[0], Translator(stream))
         return
@@ -81,6 +81,13 @@ def translate(logs: Sequence[Log], stream: rr.RecordingStream) -> None:
     for log, translator in zip(logs, translators.values(), strict=True):
         _translate(log, translator)
     stream.send_blueprint(side_by_side({root: translator.worlds for root, translator in translators.items()}))
+
+
+def _title(logs: Sequence[Log]) -> str:
+    """The plan's name, as while it ran; those of the files where plans are compared."""
+    if len(logs) == 1:
+        return logs[0].metadata.get("plan", logs[0].path.name)
+    return " and ".join(log.path.name for log in logs)
 
 
 def _translate(log: Log, translator: Translator) -> None:
@@ -129,6 +136,25 @@ def _sources() -> Iterator[Path]:
     yield from Path(recorder.viewer.__file__).parent.glob("*.py")
 
 
+def check(url: str | None) -> None:
+    """Makes sure that a viewer is where it is said to be.
+
+    Args:
+        url: its address; None if nothing was said.
+
+    Raises:
+        ReplayError: that isn't an address, or nothing answers there.
+    """
+    if url is None:
+        return
+    try:
+        there = answers(Wish.parse(url).url)
+    except RecordingError as error:
+        raise ReplayError(str(error)) from error
+    if not there:
+        raise ReplayError(f"no viewer answers at {url}; start one: rerun")
+
+
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Opens a file in a viewer: in one that is open already, else in a new one, which outlives this process.
 
@@ -143,8 +169,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     Raises:
         ReplayError: no viewer answers there, or none can be started.
     """
-    if url is not None and not answers(url):
-        raise ReplayError(f"no viewer answers at {url}; start one: rerun")
+    check(url)
     try:
         place = url or open_window()
         client = ViewerClient.connect(place)

@@ -62,7 +62,7 @@ class Answers:
         self, record: Query, values: Values, found: Values, color: Color
     ) -> Iterator[tuple[str, rr.AsComponents]]:
         world = record.world
-        thing = target(self._scene, world, values)
+        thing = target(self._scene, world, {name: value for name, value in values.items() if name != "camera"})
         goal = position(found.get("position")) or thing
         if goal is not None:
             yield "target", points([goal], color, [f"{record.name}: {by_name(record.answer_json)}"[:_LETTERS]])

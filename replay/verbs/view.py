@@ -49,8 +49,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
 
 
 def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view import cached, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view import cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
 
+    check(options.connect)
     if options.save:
         file = Path(options.save)
         if file.suffix != ".rrd":
@@ -75,7 +76,6 @@ def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
     from replay.view import translate  # noqa: PLC0415
 
     stream = rr.RecordingStream(APPLICATION)
-    stream.send_recording_name(" and ".join(log.path.name for log in logs))
     page = serve_page(stream)
     translate(logs, stream)
     stream.flush()

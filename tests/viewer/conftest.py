@@ -9,6 +9,7 @@ import base64
 import contextlib
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 REPO = Path(__file__).parent.parent.parent
+OURS = re.compile("[Ss]oftware rasterizer|Failed to load examples")  # no graphics card, no network
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))
 
 
@@ -61,7 +63,7 @@ class Server:
 
     def __init__(self, port: int, file: Path) -> None:
         self.url = address(port)
-        self._file = file
+        self.file = file
         command = [BINARY, "--save", str(file), "--port", str(port), "--bind", "127.0.0.1"]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_until(lambda: answers(self.url), "the server answers")
@@ -76,6 +78,11 @@ class Server:
         self.process.kill()
         self.process.wait()
 
+    def finish(self) -> None:
+        """Lets it write the end of its file."""
+        self.process.send_signal(signal.SIGINT)
+        self.process.wait(30)
+
     def rows(self) -> Counter[str]:
         """How many rows each entity has got so far."""
         found: Counter[str] = Counter()
@@ -84,7 +91,7 @@ class Server:
             warnings.catch_warnings(),
         ):  # nothing was written yet, or half of it
             warnings.simplefilter("ignore", RerunWarning)  # the file has no end yet
-            for chunk in RrdReader(self._file).stream():
+            for chunk in RrdReader(self.file).stream():
                 found[chunk.entity_path] += chunk.num_rows
         return found
 
@@ -125,8 +132,9 @@ class Headless:
         return self._call("get_state", "viewer_state")
 
     def complaints(self) -> list[str]:
-        """Warnings and errors of the viewer and of its views."""
-        said = [f"{log.level} {log.message}" for log in self._call("get_logs", "viewer_logs") if log.level != "INFO"]
+        """Warnings and errors of the viewer and of its views, but for those about this machine."""
+        logs = self._call("get_logs", "viewer_logs")
+        said = [f"{log.level} {log.message}" for log in logs if log.level != "INFO" and not OURS.search(log.message)]
         return said + [f"{view.name}: {report.summary}" for view in self.state().views for report in view.reports]
 
     def open(self, file: Path) -> None:

@@ -1,0 +1,91 @@
+"""What stands in an .rrd file, for tests: values of components by entity and moment."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter, defaultdict
+from typing import TYPE_CHECKING, Any
+
+from rerun.chunk import RrdReader
+from rerun.error_utils import RerunWarning
+
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from recorder.geometry import Pose
+
+LINES = ("step", "sim", "wall")
+_BLUEPRINT = ("/view/", "/container/", "/viewport", "/blueprint_panel", "/selection_panel", "/time_panel")
+
+
+class Shown:
+    """A file's rows.
+
+    Attributes:
+        rows: by entity: moments on the three time lines, values by component; in the order of their making.
+        fixed: values by entity and component that hold at all times.
+    """
+
+    def __init__(self, file: Path) -> None:
+        found: dict[str, list[tuple[bytes, tuple[int, ...], dict[str, Any]]]] = defaultdict(list)
+        self.fixed: dict[str, dict[str, Any]] = defaultdict(dict)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RerunWarning)
+            chunks = [chunk for chunk in RrdReader(file).stream() if not chunk.entity_path.startswith(_BLUEPRINT)]
+        for chunk in chunks:
+            table = chunk.to_record_batch()
+            names = [name for name in table.schema.names if name not in (*LINES, "rerun.controls.RowId")]
+            columns = {name: table.column(name).to_pylist() for name in names}
+            ids = table.column("rerun.controls.RowId").to_pylist()
+            times = [] if chunk.is_static else [table.column(line).cast("int64").to_pylist() for line in LINES]
+            for row in range(chunk.num_rows):
+                values = {name: column[row] for name, column in columns.items() if column[row] is not None}
+                if chunk.is_static:
+                    self.fixed[chunk.entity_path] |= values
+                else:
+                    found[chunk.entity_path].append((ids[row], tuple(line[row] for line in times), values))
+        self.rows = {
+            entity: [(moment, values) for _, moment, values in sorted(rows, key=lambda row: row[0])]
+            for entity, rows in found.items()
+        }
+
+    def counts(self) -> Counter[tuple[str, str]]:
+        """How many values each component of each entity has at its moments."""
+        told: Counter[tuple[str, str]] = Counter()
+        for entity, rows in self.rows.items():
+            for _, values in rows:
+                told.update((entity, name) for name in values)
+        return told
+
+    def at(self, entity: str, step: int) -> dict[str, Any]:
+        """An entity's components at a step: the last that each was told, unless the entity was cleared since."""
+        now: dict[str, Any] = {}
+        for moment, values in sorted(self.rows.get(entity, []), key=lambda row: row[0][0]):
+            if moment[0] > step:
+                break
+            if "Clear:is_recursive" in values:
+                now = {}
+            else:
+                now |= values
+        return {name: value for name, value in now.items() if value}
+
+    def frames(self, step: int) -> dict[str, tuple[str, Pose]]:
+        """Parent and pose of each frame at a step."""
+        told = {}
+        for entity in self.rows:
+            now = self.at(entity, step)
+            if "Transform3D:child_frame" in now:
+                pose = (tuple(now["Transform3D:translation"][0]), tuple(now["Transform3D:quaternion"][0]))
+                told[now["Transform3D:child_frame"][0]] = (now["Transform3D:parent_frame"][0], pose)
+        return told
+
+
+def in_world(frames: dict[str, tuple[str, Pose]], name: str, root: str = "world") -> Pose:
+    """The pose of a frame in the root."""
+    pose = geometry.IDENTITY
+    while name != root:
+        name, up = frames[name]
+        pose = geometry.multiply(up, pose)
+    return pose

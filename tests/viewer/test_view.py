@@ -1,0 +1,321 @@
+"""Recordings in the viewer: what is shown is what is on record, at every step and on all time lines."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+import recorder
+import replay
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from pycram.language import par, seq
+from recorder import geometry
+from recorder.records import Mutation, Query
+from replay.cli import main
+from tests.viewer.shown import Shown, in_world
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tests.viewer.conftest import Headless, Server
+
+REPO = Path(__file__).parent.parent.parent
+NEAR = 1e-5  # m; the viewer's numbers are 32 bits
+
+
+def view(log: Path, file: Path) -> Shown:
+    assert main(["view", str(log), "--save", str(file)]) == 0
+    return Shown(file)
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("demo") / "demo.mcap"
+    subprocess.run([sys.executable, "-m", "pycram", "demo", "--log", file], check=True, capture_output=True, cwd=REPO)
+    return file
+
+
+@pytest.fixture(scope="module")
+def shown(demo: Path) -> Shown:
+    return view(demo, demo.with_suffix(".rrd"))
+
+
+@pytest.mark.slow
+def test_every_link_is_shown_where_it_was(demo: Path, shown: Shown) -> None:
+    with replay.open(demo) as log:
+        for step in [*range(12, len(log) - 3, 29), len(log) - 3]:
+            state, frames = log.state_at(step), shown.frames(step)
+            for body in state.world().bodies.values():
+                for link in state.urdf(body).links:
+                    name = body.name if link == state.urdf(body).root else f"{body.name}/{link}"
+                    place, turn = in_world(frames, name)
+                    true_place, true_turn = state.link_pose(body, link)
+                    assert math.dist(place, true_place) < NEAR, f"step {step}: {name}"
+                    assert geometry.angle(turn, true_turn) < 1e-3, f"step {step}: {name}"
+
+
+@pytest.mark.slow
+def test_everything_that_is_on_record_is_told(demo: Path, shown: Shown) -> None:
+    counts = shown.counts()
+    with replay.open(demo) as log:
+        for kind, count in log.counts().items():
+            assert counts[f"/records/{kind}", f"pycram.{kind.capitalize()}:text"] == count
+            lines = count - sum(record.phase == record.ASKED for record in log if kind == "task" and is_task(record))
+            assert counts[f"/log/{kind}", "TextLog:text"] == lines
+        pictures = sum(record.HasField("picture") for record in log.records(Query))
+    assert counts["/queries/picture", "SegmentationImage:buffer"] == pictures > 0
+    assert {entity for entity, _ in counts} >= {"/world_1/attachments/pr2/l_gripper_tool_frame/milk"}
+    for link in ("base_link", "torso_lift_link", "l_gripper_palm_link"):
+        assert shown.at(f"/world_1/bodies/pr2/{link}/mesh_0", 20)["Asset3D:blob"]
+
+
+def is_task(record: object) -> bool:
+    return type(record).__name__ == "Task"
+
+
+@pytest.mark.slow
+def test_live_is_what_is_shown_afterwards(
+    tmp_path: Path, demo_live: tuple[Path, Shown], until: Callable[..., None]
+) -> None:
+    log, live = demo_live
+    afterwards = view(log, tmp_path / "afterwards.rrd")
+    assert live.counts() == afterwards.counts()
+    assert without_start(live.fixed) == without_start(afterwards.fixed)
+    assert {entity: [at for at, _ in rows] for entity, rows in live.rows.items()} == {
+        entity: [at for at, _ in rows] for entity, rows in afterwards.rows.items()
+    }
+
+
+def without_start(fixed: dict[str, dict[str, object]]) -> dict[tuple[str, str], object]:
+    """What holds at all times, but for when the viewer was first told of it."""
+    told = {(entity, name): value for entity, values in fixed.items() for name, value in values.items()}
+    return {key: value for key, value in told.items() if key[1] != "RecordingInfo:start_time"}
+
+
+@pytest.fixture
+def demo_live(tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]) -> tuple[Path, Shown]:
+    server, log = serve(), tmp_path / "live.mcap"
+    command = [sys.executable, "-m", "pycram", "demo", "--log", str(log), f"--rerun=connect:{server.url}"]
+    subprocess.run(command, check=True, capture_output=True, cwd=REPO)
+    with replay.open(log) as recording:
+        tasks = recording.counts()["task"]
+    until(lambda: server.rows()["/records/task"] == tasks, "all is there")
+    server.finish()
+    return log, Shown(server.file)
+
+
+def test_what_comes_and_goes(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="kitchen") as world:
+        world.set_gravity([0, 0, -9.8])
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+        bowl = Object("bowl", "bowl", "bowl.stl", [1, 0, 1], color=[1, 0, 0, 1])
+        bowl.attach(cup)
+        bowl.set_position([2, 0, 1])
+        bowl.set_color([0, 1, 0, 1])
+        bowl.detach(cup)
+        cup.remove()
+        Object("cup", "cup", "cup.stl", [5, 0, 1])
+        world.simulate(0.1)
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        did = {record.WhichOneof("command"): record.seq for record in recording.records(Mutation)}
+        first = next(r.seq for r in recording.records(Mutation) if r.load_body.body == "cup")
+    cup_shape = next(entity for entity in shown.rows if entity.startswith("/kitchen/bodies/cup/") and "mesh" in entity)
+    bowl_shape = next(
+        entity for entity in shown.rows if entity.startswith("/kitchen/bodies/bowl/") and "mesh" in entity
+    )
+    hold = "/kitchen/attachments/bowl/bowl/cup"
+    assert not shown.at(cup_shape, first - 1)
+    assert shown.at(cup_shape, first)["Asset3D:blob"]
+    assert not shown.at(cup_shape, did["remove_body"])
+    assert shown.at(cup_shape, did["load_body"])["Asset3D:blob"], "it was loaded again"
+    assert in_world(shown.frames(did["load_body"]), "kitchen/cup")[0] == (5, 0, 1)
+    assert math.dist(in_world(shown.frames(did["detach_body"]), "kitchen/cup")[0], (1, 0, 1)) < NEAR
+    assert shown.at(bowl_shape, did["set_color"] - 1)["Asset3D:albedo_factor"] == [0xFF0000FF]
+    assert shown.at(bowl_shape, did["set_color"])["Asset3D:albedo_factor"] == [0x00FF00FF]
+    assert not shown.at(hold, did["attach_body"] - 1)
+    assert shown.at(hold, did["attach_body"])["LineStrips3D:labels"] == ["holds cup"]
+    assert not shown.at(hold, did["detach_body"])
+    falls = [moment for moment, _ in shown.rows["/kitchen/bodies/cup"] if moment[0] == did["simulate"]]
+    assert len(falls) >= 3, "a fall is seen while it happens"
+    assert [line[1] for line in falls] == sorted({line[1] for line in falls})
+    assert [line[2] for line in falls] == sorted({line[2] for line in falls})
+    assert falls[-1][1] == 100_000_000
+
+
+def fail() -> None:
+    raise PlanFailure("too heavy")
+
+
+def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log, name="lift"), BulletWorld(name="w"):
+        failures: list[BaseException] = []
+        with seq, par(failures) as block:
+            block(list)
+            block(fail)
+    shown = view(log, tmp_path / "log.rrd")
+    lanes = {entity.rpartition("/")[2]: rows for entity, rows in shown.rows.items() if "/lanes/" in entity}
+    assert set(lanes) >= {"01", "02", "03"}
+    last = max(step for rows in lanes.values() for (step, *_), _ in rows)
+    states = {
+        lane: [now for step in range(last) if (now := shown.at(f"/tasks/lanes/{lane}", step).get("StateChange:state"))]
+        for lane in lanes
+    }
+    assert ["seq succeeded"] in states["01"]
+    assert ["par failed"] in states["02"]
+    branches = [state for lane, told in states.items() if lane.startswith("03") for state in told]
+    assert ["list succeeded"] in branches
+    assert ["fail failed"] in branches
+    assert not any(state for lane in lanes if (state := shown.at(f"/tasks/lanes/{lane}", last)["StateChange:state"][0]))
+    graph = [values["GraphNodes:labels"] for _, values in shown.rows["/tasks/graph"]]
+    assert any("fail \u2717" in labels for labels in graph)
+    assert all(labels[0] == "lift" for labels in graph)
+    failed = [values["TextLog:text"][0] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
+    assert failed[0] == "fail: PlanFailure: too heavy"
+
+
+def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        cup = Object("cup", "cup", "cup.stl", [2, 0, 1])
+        milk = Object("milk", "milk", "milk.stl", [1.5, 0.03, 1])
+        verdict = btr.visible(cup, [0, 0, 1])
+        seen, whole = verdict.evidence["pixels_seen"], verdict.evidence["pixels_alone"]
+        btr.contact(cup, milk)
+    shown = view(log, tmp_path / "log.rrd")
+    (image,) = [values for _, values in shown.rows["/queries/picture"]]
+    names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context(shown)}
+    pixels = np.array(image["SegmentationImage:buffer"][0], dtype=np.uint8).view(np.uint16)
+    shares = {names[number]: int((pixels == number).sum()) for number in np.unique(pixels)}
+    assert shares["cup"] == seen
+    assert shares["milk"] >= whole - seen > 0
+    with replay.open(log) as recording:
+        asked, later = [record.seq for record in recording.records(Query)]
+    target = shown.at("/w/answers/visible/target", asked)
+    assert math.dist(target["Points3D:positions"][0], (2, 0, 1)) < NEAR
+    assert shown.at("/w/answers/visible/hidden_by", asked)["Points3D:labels"] == ["milk hides it"]
+    assert not shown.at("/w/answers/visible/target", later), "marks stand until the next query"
+    assert "visible(object=cup" in shown.at("/queries/page", asked)["TextDocument:text"][0]
+
+
+def context(shown: Shown) -> list[dict]:
+    return shown.fixed["/queries/picture"]["AnnotationContext:context"][0]
+
+
+def test_names_that_paths_do_not_allow(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="my kitchen/2"):
+        Object("cup of/tea", "cup", "cup.stl", [0, 0, 1])
+        Object("cup", "cup", "cup.stl", [1, 0, 1])
+    shown = view(log, tmp_path / "log.rrd")
+    bodies = {entity for entity in shown.rows if "/bodies/" in entity and "mesh" in entity}
+    assert len(bodies) == 2 * len({entity.rpartition("/")[2] for entity in bodies})
+
+
+def small(file: Path, place: float = 0.0) -> Path:
+    with recorder.record(file), BulletWorld(name="w"):
+        Object("cup", "cup", "cup.stl", [place, 0, 1])
+    return file
+
+
+def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording:
+        kept = cached(recording)
+        assert kept == tmp_path / "log.mcap.rrd"
+        made = kept.stat().st_mtime_ns
+        assert cached(recording).stat().st_mtime_ns == made
+        os.utime(log, ns=(made + 10**9, made + 10**9))
+        assert cached(recording).stat().st_mtime_ns > made
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
+
+
+def test_two_recordings_side_by_side(tmp_path: Path) -> None:
+    one, other = small(tmp_path / "one.mcap"), small(tmp_path / "other.mcap", 3.0)
+    file = tmp_path / "both.rrd"
+    assert main(["view", str(one), str(other), "--save", str(file)]) == 0
+    frames = Shown(file).frames(10)
+    assert in_world(frames, "one/w/cup", "one/world")[0] == (0, 0, 1)
+    assert in_world(frames, "other/w/cup", "other/world")[0] == (3, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--save", "there.png"], "called .rrd"),
+        (["--save", "no/such/folder/x.rrd"], "can't be written"),
+        (["--at", "99999", "--save", "x.rrd"], "no step"),
+        (["--web", "--save", "x.rrd"], "give it alone"),
+        (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
+        (["--connect", "somewhere"], "no address of a viewer"),
+        (["missing.mcap", "--save", "x.rrd"], "No such file"),
+    ],
+)
+def test_what_can_not_be_shown_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small(tmp_path / "log.mcap")
+    assert main(["view", "log.mcap", *words]) == 2
+    told = capsys.readouterr()
+    assert said in told.err
+    assert not told.out
+    assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_a_cut_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+        for turn in range(200):
+            cup.set_position([turn, 0, 1])
+    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {"file": str(tmp_path / "log.rrd")}
+    assert "incomplete" in told.err
+    assert len(Shown(tmp_path / "log.rrd").rows["/w/bodies/cup"]) > 50
+
+
+@pytest.mark.slow
+def test_the_viewer_shows_the_demo(
+    demo: Path, tmp_path: Path, headless: Headless, capsys: pytest.CaptureFixture[str], until: Callable[..., None]
+) -> None:
+    assert main(["view", str(demo), "--at", "36", "--connect", headless.url, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["viewer"] == headless.url
+    until(headless.has_loaded, "it is loaded")
+    state = headless.state()
+    names = {view.name for view in state.views}
+    assert names >= {"world_1", "Tasks over time", "Task tree", "Query", "What it saw", "Log", "Heights", "Joints"}
+    assert names >= {"task", "mutation", "event", "fluent", "query"}
+    pictures = []
+    for step in (36, 70, 139, 200, 290):
+        headless.client.set_time("step", sequence=step)
+        picture = np.asarray(headless.picture(tmp_path / f"{step}.png"), dtype=int)
+        scene = picture[50:750, 5:1140]
+        assert robot_pixels(scene) > 2000, f"step {step}: no robot"
+        pictures.append(scene)
+    for one, other in itertools.pairwise(pictures):
+        assert (abs(one - other).sum(axis=2) > 60).mean() > 0.005, "the scene doesn't move"
+    assert not headless.complaints()
+
+
+def robot_pixels(scene: np.ndarray) -> int:
+    """Pixels of the PR2's blue parts; nothing else in the kitchen is so blue."""
+    red, green, blue = scene[..., 0], scene[..., 1], scene[..., 2]
+    return int(((blue > 90) & (red < 40) & (green < 40)).sum())
