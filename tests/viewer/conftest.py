@@ -126,7 +126,8 @@ class Headless:
 
     def complaints(self) -> list[str]:
         """Warnings and errors of the viewer and of its views."""
-        said = [f"{log.level} {log.message}" for log in self._call("get_logs", "viewer_logs") if log.level != "INFO"]
+        logs = [log for log in self._call("get_logs", "viewer_logs") if log.level != "INFO"]
+        said = [f"{log.level} {log.message}" for log in logs if "Software rasterizer" not in log.message]
         return said + [f"{view.name}: {report.summary}" for view in self.state().views for report in view.reports]
 
     def open(self, file: Path) -> None:
