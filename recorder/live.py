@@ -16,6 +16,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
@@ -53,8 +54,12 @@ def main(arguments: list[str]) -> None:
         if str(end):
             print(f"recorder: {end}", file=sys.stderr)
         status = 1
-    sys.stderr.flush()
-    os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
+    except BaseException:  # noqa: BLE001  said, and then it ends
+        traceback.print_exc()
+        status = 1
+    finally:
+        sys.stderr.flush()
+        os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
 
 
 def _end_with_parent() -> None:

@@ -116,9 +116,10 @@ def free_port(wanted: int) -> int:
     Args:
         wanted: the port.
     """
-    try:
-        with socket.create_server(("", wanted)):
-            return wanted
-    except OSError:
-        with socket.create_server(("", 0)) as found:
-            return int(found.getsockname()[1])
+    for port in (wanted, 0):
+        try:
+            with socket.create_server(("", port)) as found:
+                return int(found.getsockname()[1])
+        except OSError:
+            continue
+    raise RecordingError(HOST, "no port is free")

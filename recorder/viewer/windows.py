@@ -7,15 +7,20 @@ import subprocess
 import sys
 import tempfile
 import threading
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 from urllib.parse import quote
 
 import rerun as rr
 
 from recorder.viewers import HOST, PAGE_PORT, PORT, address, answers, free_port
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 APPLICATION: Final = "pycram"  # viewers remember a layout for each application
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
+_TRIES: Final = 5
+_PATIENCE: Final = 5.0  # s for a server to begin
 
 
 class ViewerGone(Exception):
@@ -32,12 +37,32 @@ def serve_page(stream: rr.RecordingStream) -> str:
 
     Returns:
         The address of the page.
+
+    Raises:
+        ViewerGone: nothing can be served.
     """
-    port = free_port(PORT)
+    records = _on_free_port(PORT, lambda port: _serve_records(stream, port))
+    page = _on_free_port(
+        PAGE_PORT, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False, connect_to=address(records))
+    )
+    return f"http://{HOST}:{page}/?url={quote(address(records), safe='')}"
+
+
+def _serve_records(stream: rr.RecordingStream, port: int) -> None:
     stream.set_sinks(rr.GrpcServerSink(bind_ip=HOST, port=port))
-    page = free_port(PAGE_PORT)
-    rr.serve_web_viewer(web_port=page, open_browser=False, connect_to=address(port))
-    return f"http://{HOST}:{page}/?url={quote(address(port), safe='')}"
+    stream.flush(timeout_sec=_PATIENCE)  # only now it says whether it has the port
+
+
+def _on_free_port(wanted: int, serve: Callable[[int], None]) -> int:
+    """Serves on the wanted port, or on another where somebody was quicker."""
+    for _ in range(_TRIES):
+        port = free_port(wanted)
+        try:
+            serve(port)
+        except RuntimeError:  # the library's type for all that can be
+            continue
+        return port
+    raise ViewerGone("the page can't be served: no port is free")
 
 
 def open_window() -> str:

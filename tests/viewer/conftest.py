@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import fcntl
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import warnings
@@ -58,6 +60,14 @@ def port() -> int:
         return int(free.getsockname()[1])
 
 
+@pytest.fixture
+def usual_ports() -> Iterator[None]:
+    """Keeps the ports where viewers listen by default for one test at a time, whatever process it runs in."""
+    with (Path(tempfile.gettempdir()) / f"pycram-viewer-ports-{os.getuid()}").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 class Server:
     """A viewer's server that writes what it gets into a file."""
 
@@ -84,7 +94,7 @@ class Server:
         self.process.wait(30)
 
     def rows(self) -> Counter[str]:
-        """How many rows each entity has got so far."""
+        """How many rows each entity has got so far, but for what is said of the recording as a whole."""
         found: Counter[str] = Counter()
         with (
             contextlib.suppress(ValueError, OSError),
@@ -93,6 +103,7 @@ class Server:
             warnings.simplefilter("ignore", RerunWarning)  # the file has no end yet
             for chunk in RrdReader(self.file).stream():
                 found[chunk.entity_path] += chunk.num_rows
+        del found["/__properties"]
         return found
 
 

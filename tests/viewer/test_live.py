@@ -17,17 +17,12 @@ from typing import TYPE_CHECKING
 
 import psutil
 import pytest
-import rerun as rr
-from mcap.records import Attachment, Channel, Message
-from mcap.stream_reader import StreamReader
 from rerun.chunk import RrdReader
 
 import recorder
 import replay
-from recorder.asset import AssetFile
-from recorder.records import TOPICS
-from recorder.viewer.translator import Translator
 from recorder.viewers import Kind, Wish, answers, free_port
+from replay.view import convert
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -127,25 +122,12 @@ def plan(pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> Iterat
 
 def afterwards(log: Path, file: Path) -> Counter[str]:
     """The rows that a recording's records make when they are translated after the end."""
-    stream = rr.RecordingStream("afterwards")
-    stream.save(file)
-    translator = Translator(stream)
-    kinds = {topic: kind for kind, topic in TOPICS.items()}
-    topics: dict[int, str] = {}
-    with log.open("rb") as opened:
-        for record in StreamReader(opened).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, Attachment):
-                translator.attach(AssetFile(record.name.partition("/")[2], record.data, record.media_type))
-            elif isinstance(record, Message) and topics[record.channel_id] in kinds:
-                topic = topics[record.channel_id]
-                translator.show(topic, kinds[topic].FromString(record.data))
-    translator.flush()
-    stream.disconnect()
+    with replay.open(log) as recording:
+        convert([recording], file)
     found: Counter[str] = Counter()
     for chunk in RrdReader(file).stream():
         found[chunk.entity_path] += chunk.num_rows
+    del found["/__properties"]
     return found
 
 
@@ -235,12 +217,17 @@ def test_a_flood_that_a_stopped_viewer_does_not_take_is_counted(
     assert missed > 1_000  # it is stopped, but its socket takes some
 
 
-def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan], serve: Callable[[], Server]) -> None:
-    ended = plan("move(5_000)", f"connect:{serve().url}").end()
+def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan], headless: Headless, until) -> None:
+    running = plan("move(5_000); Path('flooded').touch(); wait_for('seen')", f"connect:{headless.url}")
+    until((running.folder / "flooded").exists, "the plan has done its part")
+    until(lambda: headless.end_of("step") > 5_000, "the viewer catches up", 100)
+    (running.folder / "seen").touch()
+    ended = running.end()
     assert ended.check() > 5_000
     assert "missed" not in ended.err
 
 
+@pytest.mark.usefixtures("usual_ports")
 def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, until) -> None:
     (tmp_path / "plan.py").write_text(SCENE)
     ours, theirs = pty.openpty()  # somebody sits there
@@ -273,6 +260,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
     assert not marked(mark)
 
 
+@pytest.mark.usefixtures("usual_ports")
 @pytest.mark.parametrize("live", ["serve", "connect"])
 def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], port: int, until, live: str) -> None:
     url = f"connect:rerun+http://127.0.0.1:{port}/proxy"
@@ -283,6 +271,7 @@ def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], por
     until(lambda: not marked(running.mark), "nothing is left")
 
 
+@pytest.mark.usefixtures("usual_ports")
 def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., Plan], display: str) -> None:
     with socket.create_server(("127.0.0.1", free_port(9876))):  # where it would listen is taken
         running = plan("move(100)", "spawn", DISPLAY=display)
@@ -293,6 +282,7 @@ def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., 
     assert len(viewer) == 1, "it is still open"
 
 
+@pytest.mark.usefixtures("usual_ports")
 def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
     ended = plan("move(100)", "spawn").end()
     count = ended.check()
