@@ -162,9 +162,8 @@ def _wait_for_threads() -> None:
 
 def _say_where(log: Path, size: float, code: int) -> None:
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
-    for verb in ("info", "tree") if code == _DONE else ("why", "tree"):
+    for verb in ("info", "tree", "view") if code == _DONE else ("why", "tree", "view"):
         print(f"  pycram-replay {verb} {log}", file=sys.stderr)
-    print(f"  rerun {log}", file=sys.stderr)
 
 
 if __name__ == "__main__":

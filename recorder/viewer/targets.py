@@ -11,7 +11,7 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Task
-from recorder.viewer.marks import BLUE, RED, Marks, arrow, points
+from recorder.viewer.marks import BLUE, RED, Marks, arrow, line, points
 from recorder.viewer.places import eye, numbers, robot, target, values_of
 
 if TYPE_CHECKING:
@@ -23,7 +23,8 @@ TARGETS: Final = "targets"
 FAILURES: Final = "failures"
 _ARROW: Final = 0.35  # m
 _ABOVE: Final = 1.8  # m above its base that a robot's failure is told
-_LARGE: Final = 0.04  # m
+_LARGE: Final = 0.03  # m
+_PIN: Final = 0.3  # m
 
 
 class Targets:
@@ -80,7 +81,9 @@ class Targets:
         told_of = target(self._scene, record.world, values_of(record.failure.data))
         place = told_of or goal or self._above_robot(record.world)
         if place is not None:
-            shapes.append(points([place], RED, [f"{record.name} failed: {told[0]}"], _LARGE))
+            x, y, z = place
+            top = (x, y, z + _PIN)  # above the words of what wanted to go there
+            shapes += [points([top], RED, [f"{record.name} failed: {told[0]}"], _LARGE), line([place, top], RED)]
         self._failures.put(record.world, (FAILURES,), now, *shapes)
 
     def _above_robot(self, world: str) -> Vector | None:
