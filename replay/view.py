@@ -155,6 +155,13 @@ def check(url: str | None) -> None:
         raise ReplayError(f"no viewer answers at {url}; start one: rerun")
 
 
+def _go_to(client: ViewerClient, step: int) -> None:
+    try:
+        client.set_time("step", sequence=step, play_state="paused")
+    except TypeError:  # before rerun-sdk 0.40, where it pauses anyway
+        client.set_time("step", sequence=step)
+
+
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Opens a file in a viewer: in one that is open already, else in a new one, which outlives this process.
 
@@ -176,7 +183,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
         opening = getattr(client, "open", None) or client.open_url  # by version
         opening(str(path.resolve()))
         if step is not None:
-            client.set_time("step", sequence=step)
+            _go_to(client, step)
     except (ViewerGone, RuntimeError, OSError) as error:
         raise ReplayError(f"{path} can't be shown: {error}") from error
     return place

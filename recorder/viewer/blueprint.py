@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
 
 _WORLD: Final = "world_1"  # what the first one is called by default
-_FROM: Final = (-2.2, -2.1, 1.9)  # m, from where a world's middle is looked at
+_FROM: Final = (-2.6, -2.6, 2.3)  # m, from where a world's middle is looked at
 
 
 def blueprint(worlds: Mapping[str, Vector]) -> rrb.Blueprint:

@@ -234,7 +234,7 @@ def _gone(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[str]:
         kept = {loaded.body for loaded in record.loaded if _same(there.get(loaded.body), loaded)}
         return [name for name in there if name not in kept]
     command = record.WhichOneof("command")
-    if command in ("open_world", "close_world"):
+    if command == "open_world":  # what a world had when it was closed is shown on: there is nothing more to see
         return list(there)
     lost = {*record.effect.removed, record.load_body.body} if command == "load_body" else record.effect.removed
     return [name for name in lost if name in there]

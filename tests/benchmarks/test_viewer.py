@@ -26,6 +26,8 @@ import rerun_cli
 
 import recorder
 from recorder.viewers import address, answers
+from replay.cli import main
+from tests.benchmarks.test_reading import write
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -130,3 +132,50 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
     print(f"\na viewer that is {fault}: the plan's process {processor:.2f}, its end takes {end:.2f} s more")
     assert processor < 1.3  # with its recording
     assert end < 2.5  # 2 is the goal
+
+
+CONVERTER = """
+import pathlib, sys, time
+import replay
+from replay.view import convert
+
+start = time.perf_counter()
+with replay.open(sys.argv[1]) as log:
+    convert([log], pathlib.Path(sys.argv[2]))
+print(time.perf_counter() - start, time.process_time())
+# the peak of this process; getrusage would tell that of its parent, if it is larger
+print(int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1e6)
+"""
+
+
+def converted(log: Path, file: Path) -> tuple[float, float, float]:
+    """Seconds by the clock, seconds of the processors, and GB that a conversion takes in a process of its own."""
+    command = [sys.executable, "-c", CONVERTER, str(log), str(file)]
+    told = subprocess.run(command, capture_output=True, text=True, check=True)
+    wall, processor, memory = map(float, told.stdout.split())
+    return wall, processor, memory
+
+
+def test_a_recording_opens_in_a_viewer_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demo(log := tmp_path / "demo.mcap")
+    with viewer("--headless") as (url, _):
+        start = time.perf_counter()
+        assert main(["view", str(log), "--connect", url]) == 0
+        first = time.perf_counter() - start
+        start = time.perf_counter()
+        assert main(["view", str(log), "--connect", url, "--at", "100"]) == 0
+        again = time.perf_counter() - start
+    with capsys.disabled():
+        print(f"\nview of the demo in an open viewer: {first:.2f} s, again {again:.2f} s")
+    assert first < 15  # 5 is the goal; the viewer draws with the processor here
+
+
+@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.long)])
+def test_long_recordings_are_translated(tmp_path: Path, count: int) -> None:
+    log = tmp_path / "long.mcap"
+    write(log, count)
+    wall, processor, memory = converted(log, tmp_path / "long.rrd")
+    print(f"\n{count} records: {wall:.1f} s ({processor:.1f} s of the processors), {memory:.2f} GB", end=" ")
+    print(f"{wall / count * 1e6:.0f} us a record, {(tmp_path / 'long.rrd').stat().st_size / 1e6:.0f} MB")
+    assert processor < 4 + 150e-6 * count  # 60 s for a million is the goal
+    assert memory < 1.0

@@ -164,6 +164,11 @@ class Headless:
         ]
         return max((end for end in found if end is not None), default=-1)
 
+    def go_to(self, step: int) -> None:
+        """Shows a step and stays there."""
+        pausing = {"play_state": "paused"} if hasattr(self.client, "get_state") else {}
+        self.client.set_time("step", sequence=step, **pausing)
+
     def picture(self, file: Path) -> Image.Image:
         self.client.save_screenshot(str(file))
         with Image.open(file) as image:
