@@ -28,7 +28,6 @@ import operator
 from typing import TYPE_CHECKING
 
 from pycram import checks
-from pycram.branch import unwrap
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, UsageError
 from pycram.fluents.pulses import Account, Behavior
@@ -36,6 +35,7 @@ from pycram.fluents.terms import Constant, Ended, Operation, Value
 from pycram.fluents.variables import Variable, change, touch
 from pycram.fluents.watch import first_value
 from pycram.fluents.whenever import whenever
+from pycram.handle import unwrap
 from recorder.span import span
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ Each can be written in four ways::
     par(function, other)                 # the results, as a list
 
 Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-gives a handle that serves as its result (:mod:`pycram.branch`). In ``seq`` a failure rises through the body as in plain
+gives a handle that serves as its result (:mod:`pycram.handle`). In ``seq`` a failure rises through the body as in plain
 Python, which may handle it. A block that is decided tells its other branches to
 stop: they do so at their next action or wait, and the block ends when all its threads have. An empty block succeeds.
 

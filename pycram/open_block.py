@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pycram.binding import Binding
-from pycram.branch import Branch, Handle, Result
+from pycram.branch import Branch, Result
 from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.handle import Handle
 from recorder.tasks import State
 
 if TYPE_CHECKING:

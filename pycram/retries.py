@@ -39,6 +39,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pycram.branch import completed
+from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
 from pycram.open_block import alone, name_of
@@ -353,7 +354,8 @@ class _Attempts:
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
-            if last is not None:
+            scope = current_scope()
+            if last is not None and (scope is None or not scope.cancelled):  # who is told to stop leaves everything
                 told = f"the loop was left after attempt {self._number} had failed: {type(last).__name__}: {last}"
                 warnings.warn_explicit(told, FailureLeft, *plan_line())
 

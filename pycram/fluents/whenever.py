@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.branch import completed, unwrap
+from pycram.branch import completed
 from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument
 from pycram.fluents.pulses import Account
 from pycram.fluents.watch import first_value
+from pycram.handle import unwrap
 from pycram.open_block import name_of
 from recorder.span import span
 

@@ -10,17 +10,19 @@ from __future__ import annotations
 import copy
 import faulthandler
 import os
+import pickle
 import signal
 import sys
 import threading
 import traceback
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram import tasks
-from pycram.branch import NoResult, branch_of
+from pycram.branch import NoResult
 from pycram.cancellation import Cancelled, checkpoint, wait
 from pycram.failures import (
     BadArgument,
@@ -32,6 +34,7 @@ from pycram.failures import (
     Unreachable,
     UsageError,
 )
+from pycram.handle import branch_of
 from pycram.language import (
     BlocksMixed,
     NeverOpened,
@@ -857,6 +860,22 @@ def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
     assert tasks.current() is None
 
 
+def test_a_cancelled_branch_that_leaves_the_loop_is_not_warned() -> None:
+    failed = Gate()
+
+    def between_attempts() -> None:
+        for attempt in failure_handling(5):
+            with attempt:
+                fails()
+            failed.open()
+            Gate().pass_through()
+
+    with pursue as s:
+        s(between_attempts)
+        s(failed.pass_through)
+    assert [branch.state for branch in s.branches] == [C, S]
+
+
 def test_leaving_the_loop_with_the_failure_handled_or_raised() -> None:
     for attempt in failure_handling(5):
         with attempt:
@@ -1019,3 +1038,26 @@ def test_handles_are_formatted_rounded_changed_and_copied_as_their_results() -> 
     assert table.result() == {"b": 2}
     assert copy.copy(table) == copy.deepcopy(table) == {"b": 2}
     assert type(copy.copy(table)) is dict
+
+
+def test_whatever_is_done_with_a_handle_is_done_with_its_result(tmp_path: Path) -> None:
+    file = tmp_path / "x"
+    file.write_text("text")
+    with par as s:
+        seven, names, path = s(lambda: 7), s(lambda: ["a", "b"]), s(lambda: file)
+        opened, letters = s(file.open), s(lambda: iter("ab"))
+    assert (divmod(seven, 2), divmod(15, seven), seven << 1, 1 << seven, ~seven, +seven) == (
+        (3, 1),
+        (2, 1),
+        14,
+        128,
+        -8,
+        7,
+    )
+    assert [*reversed(names)] == ["b", "a"]
+    assert Path(path).read_text() == Path(os.path.join(path, "")[:-1]).read_text() == "text"  # noqa: PTH118
+    with opened as stream:
+        assert stream.read() == "text"
+    assert opened.closed
+    assert (next(letters), next(letters)) == ("a", "b")
+    assert type(pickle.loads(pickle.dumps(names))) is list
