@@ -142,7 +142,7 @@ class ProcessModule(ABC):
         whole robot, unless it says here what it needs, for itself and for all motions that it performs::
 
             def claims(self, designator):
-                return Claims(moves=frozenset({"left-arm"}), at_rest=frozenset({"base"}))
+                return Claims(moves={"left-arm"}, at_rest={"base"})
 
         Args:
             designator: what to do.
