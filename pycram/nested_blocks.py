@@ -129,22 +129,24 @@ class Deferred(OpenBlock):
     def _work(self) -> None:
         """Does what the body asks for."""
         with self._block as block:
+            stopped: BaseException | None = None
             try:
                 with self._begun_changed:
                     self._begun = True
                     self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
-            except BaseException:
+            except BaseException as error:  # noqa: BLE001  raised below
                 block.scope.cancel()  # there is no use in reading on
-                raise
-            finally:
-                self._asked.close()
-                error = self._asked.outcome()  # what the body does itself is part of this block too
-                if isinstance(error, PlanFailure):
-                    block.body_failed(error)
-            if error is not None and not isinstance(error, PlanFailure):
-                raise error
+                stopped = error
+            self._asked.close()
+            wrong = self._asked.outcome()  # what the body does itself is part of this block too
+            if isinstance(wrong, PlanFailure):
+                block.body_failed(wrong)
+            elif wrong is not None:
+                raise wrong
+            if stopped is not None:
+                raise stopped
 
     def __enter__(self) -> Self:
         try:
@@ -161,6 +163,8 @@ class Deferred(OpenBlock):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         self._exits.close()
+        if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
+            self._block.scope.cancel()  # the program is wrong, or the user wants out
         self._asked.end(error if isinstance(error, Exception) else None)
         if isinstance(error, Cancelled):  # by its own block, which is decided: the outer body goes on
             return self._outer is None or not self._outer.cancelled

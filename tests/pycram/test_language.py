@@ -200,6 +200,21 @@ def test_bugs_come_out_of_every_block_as_they_are(name: str, bug: Callable[[], N
         KINDS[name](bug)
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_a_bug_in_the_body_of_a_block_that_is_read_comes_out_too(name: str) -> None:
+    gate = Gate()
+    with pytest.raises(ZeroDivisionError), par as s:
+        s(gate.pass_through)
+        with KINDS[name] as t:
+            t(gate.pass_through)
+            has_a_bug()
+    assert (s.state, t.state) == (F, F)
+    with pytest.raises(ZeroDivisionError), par as s, suppress(ZeroDivisionError), KINDS[name] as t:
+        t(gate.pass_through)  # nobody opens it
+        has_a_bug()
+    assert (s.state, t.state) == (F, F)
+
+
 @pytest.mark.parametrize("outer", KINDS)
 @pytest.mark.parametrize("inner", KINDS)
 def test_every_block_in_every_other(outer: str, inner: str) -> None:
