@@ -45,7 +45,7 @@ class Branch:
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
         context: where it was asked for.
         span: its node of the task tree.
-        thread: the thread that was made for it; None where it runs in that of others.
+        thread: the thread that was made for it; None where it runs in that of others, and when it has ended.
     """
 
     def __init__(

@@ -1011,7 +1011,7 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
 
     for branch in (slow, in_a_block, tried_again):
         inside.is_open = False
-        with pytest.raises(NotCleanedUp, match=r"fails, done because .* Unreachable: left arm") as raised, pursue as s:
+        with pytest.raises(NotCleanedUp, match=r"fails, done as .* Unreachable: left arm") as raised, pursue as s:
             s(branch)
             s(inside.pass_through)
         assert [branch.state for branch in s.branches] == [F, S]
@@ -1025,6 +1025,23 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
         s(inside.pass_through)
     assert s.state is F
     assert isinstance(failures[0].failure, Unreachable)
+
+
+def test_cleaning_up_that_fails_after_a_timeout_may_be_tried_again() -> None:
+    cleaned: list[int] = []
+
+    def clean() -> None:
+        cleaned.append(1)
+        if len(cleaned) < 3:
+            fails()
+
+    with pytest.raises(TimedOut):
+        for attempt in failure_handling(2):
+            with attempt, timeout(0.01), finally_(clean):
+                Gate().pass_through()
+    assert len(cleaned) == 3
+    node = tasks.tree().find(kind="failure-handling")[-1]
+    assert [part.failure.type for part in node.attempts] == ["NotCleanedUp", "NotCleanedUp", "TimedOut"]
 
 
 def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
