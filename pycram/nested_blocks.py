@@ -4,8 +4,9 @@
   outer block, which goes on with what follows.
 - In a concurrent block it is to run beside its siblings, but a ``with`` statement runs where it stands. So its body is
   only *read* there: what it asks for is done by the block itself, in a thread of its own, while the statements after it
-  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result. An attempt, a timeout
-  or a cleanup in that body runs where it stands, when what was asked for before it in a sequence is done.
+  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result. An attempt, a
+  timeout, a cleanup or the wait for a fluent in that body runs where it stands, when what was asked for before it in a
+  sequence is done.
 
 A decided ``try_in_order`` ends its body at the next block in it; variables that this would have set are not set then.
 """

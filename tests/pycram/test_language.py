@@ -34,6 +34,7 @@ from pycram.failures import (
     Unreachable,
     UsageError,
 )
+from pycram.fluent import Fluent, whenever
 from pycram.handle import branch_of
 from pycram.language import (
     BlocksMixed,
@@ -353,6 +354,24 @@ def test_attempts_timeouts_and_cleanups_in_a_read_body_keep_its_order() -> None:
         s(succeeds)
     assert s.state is S
     assert (order[0], sorted(order[1:3]), order[3:]) == (1, [2, 3], [4, 5, 6, 6, 7])
+
+
+def test_waits_for_fluents_in_a_read_body_keep_its_order() -> None:
+    gate, order, here = Gate(), [], Fluent(True)
+    with par as s:
+        with seq as t:
+            t(lambda: (gate.pass_through(0.05), order.append(1)))  # late
+            assert here.wait_for()
+            order.append(2)
+            t(order.append, 3)
+            for _ in whenever(here):
+                order.append(4)
+                break
+        s(succeeds)
+    assert order == [1, 2, 3, 4]
+    (block,) = [node for node in tasks.tree().roots[-1].children if node.name == "seq"]
+    assert [node.kind for node in block.children] == ["branch", "wait", "branch"]
+    assert all(node.created.wall_ns >= block.start.wall_ns for node in block.children)
 
 
 def test_functions_in_a_body_are_branches() -> None:
