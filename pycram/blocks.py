@@ -273,6 +273,7 @@ class Block(OpenBlock):
                     branch.outlast()  # first: Thread.join takes a thread for ended when Ctrl-C breaks it off
                 if branch.thread is not None:
                     branch.thread.join()
+                    branch.thread = None  # handles live longer
                 ended += 1
             with self.changed:  # a branch may have asked for another one
                 if ended == len(self.branches) or not self.rule.concurrent:
@@ -296,7 +297,8 @@ class _Waiting(Uninterrupted):
 
     def _note(self, number: int, frame: FrameType | None) -> None:
         super()._note(number, frame)
-        busy = [branch.thread.name for branch in self._block.branches if branch.thread is not None and not branch.done]
-        if busy:
+        threads = [branch.thread for branch in self._block.branches if not branch.done]
+        busy = [thread.name for thread in threads if thread is not None]
+        if busy and sys.stderr is not None:
             told = f"waiting for {', '.join(busy)} to get to the next action; Ctrl-\\ ends the process at once\n"
             sys.stderr.write(told)

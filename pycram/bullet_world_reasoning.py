@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pycram import checks
-from pycram.branch import unwrap
 from pycram.failures import ReasoningError
+from pycram.handle import unwrap
 from pycram.reasoning import contact as _contact
 from pycram.reasoning import grasps as _grasps
 from pycram.reasoning import outline as _outline

@@ -21,15 +21,17 @@ meaning.
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.cancellation import wait
-from pycram.failures import UsageError
+from pycram.failures import BadArgument, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from collections.abc import Set as AbstractSet
 
 #: Stands among claims for all resources that there are, also those that nobody has named.
 WHOLE: Final = "the whole robot"
@@ -66,10 +68,21 @@ class Claims:
     Attributes:
         moves: resources that it moves: "base", "head", "left-arm", "right-gripper", ..., or :data:`WHOLE`.
         at_rest: resources that must not move meanwhile.
+
+    Raises:
+        BadArgument: something else than names.
     """
 
-    moves: frozenset[str] = frozenset()
-    at_rest: frozenset[str] = frozenset()
+    moves: AbstractSet[str] = frozenset()
+    at_rest: AbstractSet[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        """Takes any collection of names."""
+        for field in ("moves", "at_rest"):
+            names = getattr(self, field)
+            if isinstance(names, str) or not isinstance(names, Iterable) or not all(isinstance(n, str) for n in names):
+                raise BadArgument(field, names, 'names of resources, such as {"base", "left-arm"}')
+            object.__setattr__(self, field, frozenset(names))
 
     def conflicts(self, other: Claims) -> bool:
         """Whether the two can't be granted at the same time."""
@@ -91,11 +104,11 @@ EVERYTHING: Final = Claims(moves=frozenset({WHOLE}))
 """What a motion claims of which nothing is known."""
 
 
-def _meet(one: frozenset[str], other: frozenset[str]) -> bool:
+def _meet(one: AbstractSet[str], other: AbstractSet[str]) -> bool:
     return bool(one and other) if WHOLE in one or WHOLE in other else bool(one & other)
 
 
-def _without(wanted: frozenset[str], given: frozenset[str]) -> frozenset[str]:
+def _without(wanted: AbstractSet[str], given: AbstractSet[str]) -> AbstractSet[str]:
     return frozenset() if WHOLE in given else wanted - given
 
 
@@ -179,6 +192,8 @@ class ResourceQueue:
     def _given(self, claims: Claims | None, motion: str) -> Claims:
         if claims is None:
             return self._outer
+        if not isinstance(claims, Claims):
+            raise BadArgument(f"claims of {motion}", claims, "Claims, or None for all that there is")
         beyond = claims.beyond(self._outer)
         if beyond:
             raise ClaimError(motion, beyond, self._outer)

@@ -18,12 +18,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
-from pycram.branch import Handle, branch_of, unwrap
 from pycram.description import Description, DesignatorError, Value, own, pairs, same
 from pycram.equated import Equated
 from pycram.error_chain import chained
 from pycram.event import qualified_name
 from pycram.failures import BadArgument
+from pycram.handle import Handle, branch_of, unwrap
 from pycram.resolvers import Resolvers
 from pycram.solutions import Solution, Solutions
 

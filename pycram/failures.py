@@ -384,7 +384,7 @@ class BranchesFailed(PlanFailure):
 
 
 class NotCleanedUp(PlanFailure):
-    """A branch was told to stop, and what it does at its end (``finally_``) failed.
+    """Something was told to stop, by its block or a timeout, and what it does at its end (``finally_``) failed.
 
     Attributes:
         action: what it does at its end.
@@ -392,7 +392,7 @@ class NotCleanedUp(PlanFailure):
     """
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
-        super().__init__(f"{action}, done because the branch was told to stop, failed: {_told(failure)}")
+        super().__init__(f"{action}, done as the plan was told to stop, failed: {_told(failure)}")
         self.action = action
         self.failure = failure
         self.__cause__ = failure

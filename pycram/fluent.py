@@ -28,7 +28,6 @@ import operator
 from typing import TYPE_CHECKING
 
 from pycram import checks
-from pycram.branch import unwrap
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, UsageError
 from pycram.fluents.pulses import Account, Behavior
@@ -36,6 +35,8 @@ from pycram.fluents.terms import Constant, Ended, Operation, Value
 from pycram.fluents.variables import Variable, change, touch
 from pycram.fluents.watch import first_value
 from pycram.fluents.whenever import whenever
+from pycram.handle import unwrap
+from pycram.open_block import await_turn
 from recorder.span import span
 
 if TYPE_CHECKING:
@@ -159,6 +160,7 @@ class Fluent:
             Exception: what a function of the network raised.
         """
         limit = None if timeout is None else checks.number("timeout", timeout)
+        await_turn()
         state = self.term.state()
         found_there = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
         with span("wait", self.name, found_there | ({} if limit is None else {"timeout": limit})) as task:

@@ -25,9 +25,10 @@ Each can be written in four ways::
     par(function, other)                 # the results, as a list
 
 Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-gives a handle that serves as its result (:mod:`pycram.branch`). In ``seq`` a failure rises through the body as in plain
-Python, which may handle it. A block that is decided tells its other branches to
-stop: they do so at their next action or wait, and the block ends when all its threads have. An empty block succeeds.
+gives a handle that serves as its result (:mod:`pycram.handle`). In ``seq`` a failure rises through the body as in plain
+Python, which may handle it. A block that is decided tells its other branches to stop: they do so at their next action
+or wait, and the block ends when all its threads have. An empty block succeeds. A failure in the body ends the body; it
+decides ``pursue``, and is one more of the failures elsewhere.
 
 A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are.
 A block ends where it began, in the order of ``with`` statements: a generator may yield in its body only to what is over

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram import slots
-from pycram.branch import branch_of, unwrap
 from pycram.bullet_world import BulletWorld
 from pycram.claims import WHOLE, Claims
 from pycram.designator import DesignatorError
 from pycram.failures import BadArgument
+from pycram.handle import branch_of, unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

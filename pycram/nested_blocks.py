@@ -4,8 +4,9 @@
   outer block, which goes on with what follows.
 - In a concurrent block it is to run beside its siblings, but a ``with`` statement runs where it stands. So its body is
   only *read* there: what it asks for is done by the block itself, in a thread of its own, while the statements after it
-  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result. An attempt, a timeout
-  or a cleanup in that body runs where it stands, when what was asked for before it in a sequence is done.
+  are read. Its actions give handles. Whoever looks at a handle in that body waits for its result. An attempt, a
+  timeout, a cleanup or the wait for a fluent in that body runs where it stands, when what was asked for before it in a
+  sequence is done.
 
 A decided ``try_in_order`` ends its body at the next block in it; variables that this would have set are not set then.
 """
@@ -129,22 +130,24 @@ class Deferred(OpenBlock):
     def _work(self) -> None:
         """Does what the body asks for."""
         with self._block as block:
+            stopped: BaseException | None = None
             try:
                 with self._begun_changed:
                     self._begun = True
                     self._begun_changed.notify_all()
                 for branch in self._asked:
                     block.take(branch)
-            except BaseException:
+            except BaseException as error:  # noqa: BLE001  raised below
                 block.scope.cancel()  # there is no use in reading on
-                raise
-            finally:
-                self._asked.close()
-                error = self._asked.outcome()  # what the body does itself is part of this block too
-                if isinstance(error, PlanFailure):
-                    block.body_failed(error)
-            if error is not None and not isinstance(error, PlanFailure):
-                raise error
+                stopped = error
+            self._asked.close()
+            wrong = self._asked.outcome()  # what the body does itself is part of this block too
+            if isinstance(wrong, PlanFailure):
+                block.body_failed(wrong)
+            elif wrong is not None:
+                raise wrong
+            if stopped is not None:
+                raise stopped
 
     def __enter__(self) -> Self:
         try:
@@ -161,6 +164,8 @@ class Deferred(OpenBlock):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         self._exits.close()
+        if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
+            self._block.scope.cancel()  # the program is wrong, or the user wants out
         self._asked.end(error if isinstance(error, Exception) else None)
         if isinstance(error, Cancelled):  # by its own block, which is decided: the outer body goes on
             return self._outer is None or not self._outer.cancelled

@@ -11,8 +11,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pycram import assets, attachments, cargo, checks
-from pycram.branch import unwrap
 from pycram.failures import BadArgument, JointLimitError, NoWorld, UnknownName, WorldClosed
+from pycram.handle import unwrap
 from pycram.robots.description import RobotDescription, find_description
 from recorder import records
 

@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from pycram.binding import Binding
-from pycram.branch import Branch, Handle, Result
+from pycram.branch import Branch, Result
 from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.handle import Handle
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -95,6 +96,17 @@ def enter_branch(scope: Scope) -> None:
     enter(scope)
 
 
+def await_turn() -> None:
+    """Waits until the code here may act itself: in a body that is only read, that is when its turn has come.
+
+    Raises:
+        Cancelled: the block around it is decided, or told to stop.
+    """
+    host = current_block()
+    if host is not None:
+        host.catch_up()
+
+
 @contextmanager
 def alone() -> Iterator[Callable[[], None]]:
     """Runs its block in the thread of the body, one thing after the other; failures rise in it as in plain Python.
@@ -105,10 +117,9 @@ def alone() -> Iterator[Callable[[], None]]:
     Raises:
         Cancelled: the block around it is decided, or told to stop.
     """
-    host = current_block()
-    if host is not None:
-        host.catch_up()
+    await_turn()
     checkpoint()
+    host = current_block()
     with hosted(None):
         yield host.catch_up if host is not None else lambda: None
 

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram import checks
 from pycram.binding import Binding
-from pycram.branch import completed, unwrap
+from pycram.branch import completed
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, unfinished
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, NoWorld, UsageError
+from pycram.handle import unwrap
 from pycram.open_block import current_block
 from pycram.resolvers import Resolvers
 from recorder.span import Span, span
@@ -141,7 +142,7 @@ class ProcessModule(ABC):
         whole robot, unless it says here what it needs, for itself and for all motions that it performs::
 
             def claims(self, designator):
-                return Claims(moves=frozenset({"left-arm"}), at_rest=frozenset({"base"}))
+                return Claims(moves={"left-arm"}, at_rest={"base"})
 
         Args:
             designator: what to do.

@@ -39,6 +39,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pycram.branch import completed
+from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
 from pycram.open_block import alone, name_of
@@ -149,8 +150,13 @@ class FailureHandling:
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
-        """Whether there is to be another attempt after an error, if one is left; none where it was told to stop."""
-        return isinstance(error, self.kinds) and not leaves_uncleaned(error)
+        """Whether there is to be another attempt after an error, if one is left.
+
+        None after a cleaning up that failed because the handling itself is told to stop: being stopped again would
+        hide it.
+        """
+        hidden = error is not None and _told_to_stop() and leaves_uncleaned(error)
+        return isinstance(error, self.kinds) and not hidden
 
     def recover(self, failure: BaseException) -> Parameters:
         """Does what was said about a failure.
@@ -353,7 +359,7 @@ class _Attempts:
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
-            if last is not None:
+            if last is not None and not _told_to_stop():
                 told = f"the loop was left after attempt {self._number} had failed: {type(last).__name__}: {last}"
                 warnings.warn_explicit(told, FailureLeft, *plan_line())
 
@@ -372,3 +378,8 @@ def _failure_type(kind: type[PlanFailure]) -> type[PlanFailure]:
     if not (isinstance(kind, type) and issubclass(kind, PlanFailure)):
         raise BadArgument("kind", kind, "a type of plan failures; nothing else is tried again")
     return kind
+
+
+def _told_to_stop() -> bool:
+    scope = current_scope()
+    return scope is not None and scope.cancelled

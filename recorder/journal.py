@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """Where records go. Called under the journal's lock, in order; must not call back or keep the record object."""
+    """Where records go. Called under the journal's lock, in order; must not call back or keep the record object.
+
+    That of a task may be kept, since nothing changes in it any more but the number and time that another journal gives.
+    """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record and its serialized form.

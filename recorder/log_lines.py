@@ -18,11 +18,12 @@ _NS: Final = 1_000_000_000
 _MS: Final = 1e6
 
 
-def line_of(record: Record) -> Log | None:
+def line_of(record: Record, time_ns: int) -> Log | None:
     """The line for a record.
 
     Args:
         record: any.
+        time_ns: when it was, in ns since the Unix epoch.
 
     Returns:
         The message; None where there is nothing to say (keyframes, and tasks that are only asked for).
@@ -33,7 +34,7 @@ def line_of(record: Record) -> Log | None:
     text, level = text_of(record)
     line = Log(level=level, message=text, name="plan" if kind is Run or kind is Task else record.world or "plan")
     moment = line.timestamp
-    moment.seconds, moment.nanos = divmod(record.wall_time_ns, _NS)
+    moment.seconds, moment.nanos = divmod(time_ns, _NS)
     return line
 
 

@@ -17,7 +17,7 @@ import stat
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 _HINT: Final = "free space or choose another path, and run again"
 _MOST_RECORDS: Final = 50
 _LONGEST: Final = 0.05  # s
+_LINES: Final = ("/log", "", 0)
 _CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
 _OF_WORLDS: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
 _MOST_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
@@ -61,6 +62,22 @@ def versions() -> dict[str, str]:
     }
 
 
+class _Taken(NamedTuple):
+    """A message that isn't in a chunk yet.
+
+    Attributes:
+        key: of its channel: topic, world and which one of that name; "" and 0 where worlds share a channel.
+        seq: number of the record that it is or belongs to.
+        time_ns: when that was.
+        content: its bytes; of the line about a task only the task, whose line is made with all others.
+    """
+
+    key: tuple[str, str, int]
+    seq: int
+    time_ns: int
+    content: bytes | Task
+
+
 class McapSink:
     """A sink that is one MCAP file.
 
@@ -77,6 +94,8 @@ class McapSink:
         raw = _open(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
+        self._taken: list[_Taken] = []  # since the last chunk was closed
+        self._size = 0
         self._pending = 0
         self._count = 0
         self._now = 0
@@ -123,21 +142,21 @@ class McapSink:
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.journal.Sink`."""
+        seq, now = record.seq, record.wall_time_ns
         with self._lock:
             self._check()
-            self._now = record.wall_time_ns
-            if topic in _OF_WORLDS:
-                self._add(topic, payload, record.seq, record.world, self._life(record))
-                for other, message in self._frames.transforms(record):
-                    self._add(other, message.SerializeToString(), record.seq)
+            self._now = now
+            of_world = topic in _OF_WORLDS
+            key = (topic, record.world, self._life(record)) if of_world else (topic, "", 0)
+            self._taken.append(_Taken(key, seq, now, payload))
+            self._size += len(payload)
+            if isinstance(record, Task):
+                self._taken.append(_Taken(_LINES, seq, now, record))
             else:
-                self._add(topic, payload, record.seq)
-            line = line_of(record)
-            if line is not None:
-                self._add("/log", line.SerializeToString(), record.seq)
+                self._take_companions(record)
             self._count += 1
             self._pending += 1
-            if self._pending >= _MOST_RECORDS or self._writer.pending > _CHUNK or _is_end(record):
+            if self._pending >= _MOST_RECORDS or self._size > _CHUNK or _is_end(record):
                 with self._guarded():
                     self._flush()
             elif self._pending == 1:
@@ -150,14 +169,32 @@ class McapSink:
             life = self._lives[record.world] = life + 1
         return life
 
-    def _add(self, topic: str, payload: bytes, seq: int, world: str = "", life: int = 0) -> None:
-        channel = self._channels.get((topic, world, life))
+    def _take_companions(self, record: Record) -> None:
+        """Takes what other people's tools are told of a record."""
+        for topic, message in self._frames.transforms(record):
+            self._taken.append(_Taken((topic, "", 0), record.seq, self._now, message.SerializeToString()))
+            self._size += message.ByteSize()
+        line = line_of(record, self._now)
+        if line is not None:
+            self._taken.append(_Taken(_LINES, record.seq, self._now, line.SerializeToString()))
+
+    def _flush(self) -> None:
+        """Packs what was taken, and hands it to the operating system: all at once, which is faster than one by one."""
+        taken, self._taken = self._taken, []
+        self._pending = self._size = 0
+        for key, seq, time_ns, content in taken:
+            if isinstance(content, bytes):
+                self._writer.add_message(self._channel(key), time_ns, seq, content)
+            elif (line := line_of(content, time_ns)) is not None:
+                self._writer.add_message(self._channel(key), time_ns, seq, line.SerializeToString())
+        self._writer.flush()
+
+    def _channel(self, key: tuple[str, str, int]) -> int:
+        channel = self._channels.get(key)
         if channel is None and len(self._channels) >= _MOST_CHANNELS:
-            world, life = "", 0  # all further worlds share one
-            channel = self._channels.get((topic, world, life))
-        if channel is None:
-            channel = self._register(topic, world, life)
-        self._writer.add_message(channel, self._now, seq, payload)
+            key = (key[0], "", 0)  # all further worlds share one
+            channel = self._channels.get(key)
+        return self._register(*key) if channel is None else channel
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.journal.Sink`."""
@@ -197,10 +234,6 @@ class McapSink:
         """Lets go of the file without writing: for a forked child, whose parent goes on with it."""
         self._closed = True
         self._failed = OSError("this recording belongs to the parent process")
-
-    def _flush(self) -> None:
-        self._writer.flush()
-        self._pending = 0
 
     def _flush_in_time(self) -> None:
         """The timer's thread: flushes what is older than it may get."""

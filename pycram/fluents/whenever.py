@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.branch import completed, unwrap
+from pycram.branch import completed
 from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument
 from pycram.fluents.pulses import Account
 from pycram.fluents.watch import first_value
-from pycram.open_block import name_of
+from pycram.handle import unwrap
+from pycram.open_block import await_turn, name_of
 from recorder.span import span
 
 if TYPE_CHECKING:
@@ -70,6 +71,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
 
 
 def _runs(term: Term) -> Iterator[Value]:
+    await_turn()
     accounts = [leaf for leaf in term.leaves if isinstance(leaf, Account)]
     while True:
         checkpoint()

@@ -19,11 +19,11 @@ from __future__ import annotations
 import weakref
 from typing import TYPE_CHECKING
 
-from pycram.branch import unwrap
 from pycram.failures import BadArgument
 from pycram.fluent import Derived
 from pycram.fluents.terms import Ended
 from pycram.fluents.variables import Variable, change, end
+from pycram.handle import unwrap
 from pycram.reasoning.contact import touches
 from pycram.reasoning.query import world_of
 

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from pycram.branch import unwrap
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, NoWorld, UsageError
+from pycram.handle import unwrap
 from recorder import journal, records
 
 if TYPE_CHECKING:

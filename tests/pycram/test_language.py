@@ -10,17 +10,19 @@ from __future__ import annotations
 import copy
 import faulthandler
 import os
+import pickle
 import signal
 import sys
 import threading
 import traceback
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram import tasks
-from pycram.branch import NoResult, branch_of
+from pycram.branch import NoResult
 from pycram.cancellation import Cancelled, checkpoint, wait
 from pycram.failures import (
     BadArgument,
@@ -32,6 +34,8 @@ from pycram.failures import (
     Unreachable,
     UsageError,
 )
+from pycram.fluent import Fluent, whenever
+from pycram.handle import branch_of
 from pycram.language import (
     BlocksMixed,
     NeverOpened,
@@ -197,6 +201,21 @@ def test_bugs_come_out_of_every_block_as_they_are(name: str, bug: Callable[[], N
         KINDS[name](bug)
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_a_bug_in_the_body_of_a_block_that_is_read_comes_out_too(name: str) -> None:
+    gate = Gate()
+    with pytest.raises(ZeroDivisionError), par as s:
+        s(gate.pass_through)
+        with KINDS[name] as t:
+            t(gate.pass_through)
+            has_a_bug()
+    assert (s.state, t.state) == (F, F)
+    with pytest.raises(ZeroDivisionError), par as s, suppress(ZeroDivisionError), KINDS[name] as t:
+        t(gate.pass_through)  # nobody opens it
+        has_a_bug()
+    assert (s.state, t.state) == (F, F)
+
+
 @pytest.mark.parametrize("outer", KINDS)
 @pytest.mark.parametrize("inner", KINDS)
 def test_every_block_in_every_other(outer: str, inner: str) -> None:
@@ -335,6 +354,24 @@ def test_attempts_timeouts_and_cleanups_in_a_read_body_keep_its_order() -> None:
         s(succeeds)
     assert s.state is S
     assert (order[0], sorted(order[1:3]), order[3:]) == (1, [2, 3], [4, 5, 6, 6, 7])
+
+
+def test_waits_for_fluents_in_a_read_body_keep_its_order() -> None:
+    gate, order, here = Gate(), [], Fluent(True)
+    with par as s:
+        with seq as t:
+            t(lambda: (gate.pass_through(0.05), order.append(1)))  # late
+            assert here.wait_for()
+            order.append(2)
+            t(order.append, 3)
+            for _ in whenever(here):
+                order.append(4)
+                break
+        s(succeeds)
+    assert order == [1, 2, 3, 4]
+    (block,) = [node for node in tasks.tree().roots[-1].children if node.name == "seq"]
+    assert [node.kind for node in block.children] == ["branch", "wait", "branch"]
+    assert all(node.created.wall_ns >= block.start.wall_ns for node in block.children)
 
 
 def test_functions_in_a_body_are_branches() -> None:
@@ -857,6 +894,22 @@ def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
     assert tasks.current() is None
 
 
+def test_a_cancelled_branch_that_leaves_the_loop_is_not_warned() -> None:
+    failed = Gate()
+
+    def between_attempts() -> None:
+        for attempt in failure_handling(5):
+            with attempt:
+                fails()
+            failed.open()
+            Gate().pass_through()
+
+    with pursue as s:
+        s(between_attempts)
+        s(failed.pass_through)
+    assert [branch.state for branch in s.branches] == [C, S]
+
+
 def test_leaving_the_loop_with_the_failure_handled_or_raised() -> None:
     for attempt in failure_handling(5):
         with attempt:
@@ -977,7 +1030,7 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
 
     for branch in (slow, in_a_block, tried_again):
         inside.is_open = False
-        with pytest.raises(NotCleanedUp, match=r"fails, done because .* Unreachable: left arm") as raised, pursue as s:
+        with pytest.raises(NotCleanedUp, match=r"fails, done as .* Unreachable: left arm") as raised, pursue as s:
             s(branch)
             s(inside.pass_through)
         assert [branch.state for branch in s.branches] == [F, S]
@@ -991,6 +1044,23 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
         s(inside.pass_through)
     assert s.state is F
     assert isinstance(failures[0].failure, Unreachable)
+
+
+def test_cleaning_up_that_fails_after_a_timeout_may_be_tried_again() -> None:
+    cleaned: list[int] = []
+
+    def clean() -> None:
+        cleaned.append(1)
+        if len(cleaned) < 3:
+            fails()
+
+    with pytest.raises(TimedOut):
+        for attempt in failure_handling(2):
+            with attempt, timeout(0.01), finally_(clean):
+                Gate().pass_through()
+    assert len(cleaned) == 3
+    node = tasks.tree().find(kind="failure-handling")[-1]
+    assert [part.failure.type for part in node.attempts] == ["NotCleanedUp", "NotCleanedUp", "TimedOut"]
 
 
 def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
@@ -1019,3 +1089,26 @@ def test_handles_are_formatted_rounded_changed_and_copied_as_their_results() -> 
     assert table.result() == {"b": 2}
     assert copy.copy(table) == copy.deepcopy(table) == {"b": 2}
     assert type(copy.copy(table)) is dict
+
+
+def test_whatever_is_done_with_a_handle_is_done_with_its_result(tmp_path: Path) -> None:
+    file = tmp_path / "x"
+    file.write_text("text")
+    with par as s:
+        seven, names, path = s(lambda: 7), s(lambda: ["a", "b"]), s(lambda: file)
+        opened, letters = s(file.open), s(lambda: iter("ab"))
+    assert (divmod(seven, 2), divmod(15, seven), seven << 1, 1 << seven, ~seven, +seven) == (
+        (3, 1),
+        (2, 1),
+        14,
+        128,
+        -8,
+        7,
+    )
+    assert [*reversed(names)] == ["b", "a"]
+    assert Path(path).read_text() == Path(os.path.join(path, "")[:-1]).read_text() == "text"  # noqa: PTH118
+    with opened as stream:
+        assert stream.read() == "text"
+    assert opened.closed
+    assert (next(letters), next(letters)) == ("a", "b")
+    assert type(pickle.loads(pickle.dumps(names))) is list

@@ -13,7 +13,7 @@ from pycram.branch import NoResult
 from pycram.cancellation import wait
 from pycram.claims import ClaimError, Claims
 from pycram.designator import MotionDesignator
-from pycram.failures import Unreachable
+from pycram.failures import BadArgument, Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.open_block import current_block
 from pycram.process_module import ProcessModule
@@ -258,6 +258,17 @@ def test_a_motion_that_turns_out_to_need_more_waits_for_those_that_have_it() -> 
             pointed = pointing.perform("looking")
             do(lambda: order.append("after"), "left-arm", given=pointed)
     assert order[3:] == ["point", "after"]
+
+
+@pytest.mark.usefixtures("_resolver")
+def test_wrong_claims_are_told() -> None:
+    assert Claims(["base"], {"head"}) == Claims(frozenset({"base"}), frozenset({"head"}))
+    for wrong in ("base", 3, [3]):
+        with pytest.raises(BadArgument, match="names of resources"):
+            Claims(wrong)
+    with pytest.raises(BadArgument, match="claims of drive = 'base'"):
+        Told(lambda: None, "base").perform("drive")
+    assert Told(lambda: "free again").perform("drive") == "free again"
 
 
 def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:

@@ -8,6 +8,9 @@ from __future__ import annotations
 import faulthandler
 import random
 import threading
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,37 +23,88 @@ from pycram.cancellation import wait
 from pycram.claims import Claims
 from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
+from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.open_block import OpenBlock
 from pycram.process_module import ProcessModule
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 KINDS = (par, par, pursue, try_all, seq, seq, try_in_order)
 PARTS = ("base", "head", "left-arm", "right-arm", "left-gripper", "right-gripper")
 BODIES = ("cup", "bowl", "plate")
+UNREACHABLE = Unreachable("left", [1, 2, 3])
 
 
 class Juggling(MotionDesignator):
-    """A motion that needs what it says."""
+    """A motion that says what it needs, or less than that, or nothing."""
 
-    def claims(self) -> Claims:
-        return Claims(frozenset(dict(self.description)["moves"]), frozenset(dict(self.description)["at-rest"]))
+    def claims(self) -> Claims | None:
+        says = dict(self.description)["says"]
+        return says if isinstance(says, Claims) else super().claims()
 
-    def reference(self) -> dict[str, object]:
-        return dict(self.description)
+
+@dataclass(frozen=True)
+class Running:
+    """A motion under way, and those that it is part of."""
+
+    needs: Claims
+    juggler: ProcessModule
+    around: tuple[Running, ...]
+
+
+class Stage:
+    """All motions that are under way: none ever meets another one that needs what it moves, or the same module."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.running: list[Running] = []
+        self.around: ContextVar[tuple[Running, ...]] = ContextVar("around", default=())
+
+    @contextmanager
+    def on(self, needs: Claims, juggler: ProcessModule) -> Iterator[None]:
+        mine = Running(needs, juggler, self.around.get())
+        with self.lock:
+            for other in self.running:
+                if other not in mine.around:
+                    assert not needs.conflicts(other.needs)
+                    assert juggler is not other.juggler or mine.around != other.around
+            self.running.append(mine)
+        token = self.around.set((*mine.around, mine))
+        try:
+            yield
+        finally:
+            self.around.reset(token)
+            with self.lock:
+                self.running.remove(mine)
 
 
 class Juggler(ProcessModule):
-    """Moves an object, and may be made of other motions; one that runs already is an error of its own."""
+    """Moves an object, and may be made of other motions."""
+
+    def __init__(self, stage: Stage) -> None:
+        super().__init__()
+        self.stage = stage
+
+    def claims(self, designator: Juggling) -> Claims:
+        return designator.reference()["needs"]
 
     def _execute(self, designator: Juggling) -> object:
         solution = designator.reference()
-        for action in solution["parts"]:
-            action()
+        with self.stage.on(solution["needs"], self):
+            for action in solution["parts"]:
+                action()
         return solution["body"]
+
+
+def resolve(designator: Juggling) -> Iterator[dict[str, object]]:
+    """A resolver that may perform motions."""
+    slots = dict(designator.description)
+    for action in slots["first"]:
+        action()
+    yield slots
 
 
 class Plan:
@@ -61,6 +115,7 @@ class Plan:
         self.world = world
         self.jugglers = jugglers
         self.nobody = threading.Condition()
+        self.signal = Fluent(0)
 
     def make(self, depth: int, moves: tuple[str, ...] = PARTS) -> Callable[[], object]:  # noqa: PLR0911  one for each sort
         """A part of the plan; all dice are cast here, before anything runs."""
@@ -69,9 +124,13 @@ class Plan:
         if depth <= 0 or what < 0.10:
             return self.move()
         if what < 0.17:
-            return self.fail(dice.choice((Unreachable("left", [1, 2, 3]), LookingFailed([1, 2, 3], 0.1))))
-        if what < 0.20:
+            return self.fail(dice.choice((UNREACHABLE, LookingFailed([1, 2, 3], 0.1))))
+        if what < 0.19:
             return lambda: wait(self.nobody, lambda: False, 0.002)
+        if what < 0.20:
+            return lambda: self.signal.set_value(self.signal.get_value() + 1)
+        if what < 0.21:
+            return lambda: (self.signal > dice.random() * 9).wait_for(0.002)
         if what < 0.48:
             return self.motion(depth, moves)
         if what < 0.54:
@@ -81,7 +140,10 @@ class Plan:
             part, limit = self.make(depth - 1, moves), dice.choice((0, 0.001, 60))
             return lambda: self.within(timeout(limit), part)
         if what < 0.64:
-            part, cleaning = self.make(depth - 1, moves), self.move()
+            part, cleaning = (
+                self.make(depth - 1, moves),
+                dice.choice((self.move(), self.move(), self.fail(UNREACHABLE))),
+            )
             return lambda: self.within(finally_(cleaning), part)
         return self.block(depth, moves)
 
@@ -106,15 +168,24 @@ class Plan:
         moves = tuple(part for part in wanted if dice.random() < 0.7)
         rest = tuple(part for part in wanted if part not in moves)
         parts = [self.move()]
+        if dice.random() < 0.4:
+            parts.append(lambda: wait(self.nobody, lambda: False, 0.002))  # others have time to get in its way
         if depth > 1 and dice.random() < 0.4:
             parts.append(self.block(depth - 2, moves))
         if dice.random() < 0.2:
-            parts.append(self.fail(Unreachable("left", [1, 2, 3])))
-        slots = {"type": "juggle", "moves": moves, "at-rest": rest, "parts": parts, "body": dice.choice(BODIES)}
+            parts.append(self.fail(UNREACHABLE))
+        needs = Claims(frozenset(moves), frozenset(rest))
+        less = Claims(frozenset(part for part in moves if dice.random() < 0.5))
+        says = dice.choice((needs, needs, less, None)) if allowed == PARTS or moves else needs
         juggler = dice.choice(self.jugglers)
+        slots = {"type": "juggle", "needs": needs, "says": says, "parts": parts, "body": dice.choice(BODIES)}
+        slots |= {
+            "juggler": juggler,
+            "first": [self.motion(0, tuple(less.moves))] if dice.random() < 0.1 * depth else [],
+        }
 
-        def perform() -> object:
-            return ProcessModule.perform(Juggling([*slots.items(), ("juggler", juggler)]))
+        def perform(given: object = None) -> object:
+            return ProcessModule.perform(Juggling([*slots.items(), ("given", given)]))
 
         return perform
 
@@ -130,12 +201,13 @@ class Plan:
 
         def run() -> object:
             with kind(collected) if collected is not None else kind as s:
-                handles = []
+                handles, given = [], None
                 for part, way in zip(parts, ways, strict=True):
                     if way == 0:
                         handles.append(s(part))
                     elif way == 1:
-                        part()  # a motion or a block in the body, or plain Python
+                        # a motion or a block in the body, or plain Python; a motion may wait for the one before
+                        given = part(given) if part.__name__ == "perform" else part()
                     else:
                         with seq as t:
                             t(part)
@@ -149,14 +221,16 @@ class Plan:
 
 def run(plans: int, first: int, file: Path) -> None:
     """Runs plans in a world of their own, recorded, and compares."""
+    faulthandler.dump_traceback_later(200, exit=True)  # the watchdog
     outcomes = {"succeeded": 0, "failed": 0}
     with recorder.record(file), BulletWorld() as world:
         for body in BODIES:
             Object(body, body, f"{body}.stl", [0, 0, 5])
-        jugglers = [Juggler() for _ in range(3)]
+        stage = Stage()
+        jugglers = [Juggler(stage) for _ in range(3)]
         chooser = ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("juggler"))
         threads = threading.active_count()
-        with chooser:
+        with chooser, Juggling.resolvers.added(resolve):
             for seed in range(first, first + plans):
                 made = Plan(seed, world, jugglers)
                 beside = [made.block(4, PARTS) for _ in range(2)]
@@ -192,8 +266,7 @@ def run(plans: int, first: int, file: Path) -> None:
 
 
 @pytest.fixture(autouse=True)
-def _watched() -> None:
-    faulthandler.dump_traceback_later(200, exit=True)
+def _watched() -> Iterator[None]:
     yield
     faulthandler.cancel_dump_traceback_later()
 
