@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 _WIDER: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
 _PARALLEL: Final = 1e-9  # added to cosines: the cross product of parallel edges is no axis
+_NEXT: Final = (1, 2, 0)  # of three axes
+_NEXT_BUT_ONE: Final = (2, 0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +145,26 @@ def meeting(centers: Array, axes: Array, halves: Array, others: Boxes) -> tuple[
     return posture[met], box[met], other[met]
 
 
+def overlapping(centers: Array, axes: Array, halves: Array, firsts: Indices, seconds: Indices) -> Indices:
+    """Which of some pairs of boxes meet.
+
+    Args:
+        centers: (k, 3) in the world, m.
+        axes: (k, 3, 3) of the boxes.
+        halves: (k, 3) of their sizes, m.
+        firsts: (n,) indices of boxes.
+        seconds: (n,) indices of the boxes beside them.
+
+    Returns:
+        Indices of the pairs that meet, in order.
+    """
+    sizes = spans(axes, halves)
+    close = np.abs(centers[firsts] - centers[seconds]) <= sizes[firsts] + sizes[seconds]
+    near = np.flatnonzero(close.all(axis=1))
+    a, b = firsts[near], seconds[near]
+    return near[_overlap(centers[a], axes[a], halves[a], centers[b], axes[b], halves[b])]
+
+
 def _overlap(
     centers: Array, axes: Array, halves: Array, other_centers: Array, other_axes: Array, other_halves: Array
 ) -> NDArray[np.bool_]:
@@ -154,11 +176,10 @@ def _overlap(
     apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
     apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        distance = np.abs(way[:, k, None] * turn[:, j] - way[:, j, None] * turn[:, k])
-        reach = halves[:, j, None] * cosines[:, k] + halves[:, k, None] * cosines[:, j]
-        reach += np.roll(other_halves, -1, axis=1) * np.roll(cosines[:, i], -2, axis=1)
-        reach += np.roll(other_halves, -2, axis=1) * np.roll(cosines[:, i], -1, axis=1)
-        apart |= (distance > reach).any(axis=1)
+    # cross products of edge i of the one and edge j of the other (n, i, j)
+    distance = way[:, _NEXT_BUT_ONE, None] * turn[:, _NEXT] - way[:, _NEXT, None] * turn[:, _NEXT_BUT_ONE]
+    reach = halves[:, _NEXT, None] * cosines[:, _NEXT_BUT_ONE] + halves[:, _NEXT_BUT_ONE, None] * cosines[:, _NEXT]
+    reach += other_halves[:, None, _NEXT] * cosines[:, :, _NEXT_BUT_ONE]
+    reach += other_halves[:, None, _NEXT_BUT_ONE] * cosines[:, :, _NEXT]
+    apart |= (np.abs(distance) > reach).any(axis=(1, 2))
     return ~apart

@@ -111,7 +111,7 @@ class ClosedForm:
         found = self._wrapped(np.stack(arm, axis=1), slice(0, 4))
         kept = (strain == 0.0) & self._within(found, slice(0, 4))
         target = np.tile(np.repeat(np.arange(len(positions)), q1.shape[1]), 4)[kept]
-        wrist, strain = self._to_turn([angle[kept] for angle in arm], rotations[target])
+        wrist, strain = self._to_turn([angle[kept] for angle in arm], rotations, target)
         found = np.concatenate([np.tile(found[kept], (2, 1)), self._wrapped(wrist, slice(4, 7))], axis=1)
         kept = (np.tile(strain, 2) == 0.0) & self._within(found, slice(0, 7))
         found, target = found[kept], np.tile(target, 2)[kept]
@@ -174,7 +174,8 @@ class ClosedForm:
         rotations, wrists, q1 = self._wrists(positions, turns, tried)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
-        wrist, short = self._to_turn(arm, np.tile(np.repeat(rotations, rows, axis=0), (4, 1, 1)))
+        target = np.tile(np.repeat(np.arange(len(positions)), rows), 4)
+        wrist, short = self._to_turn(arm, rotations, target)
         return 8, np.concatenate([np.tile(np.stack(arm, axis=1), (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, tried: Array) -> tuple[Array, Array, Array]:
@@ -183,14 +184,14 @@ class ClosedForm:
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._towards(wrists, tried)
 
-    def _to_turn(self, arm: Sequence[Array], rotations: Array) -> tuple[Array, Array]:
-        """Values (2n, 3) of the wrist's joints that turn the hand by rotations (n, 3, 3), and their strain (n,)."""
+    def _to_turn(self, arm: Sequence[Array], rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Values (2n, 3) of the wrist's joints that turn the hand as targets (n,) have it, and their strain (n,)."""
         w = self.axes
-        count = len(rotations)
+        count = len(target)
         # what the wrist has to turn: two columns of the rotation that is left when joints 1 to 4 are taken back
         across = _across(w[6])
         columns = rotations @ np.column_stack([w[6], across])
-        left = np.concatenate([columns[:, :, i].T for i in (0, 1)], axis=1)
+        left = np.concatenate([columns[target, :, i].T for i in (0, 1)], axis=1)
         for joint, angle in enumerate(arm):
             left = subproblems.turned(w[joint], -np.tile(angle, 2), left)
         q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])

@@ -13,7 +13,7 @@ import numpy as np
 
 from pycram import cargo
 from pycram.reasoning.articulation import Articulation
-from pycram.reasoning.boxes import Boxes, meeting, together
+from pycram.reasoning.boxes import meeting, overlapping, together
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
@@ -103,6 +103,7 @@ class Rehearsal:
         self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
         self._there = False
         self._seen: dict[Pair, list[Touch]] = {}
+        self._own: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -197,21 +198,28 @@ class Rehearsal:
 
     def touches_itself(self) -> list[tuple[str, str]]:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
-        centers, axes = self._whole.carried(self._taken.moved[None, self._carried])
-        whole = Boxes(self._whole.links, centers[0], axes[0], self._whole.halves)
-        moving = np.array([link in self._moving for link in whole.links], dtype=bool)
-        met = meeting(centers[:, moving], axes[:, moving], whole.halves[moving], whole)
-        names = [link for link in whole.links if link in self._moving]
-        pairs = dict.fromkeys((names[box], whole.links[other]) for _, box, other in zip(*met, strict=True))
-        found = []
-        for link, other in pairs:
-            if other in self._moving and other <= link:
-                continue  # seen from the other side
-            if abs(self._depth[link] - self._depth[other]) <= _BESIDE:
-                continue
-            if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other))):
-                found.append((link, other))
-        return found
+        whole = self._whole
+        centers, axes = whole.carried(self._taken.moved[None, self._carried])
+        firsts, seconds = self._own_pairs()
+        met = overlapping(centers[0], axes[0], whole.halves, firsts, seconds)
+        pairs = dict.fromkeys((whole.links[firsts[pair]], whole.links[seconds[pair]]) for pair in met)
+        return [
+            (link, other)
+            for link, other in pairs
+            if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other)))
+        ]
+
+    def _own_pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Boxes of its links, one of which moves, that hang on numbers of joints more than a shoulder apart."""
+        if self._own is None:
+            links = self._whole.links
+            moving = np.array([link in self._moving for link in links], dtype=bool)
+            depths = np.array([self._depth[link] for link in links])
+            names = np.array(links)
+            told = moving[:, None] & (np.abs(depths[:, None] - depths) > _BESIDE)
+            firsts, seconds = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
+            self._own = firsts, seconds
+        return self._own
 
     def beyond(self, joints: Collection[str]) -> set[str]:
         """The robot's links that hang on all of some joints: with an arm's joints its hand.
