@@ -133,7 +133,7 @@ class Rehearsal:
             mover, link, _ = self._owners[box]
             found[posture][mover, link, self._whose[other], self._others.links[other]] = None
         return [
-            Foreseen(positions, base, tuple(pairs), way)
+            Foreseen(positions, base, _in_turn(pairs), way)
             for positions, base, pairs, way in zip(postures, stands, found, moved, strict=True)
         ]
 
@@ -238,6 +238,17 @@ class Rehearsal:
         """
         depths = {0} if link is None else {0, self._depth[link]}
         return {other for other, depth in self._depth.items() if depth in depths}
+
+
+def _in_turn(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
+    """Each object's first pair, then each one's second, and so on, as first it counts who is hit; furniture first."""
+    turns: dict[Object, int] = {}
+    order = []
+    for number, pair in enumerate(pairs):
+        other = pair[2]
+        turns[other] = turns.get(other, 0) + 1
+        order.append((turns[other], not other.fixed, number, pair))
+    return tuple(pair for *_, pair in sorted(order, key=lambda item: item[:3]))
 
 
 def _told(touches: list[Touch]) -> dict[str, object]:
