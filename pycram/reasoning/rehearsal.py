@@ -113,20 +113,17 @@ class Rehearsal:
     ) -> None:
         self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
-    def foresee(self, postures: Sequence[Mapping[str, float]], bases: Sequence[Pose | None] = ()) -> list[Foreseen]:
+    def foresee(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Foreseen]:
         """Finds out what could touch in postures, all at once.
 
         Args:
             postures: joint values in rad or m by name; the others stay.
-            bases: poses of the robot's base, as many as postures; None or no bases: it stays.
+            base: pose of the robot's base in them; it stays by default.
         """
-        stands = bases or [None] * len(postures)
         moved = self._articulation.moved(postures)
         there = moved
-        if any(base is not None for base in stands):
-            back = geometry.invert(self._stand)
-            driven = [geometry.IDENTITY if base is None else geometry.multiply(base, back) for base in stands]
-            there = np.array([geometry.pose_matrix(pose) for pose in driven])[:, None] @ moved
+        if base is not None:
+            there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
         found: list[dict[Pair, None]] = [{} for _ in postures]  # in order, each once
         for posture, box, other in zip(*meeting(centers, axes, self._mine.halves, self._others), strict=True):
@@ -134,7 +131,7 @@ class Rehearsal:
             found[posture][mover, link, self._whose[other], self._others.links[other]] = None
         return [
             Foreseen(positions, base, _in_turn(pairs), way)
-            for positions, base, pairs, way in zip(postures, stands, found, moved, strict=True)
+            for positions, pairs, way in zip(postures, found, moved, strict=True)
         ]
 
     def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
@@ -145,7 +142,7 @@ class Rehearsal:
             base: pose of its base; it stays by default.
         """
         if not isinstance(positions, Foreseen):
-            (positions,) = self.foresee([positions], [base])
+            (positions,) = self.foresee([positions], base)
         self._taken = positions
         self._there = False
         self._seen = {}
