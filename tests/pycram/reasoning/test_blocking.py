@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
@@ -167,14 +167,13 @@ def test_boxes_meet_where_some_point_is_in_both(
     skew: float,
 ) -> None:
     """None for a turn: nearly that of the other box, off by what rounding does."""
-    aside = (
-        turn @ geometry.to_matrix(geometry.from_rpy(skew, 0, -skew)) * (1 + skew) if other_turn is None else other_turn
-    )
+    aside = turn @ (np.eye(3) + skew * (1.0 - np.eye(3))) if other_turn is None else other_turn
     others = boxes.Boxes(("other",), other_at[None], aside[None], other_half[None])
     met = boxes.meeting(at[None, None], turn[None, None], half[None], others)
     planes = np.vstack([turn.T, -turn.T, aside.T, -aside.T])
     room = np.concatenate([turn.T @ at + half, half - turn.T @ at, aside.T @ other_at + other_half])
     room = np.concatenate([room, other_half - aside.T @ other_at])
     solved = linprog([0, 0, 0, 1], np.column_stack([planes, -np.ones(12)]), room, bounds=[(None, None)] * 4)
+    assume(solved.status == 0)
     if abs(solved.x[3]) > 1e-5:  # m by which the boxes have to grow to share a point
         assert bool(len(met[0])) is bool(solved.x[3] < 0)
