@@ -140,17 +140,30 @@ class Engine:
             None if (at, turn) == IDENTITY else (at, turn),
             tuple(joint.index for joint in joints.values()),
         )
-        for index in links.values():
-            if robot:
-                # the base of a fixed body never collides with static things
-                mask = ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
-                bullet.setCollisionFilterGroupMask(number, index, _ROBOT_GROUP, mask, physicsClientId=c)
-            elif fixed:  # furniture stands on the floor for good: no contact to solve
-                bullet.setCollisionFilterGroupMask(number, index, _STATIC_GROUP, ~_STATIC_GROUP, physicsClientId=c)
+        if robot or fixed:
+            self.separate(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
         for joint in joints.values():
             self._hold(body, joint, 0.0)
         return body
+
+    def separate(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
+        """Says what a body's links collide with, as when it was loaded; the engine forgets its contacts of before.
+
+        Args:
+            body: the body.
+            fixed: whether its base doesn't move by itself.
+            robot: whether its links ignore what a robot holds.
+        """
+        for index in body.links.values():
+            if robot:
+                # the base of a fixed body never collides with static things
+                group, mask = _ROBOT_GROUP, ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
+            elif fixed:  # furniture stands on the floor for good: no contact to solve
+                group, mask = _STATIC_GROUP, ~_STATIC_GROUP
+            else:
+                group, mask = _DYNAMIC_GROUP, _ALL
+            bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: Body) -> None:
         """Removes a body; its constraints have to be gone."""

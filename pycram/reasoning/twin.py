@@ -77,6 +77,9 @@ class Twin:
                 self.engine.set_pose(copy.body, _AWAY)
                 copy.state = None
         copies = {name: self._copy(body) for name, body in wanted.items()}
+        if self._solid:
+            for name, body in wanted.items():  # contacts of earlier questions would change the last bits of the answer
+                self.engine.separate(copies[name], fixed=body.fixed, robot=body.is_robot)
         if holding:
             for body in wanted.values():
                 for held in body.carried:
