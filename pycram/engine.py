@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -72,6 +72,26 @@ class Touch:
     def carries(self) -> bool:
         """Whether the second body rests on the first there: steeper than 60 degrees carries nothing to speak of."""
         return self.normal[2] < -_UPWARD
+
+
+class Contact(NamedTuple):
+    """Where a body touched another in the last step.
+
+    Attributes:
+        link: index of its link.
+        other: id of the other body.
+        other_link: index of the other's link.
+        position: on the other, world frame, m.
+        normal: unit vector from the other to it.
+        force: N along the normal.
+    """
+
+    link: int
+    other: int
+    other_link: int
+    position: Vector
+    normal: Vector
+    force: float
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -392,10 +412,20 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
         return [Touch(link, link_b, p[5], p[6], p[7], p[8], p[9]) for p in points or ()]
 
-    def contacts(self, body: Body) -> list[tuple[int, int, Vector, Vector]]:
-        """Contacts of the last step: id and link index of the other body, point on it in m, normal to the body."""
+    def contacts(self, body: Body) -> list[Contact]:
+        """Contacts of the last step with other bodies."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
-        return [(point[2], point[4], point[6], point[7]) for point in points]
+        return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
+
+    def friction(self, body: int, link: int) -> float:
+        """Coefficient of a link's sliding friction; that of a contact is the product of both sides'.
+
+        Args:
+            body: id.
+            link: index.
+        """
+        coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
+        return coefficient
 
     def near(self, low: Vector, high: Vector) -> list[tuple[int, int]]:
         """What may reach into a box along the world's axes: ids of bodies and indices of their links.
