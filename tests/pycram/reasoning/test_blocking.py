@@ -150,6 +150,98 @@ def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int
             body.remove()
 
 
+UPRIGHT, BROAD, FLAT = (0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2), (math.pi / 2, 0.0, 0.0)
+BEFORE, BEHIND = ((0.46, 0.3, 0.8), BROAD), ((0.75, 0.3, 0.8), BROAD)
+BESIDE, BEYOND = ((0.6, 0.15, 0.8), UPRIGHT), ((0.6, 0.45, 0.8), UPRIGHT)
+ABOVE, BELOW = ((0.6, 0.3, 1.0), FLAT), ((0.6, 0.3, 0.62), FLAT)
+
+# What stands around the milk, which hangs in the air before the robot's left arm; the side that the hand comes from;
+# and which of the things are in its way.
+KNOWN = [
+    ([], None, []),
+    ([], "front", []),
+    ([BEFORE], "front", [0]),
+    ([BEFORE], None, []),
+    ([BEFORE], "top", []),
+    ([BEHIND], "front", []),
+    ([BEHIND], None, []),
+    ([BESIDE], "right", [0]),
+    ([BESIDE], "left", []),
+    ([BEYOND], "left", [0]),
+    ([BEYOND], "right", []),
+    ([ABOVE], "top", [0]),
+    ([ABOVE], "front", []),
+    ([BELOW], "top", []),
+    ([BEFORE, BEHIND], "front", [0]),
+    ([BEHIND, BEFORE], "front", [1]),
+    ([BESIDE, BEYOND], "front", []),
+    ([BEFORE, ABOVE], "top", [1]),
+    ([BESIDE, BEYOND, ABOVE], None, []),
+]
+
+
+@pytest.fixture(scope="module")
+def alone() -> Iterator[Object]:
+    with BulletWorld() as world:
+        robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+        for arm in robot.description.arms.values():
+            robot.set_joint_positions(arm.posture("park"))
+        yield robot
+
+
+@pytest.mark.parametrize("arm", [pytest.param(LEFT, marks=pytest.mark.slow), RIGHT])
+@pytest.mark.parametrize(("around", "grasp", "expected"), KNOWN)
+def test_what_is_known_to_be_in_the_way_is(
+    alone: Object, around: list[tuple], grasp: str | None, expected: list[int], arm: str
+) -> None:
+    """For the right arm in a mirror; the robot stands somewhere else, turned, each time."""
+    side = 1.0 if arm == LEFT else -1.0
+    stand = ([0.3 * len(around), -0.2, 0.0], geometry.from_rpy(0, 0, 0.4 * len(around)))
+    alone.set_position_and_orientation(*stand)
+
+    def put(name: str, kind: str, file: str, at: tuple[float, ...], rpy: tuple[float, ...]) -> Object:
+        pose = (at[0], side * at[1], at[2]), geometry.from_rpy(side * rpy[0], rpy[1], side * rpy[2])
+        return Object(name, kind, file, *(list(part) for part in geometry.multiply(stand, pose)))
+
+    milk = put("milk", "milk", "milk.stl", (0.6, 0.3, 0.8), UPRIGHT)
+    walls = [
+        put(f"wall {number}", "environment" if number else "box", "breakfast_cereal.stl", *place)
+        for number, place in enumerate(around)
+    ]
+    if arm == RIGHT and grasp in {"left", "right"}:
+        grasp = "left" if grasp == "right" else "right"
+    try:
+        found = btr.blocking(milk, alone, arm, grasp=grasp)
+        assert found.evidence["reached"] is True
+        assert sorted(found, key=walls.index) == [walls[number] for number in expected]
+        assert all(body.type == ("environment" if walls.index(body) else "box") for body in found)
+        assert all(link.startswith(arm[0]) for told in found.evidence["obstacles"].values() for link in told["links"])
+    finally:
+        for body in (milk, *walls):
+            body.remove()
+
+
+def test_a_load_is_in_the_way_of_others_but_nothing_that_is_held_is(alone: Object) -> None:
+    alone.set_position_and_orientation([0, 0, 0], [0, 0, 0, 1])
+    milk = Object("milk", "milk", "milk.stl", [0.6, 0.3, 0.8])
+    shelf = Object("shelf", "environment", "breakfast_cereal.stl", [0.6, 0.3, 0.62], list(geometry.from_rpy(*FLAT)))
+    assert btr.blocking(milk, alone, LEFT, grasp="front") == []
+    tool = alone.get_link_position_and_orientation(LEFT)
+    load = Object("load", "load", "breakfast_cereal.stl", *geometry.multiply(tool, ((0, 0, -0.12), (0, 0, 0, 1))))
+    other = Object("other", "other", "cup.stl", alone.get_link_position(RIGHT))
+    alone.attach(load, LEFT)
+    alone.attach(other, RIGHT)
+    try:
+        found = btr.blocking(milk, alone, LEFT, grasp="front")
+        assert found == [shelf], "the load hangs below the hand"
+        assert found.evidence["obstacles"]["shelf"]["links"] == ["breakfast_cereal"]
+    finally:
+        for body in (load, other):
+            alone.detach(body)
+        for body in (milk, shelf, load, other):
+            body.remove()
+
+
 turns = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda rpy: geometry.to_matrix(geometry.from_rpy(*rpy)))
 places = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
 sizes = st.tuples(*[st.floats(0.005, 0.4)] * 3).map(np.array)
