@@ -389,13 +389,6 @@ class Engine:
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
 
-    def refresh(self) -> None:
-        """Makes what :meth:`near` tells current without a step; nothing else needs it.
-
-        Only for twins: what it caches of contacts changes the last bits of what simulation does next.
-        """
-        bullet.performCollisionDetection(physicsClientId=self._client)
-
     def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:
         """The nearest points of the links of two bodies that are nearer than a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
@@ -426,13 +419,6 @@ class Engine:
         """
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
-
-    def near(self, low: Vector, high: Vector) -> list[tuple[int, int]]:
-        """What may reach into a box along the world's axes: ids of bodies and indices of their links.
-
-        Current after :meth:`refresh`; boxes are compared, so it tells rather too much.
-        """
-        return bullet.getOverlappingObjects(low, high, physicsClientId=self._client) or []
 
     @staticmethod
     def _told(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[Touch]:
