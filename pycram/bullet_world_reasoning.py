@@ -111,11 +111,12 @@ def visible(
         The answer; the evidence has the share, the pixels and what hides them.
     """
     body: Object = unwrap(object)
-    place = world_of(body, world=world)
+    machine = None if robot is None else robot_of(robot)
+    place = world_of(*(other for other in (body, machine) if other is not None), world=world)
     share = checks.at_least("threshold", threshold, 0.0)
     told = {"object": body, "camera": camera, "threshold": share}
     with asking("visible", place, told) as asked:
-        view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        view = _visibility.view(body, _visibility.camera_at(camera, body, machine))
         asked.picture = view.picture()
         asked.evidence = view.evidence()
         asked.answer = verdict = Verdict(view.share > share, asked.evidence)
@@ -141,9 +142,10 @@ def occluding(
         The objects in between, most hiding first; the evidence has their shares.
     """
     body: Object = unwrap(object)
-    place = world_of(body, world=world)
+    machine = None if robot is None else robot_of(robot)
+    place = world_of(*(other for other in (body, machine) if other is not None), world=world)
     with asking("occluding", place, {"object": body, "camera": camera}) as asked:
-        view = _visibility.view(body, _visibility.camera_at(camera, body, robot))
+        view = _visibility.view(body, _visibility.camera_at(camera, body, machine))
         asked.picture = view.picture()
         asked.evidence = view.evidence()
         found = Found((place.get_object(name) for name in view.hiding), asked.evidence)

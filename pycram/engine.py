@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -72,6 +72,26 @@ class Touch:
     def carries(self) -> bool:
         """Whether the second body rests on the first there: steeper than 60 degrees carries nothing to speak of."""
         return self.normal[2] < -_UPWARD
+
+
+class Contact(NamedTuple):
+    """Where a body touched another in the last step.
+
+    Attributes:
+        link: index of its link.
+        other: id of the other body.
+        other_link: index of the other's link.
+        position: on the other, world frame, m.
+        normal: unit vector from the other to it.
+        force: N along the normal.
+    """
+
+    link: int
+    other: int
+    other_link: int
+    position: Vector
+    normal: Vector
+    force: float
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -140,17 +160,30 @@ class Engine:
             None if (at, turn) == IDENTITY else (at, turn),
             tuple(joint.index for joint in joints.values()),
         )
-        for index in links.values():
-            if robot:
-                # the base of a fixed body never collides with static things
-                mask = ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
-                bullet.setCollisionFilterGroupMask(number, index, _ROBOT_GROUP, mask, physicsClientId=c)
-            elif fixed:  # furniture stands on the floor for good: no contact to solve
-                bullet.setCollisionFilterGroupMask(number, index, _STATIC_GROUP, ~_STATIC_GROUP, physicsClientId=c)
+        if robot or fixed:
+            self.separate(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
         for joint in joints.values():
             self._hold(body, joint, 0.0)
         return body
+
+    def separate(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
+        """Says what a body's links collide with, as when it was loaded; the engine forgets its contacts of before.
+
+        Args:
+            body: the body.
+            fixed: whether its base doesn't move by itself.
+            robot: whether its links ignore what a robot holds.
+        """
+        for index in body.links.values():
+            if robot:
+                # the base of a fixed body never collides with static things
+                group, mask = _ROBOT_GROUP, ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
+            elif fixed:  # furniture stands on the floor for good: no contact to solve
+                group, mask = _STATIC_GROUP, ~_STATIC_GROUP
+            else:
+                group, mask = _DYNAMIC_GROUP, _ALL
+            bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: Body) -> None:
         """Removes a body; its constraints have to be gone."""
@@ -356,13 +389,6 @@ class Engine:
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
 
-    def refresh(self) -> None:
-        """Makes what :meth:`near` tells current without a step; nothing else needs it.
-
-        Only for twins: what it caches of contacts changes the last bits of what simulation does next.
-        """
-        bullet.performCollisionDetection(physicsClientId=self._client)
-
     def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:
         """The nearest points of the links of two bodies that are nearer than a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
@@ -379,17 +405,20 @@ class Engine:
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
         return [Touch(link, link_b, p[5], p[6], p[7], p[8], p[9]) for p in points or ()]
 
-    def contacts(self, body: Body) -> list[tuple[int, int, Vector, Vector]]:
-        """Contacts of the last step: id and link index of the other body, point on it in m, normal to the body."""
+    def contacts(self, body: Body) -> list[Contact]:
+        """Contacts of the last step with other bodies."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
-        return [(point[2], point[4], point[6], point[7]) for point in points]
+        return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
-    def near(self, low: Vector, high: Vector) -> list[tuple[int, int]]:
-        """What may reach into a box along the world's axes: ids of bodies and indices of their links.
+    def friction(self, body: int, link: int) -> float:
+        """Coefficient of a link's sliding friction; that of a contact is the product of both sides'.
 
-        Current after :meth:`refresh`; boxes are compared, so it tells rather too much.
+        Args:
+            body: id.
+            link: index.
         """
-        return bullet.getOverlappingObjects(low, high, physicsClientId=self._client) or []
+        coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
+        return coefficient
 
     @staticmethod
     def _told(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[Touch]:

@@ -35,7 +35,6 @@ class Solids:
         high: (k, 3) highest corners of their boxes.
         normals: (m, 3) outward unit vectors in the links' frames.
         offsets: (m,) of the planes from the frames' origins along the normals, m.
-        starts: (k,) number of each piece's first plane.
         pieces: (m,) number of the piece that each plane belongs to.
     """
 
@@ -44,7 +43,6 @@ class Solids:
     high: Array
     normals: Array
     offsets: Array
-    starts: NDArray[np.intp]
     pieces: NDArray[np.intp]
 
 
@@ -57,7 +55,6 @@ def solids_of(path: Path) -> Solids:
     """
     found = list(shapes.pieces_of(path))
     planes = [_planes(corners) for _, corners in found]
-    counts = [len(each) for each in planes]
     every = np.concatenate(planes) if planes else np.zeros((0, 4))
     return Solids(
         tuple(link for link, _ in found),
@@ -65,8 +62,7 @@ def solids_of(path: Path) -> Solids:
         np.array([corners.max(axis=0) for _, corners in found]).reshape(-1, 3),
         every[:, :3],
         every[:, 3],
-        np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.intp)[: len(counts)],
-        np.repeat(np.arange(len(counts)), counts),
+        np.repeat(np.arange(len(planes)), [len(each) for each in planes]),
     )
 
 

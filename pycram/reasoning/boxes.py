@@ -8,6 +8,7 @@ engine pads shapes, so that boxes which don't meet hold pieces which don't touch
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -16,7 +17,8 @@ from pycram.solids import solids_of
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -28,7 +30,10 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
 
 _WIDER: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
-_PARALLEL: Final = 1e-9  # added to cosines: the cross product of parallel edges is no axis
+_PARALLEL: Final = 1e-5  # added to cosines: parallel edges have no cross product, but rounding gives them one
+_MANY: Final = 8  # pieces of a link, as of a bowl's wall, that get one box for all
+_NEXT: Final = (1, 2, 0)  # of three axes
+_NEXT_BUT_ONE: Final = (2, 0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,21 +53,17 @@ class Boxes:
     halves: Array
 
     @classmethod
-    def around(cls, engine: Engine, body: Body, model: Object, links: Collection[str] | None = None) -> Boxes:
+    def around(cls, engine: Engine, body: Body, model: Object) -> Boxes:
         """Boxes around the pieces of a body, where the engine has it.
 
         Args:
             engine: a world's, or a twin's.
             body: the engine's side of it.
             model: the object whose shapes it has.
-            links: which links; all by default.
         """
-        solids = solids_of(model.model.path)
-        chosen = [i for i, link in enumerate(solids.links) if links is None or link in links]
-        names = tuple(solids.links[i] for i in chosen)
+        names, low, high = _bounds(model.model.path)
         positions, orientations = engine.link_frames(body, names)
         axes = geometry.to_matrices(orientations)
-        low, high = solids.low[chosen], solids.high[chosen]
         centers = np.einsum("kij,kj->ki", axes, (low + high) / 2) + positions
         return cls(names, centers, axes, (high - low) / 2 + _WIDER)
 
@@ -86,6 +87,21 @@ class Boxes:
         """
         turns = transforms[..., :3, :3]
         return (turns @ self.centers[:, :, None])[..., 0] + transforms[..., :3, 3], turns @ self.axes
+
+
+@lru_cache(maxsize=256)
+def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
+    """Links, and lowest and highest corners (k, 3) in their frames: of each piece, of all where a link has many."""
+    solids = solids_of(path)
+    links, low, high = [], [], []
+    for link in dict.fromkeys(solids.links):
+        mine = [i for i, name in enumerate(solids.links) if name == link]
+        parts = [[i] for i in mine] if len(mine) <= _MANY else [mine]
+        for part in parts:
+            links.append(link)
+            low.append(solids.low[part].min(axis=0))
+            high.append(solids.high[part].max(axis=0))
+    return tuple(links), np.array(low).reshape(-1, 3), np.array(high).reshape(-1, 3)
 
 
 def together(parts: Sequence[Boxes]) -> Boxes:
@@ -143,6 +159,26 @@ def meeting(centers: Array, axes: Array, halves: Array, others: Boxes) -> tuple[
     return posture[met], box[met], other[met]
 
 
+def overlapping(centers: Array, axes: Array, halves: Array, firsts: Indices, seconds: Indices) -> Indices:
+    """Which of some pairs of boxes meet.
+
+    Args:
+        centers: (k, 3) in the world, m.
+        axes: (k, 3, 3) of the boxes.
+        halves: (k, 3) of their sizes, m.
+        firsts: (n,) indices of boxes.
+        seconds: (n,) indices of the boxes beside them.
+
+    Returns:
+        Indices of the pairs that meet, in order.
+    """
+    sizes = spans(axes, halves)
+    close = np.abs(centers[firsts] - centers[seconds]) <= sizes[firsts] + sizes[seconds]
+    near = np.flatnonzero(close.all(axis=1))
+    a, b = firsts[near], seconds[near]
+    return near[_overlap(centers[a], axes[a], halves[a], centers[b], axes[b], halves[b])]
+
+
 def _overlap(
     centers: Array, axes: Array, halves: Array, other_centers: Array, other_axes: Array, other_halves: Array
 ) -> NDArray[np.bool_]:
@@ -154,11 +190,10 @@ def _overlap(
     apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
     apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        distance = np.abs(way[:, k, None] * turn[:, j] - way[:, j, None] * turn[:, k])
-        reach = halves[:, j, None] * cosines[:, k] + halves[:, k, None] * cosines[:, j]
-        reach += np.roll(other_halves, -1, axis=1) * np.roll(cosines[:, i], -2, axis=1)
-        reach += np.roll(other_halves, -2, axis=1) * np.roll(cosines[:, i], -1, axis=1)
-        apart |= (distance > reach).any(axis=1)
+    # cross products of edge i of the one and edge j of the other (n, i, j)
+    distance = way[:, _NEXT_BUT_ONE, None] * turn[:, _NEXT] - way[:, _NEXT, None] * turn[:, _NEXT_BUT_ONE]
+    reach = halves[:, _NEXT, None] * cosines[:, _NEXT_BUT_ONE] + halves[:, _NEXT_BUT_ONE, None] * cosines[:, _NEXT]
+    reach += other_halves[:, None, _NEXT] * cosines[:, :, _NEXT_BUT_ONE]
+    reach += other_halves[:, None, _NEXT_BUT_ONE] * cosines[:, :, _NEXT]
+    apart |= (np.abs(distance) > reach).any(axis=(1, 2))
     return ~apart

@@ -9,6 +9,7 @@ misses to search from.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -110,11 +111,12 @@ class ClosedForm:
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, q1.shape[1], axis=1))
         found = self._wrapped(np.stack(arm, axis=1), slice(0, 4))
         kept = (strain == 0.0) & self._within(found, slice(0, 4))
-        target = np.tile(np.repeat(np.arange(len(positions)), q1.shape[1]), 4)[kept]
-        wrist, strain = self._to_turn([angle[kept] for angle in arm], rotations[target])
-        found = np.concatenate([np.tile(found[kept], (2, 1)), self._wrapped(wrist, slice(4, 7))], axis=1)
-        kept = (np.tile(strain, 2) == 0.0) & self._within(found, slice(0, 7))
-        found, target = found[kept], np.tile(target, 2)[kept]
+        target = np.concatenate([np.repeat(np.arange(len(positions)), q1.shape[1])] * 4)[kept]
+        wrist, strain = self._to_turn([angle[kept] for angle in arm], rotations, target)
+        found = np.concatenate([found[kept]] * 2)
+        found = np.concatenate([found, self._wrapped(wrist, slice(4, 7))], axis=1)
+        kept = (np.concatenate([strain, strain]) == 0.0) & self._within(found, slice(0, 7))
+        found, target = found[kept], np.concatenate([target, target])[kept]
         return [found[target == number] for number in range(len(positions))]
 
     def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
@@ -174,7 +176,8 @@ class ClosedForm:
         rotations, wrists, q1 = self._wrists(positions, turns, tried)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
-        wrist, short = self._to_turn(arm, np.tile(np.repeat(rotations, rows, axis=0), (4, 1, 1)))
+        target = np.tile(np.repeat(np.arange(len(positions)), rows), 4)
+        wrist, short = self._to_turn(arm, rotations, target)
         return 8, np.concatenate([np.tile(np.stack(arm, axis=1), (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, tried: Array) -> tuple[Array, Array, Array]:
@@ -183,19 +186,19 @@ class ClosedForm:
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._towards(wrists, tried)
 
-    def _to_turn(self, arm: Sequence[Array], rotations: Array) -> tuple[Array, Array]:
-        """Values (2n, 3) of the wrist's joints that turn the hand by rotations (n, 3, 3), and their strain (n,)."""
+    def _to_turn(self, arm: Sequence[Array], rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Values (2n, 3) of the wrist's joints that turn the hand as targets (n,) have it, and their strain (n,)."""
         w = self.axes
-        count = len(rotations)
+        count = len(target)
         # what the wrist has to turn: two columns of the rotation that is left when joints 1 to 4 are taken back
         across = _across(w[6])
         columns = rotations @ np.column_stack([w[6], across])
-        left = np.concatenate([columns[:, :, i].T for i in (0, 1)], axis=1)
+        left = np.concatenate([columns[target, :, i].T for i in (0, 1)], axis=1)
         for joint, angle in enumerate(arm):
-            left = subproblems.turned(w[joint], -np.tile(angle, 2), left)
+            left = subproblems.turned(w[joint], -np.concatenate([angle, angle]), left)
         q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])
         q5, q6 = q5.ravel(), q6.ravel()
-        side = subproblems.turned(w[5], -q6, subproblems.turned(w[4], -q5, np.tile(left[:, count:], 2)))
+        side = subproblems.turned(w[5], -q6, subproblems.turned(w[4], -q5, subproblems.twice(left[:, count:])))
         return np.stack([q5, q6, subproblems.angle_between(w[6], across[:, None], side)], axis=1), short
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
@@ -223,10 +226,12 @@ class ClosedForm:
             w[3], start, self.shoulder[:, None] - elbow_T, np.sqrt((away * away).sum(axis=0))
         )
         q4 = q4.ravel()
-        start = start if start.shape[1] == 1 else np.tile(start, 2)
+        start = subproblems.twice(start)
         bent = subproblems.turned(w[3], q4, start) + elbow_T - self.shoulder[:, None]
-        q2, q3, short = subproblems.two_turns(w[1], w[2], bent, np.tile(away, 2))
-        return (np.tile(q1, 4), q2.ravel(), q3.ravel(), np.tile(q4, 2)), np.tile(np.tile(strain, 2) + short, 2)
+        q2, q3, short = subproblems.two_turns(w[1], w[2], bent, subproblems.twice(away))
+        strain = np.concatenate([strain, strain]) + short
+        arm = np.concatenate([q1] * 4), q2.ravel(), q3.ravel(), np.concatenate([q4, q4])
+        return arm, np.concatenate([strain, strain])
 
     def _tried(self, joint: int, steps: int, home: Array) -> Array:
         """Values of a joint all over its range, and the one that it has."""
@@ -275,6 +280,7 @@ def _parallel(a: Array, b: Array) -> bool:
 
 def _across(axis: Sequence[float] | Array) -> Array:
     """A unit vector perpendicular to another."""
-    vector = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    unit: Array = vector / np.linalg.norm(vector)
+    x, y, z = axis
+    vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
+    unit: Array = np.array(vector) / math.hypot(*vector)
     return unit

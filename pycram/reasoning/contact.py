@@ -21,7 +21,12 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
         a: one.
         b: the other.
         margin: m up to which a gap counts as touching.
+
+    Returns:
+        The touches; none of an object with itself.
     """
+    if a is b:
+        return []  # the engine would tell how a body overlaps itself
     engine = a.world.engine
     return [touch for touch in engine.touches(a.handle, b.handle, margin) if touch.distance <= margin]
 

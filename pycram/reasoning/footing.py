@@ -1,8 +1,9 @@
 """Whether things that are at rest stand firmly: a knife on its end is at rest too, until it falls.
 
 A thing stands firmly if the middle of mass of it and of all that rests on it lies well within the area on which it
-stands: where its underside and the tops of what carries it overlap. A ball, or a bottle on its side, never does: only
-time shows whether it rolls.
+stands: where its underside and the tops of what carries it overlap, and between the points that carry it, as a spoon
+in a bowl, where friction holds it: forces straight up are possible there, and balance it. A ball never stands firmly:
+only time shows whether it rolls.
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.body import Body
-    from pycram.engine import Engine
+    from pycram.engine import Contact, Engine
     from recorder.geometry import Vector
 
     Points = NDArray[np.float64]
 
 _CARRYING: Final = 0.3  # of a normal's length pointing up
 _FLAT: Final = 0.002  # m within which corners are of one level
+_GRIPPED: Final = 0.8  # of friction's angle that a contact may slope
 _TILT: Final = math.radians(3)  # that a firm thing can be tilted by before it tips
 
 
@@ -67,23 +69,27 @@ def firm(engine: Engine, things: Sequence[Thing], standing: Sequence[Thing], gra
     known = {thing.body.id: thing for thing in things}
     below = {thing.body.id: _carriers(engine, thing.body, up) for thing in standing}
     loads = {
-        number: [other for other, carriers in below.items() if number in {c[0] for c in carriers}] for number in below
+        number: [other for other, carriers in below.items() if number in {body for body, _ in carriers}]
+        for number in below
     }
     masses = {thing.body.id: engine.center_of_mass(thing.body) for thing in standing}
     for thing in standing:
         number = thing.body.id
         places, weights = zip(*(masses[other] for other in _above(number, loads)), strict=True)
         middle = np.average(np.array(places), axis=0, weights=weights) @ level
-        feet = _feet(engine, thing, [(known[other], link, at) for other, link, at in below[number]], level)
-        if not len(feet) or _margin(feet[:, :2], middle[:2]) < math.tan(_TILT) * (middle[2] - feet[0, 2]):
+        feet = _feet(engine, thing, [(known[other], where) for (other, _), where in below[number].items()], level)
+        if not len(feet) or _margin(feet[:, :2], middle[:2]) < math.tan(_TILT) * (middle[2] - feet[:, 2].min()):
             return False
     return True
 
 
-def _carriers(engine: Engine, body: Body, up: Points) -> list[tuple[int, int, Vector]]:
-    """What carries a body: ids, links and points; each link once."""
-    found = {(other, link): at for other, link, at, normal in engine.contacts(body) if np.dot(normal, up) > _CARRYING}
-    return [(other, link, at) for (other, link), at in found.items()]
+def _carriers(engine: Engine, body: Body, up: Points) -> dict[tuple[int, int], list[Contact]]:
+    """What carries a body: ids and links, and where."""
+    found: dict[tuple[int, int], list[Contact]] = {}
+    for contact in engine.contacts(body):
+        if np.dot(contact.normal, up) > _CARRYING:
+            found.setdefault((contact.other, contact.other_link), []).append(contact)
+    return found
 
 
 def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
@@ -97,19 +103,28 @@ def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
     return found
 
 
-def _feet(engine: Engine, thing: Thing, carriers: Iterable[tuple[Thing, int, Vector]], level: Points) -> Points:
+def _feet(engine: Engine, thing: Thing, carriers: Iterable[tuple[Thing, Sequence[Contact]]], level: Points) -> Points:
     """Corners (n, 3) of where a thing stands, in the levelled frame."""
     underside = _corners(engine, thing, None) @ level
     parts = []
-    for carrier, link, at in carriers:
-        height = float(np.dot(at, level[:, 2]))
-        top = _corners(engine, carrier, link) @ level
+    for carrier, contacts in carriers:
+        height = float(np.dot(contacts[0].position, level[:, 2]))
+        top = _corners(engine, carrier, contacts[0].other_link) @ level
         lower = _outline(underside[np.abs(underside[:, 2] - height) < _FLAT, :2])
         upper = _outline(top[np.abs(top[:, 2] - height) < _FLAT, :2])
         if len(lower) > 2 and len(upper) > 2:
             area = _overlap(lower, upper)
             parts.append(np.column_stack([area, np.full(len(area), height)]))
+        points = [contact.position for contact in contacts if _grips(engine, thing, contact, level[:, 2])]
+        parts.append(np.array(points).reshape(-1, 3) @ level)
     return np.concatenate(parts) if parts else np.zeros((0, 3))
+
+
+def _grips(engine: Engine, thing: Thing, contact: Contact, up: Points) -> bool:
+    """Whether a contact carries, and is flat enough for friction to hold on to it."""
+    grip = engine.friction(thing.body.id, contact.link) * engine.friction(contact.other, contact.other_link)
+    slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))
+    return contact.force > 0.0 and slope < _GRIPPED * math.atan(grip)
 
 
 def _corners(engine: Engine, thing: Thing, link: int | None) -> Points:

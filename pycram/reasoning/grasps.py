@@ -23,12 +23,10 @@ from recorder.geometry import IDENTITY
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
     from pycram.robots.description import Arm
-    from recorder.geometry import Pose, Quaternion, Vector
+    from recorder.geometry import Quaternion, Vector
 
     Cost = tuple[bool, float, float, float]
 
@@ -97,18 +95,15 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         names: the sides that are allowed; all by default.
     """
     outline = Outline(body)
-    sides = []
-    for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
-        if names is None or name in names:
-            turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
-            sides.append([(name, other) for other in (turn, *_along(turn, body))])
-    fitting = _between_fingers(outline, [option for options in sides for option in options], arm)
     found: list[Grasp] = []
-    for options in sides:
-        grasps = [grasp for option in options if (grasp := fitting[option]) is not None]
-        if grasps:  # as the robot stands, unless the object lies across
-            straight = options[0][1]
-            found.append(min(grasps, key=lambda grasp: grasp.width + (grasp.orientation != straight) * _SPARE))
+    for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
+        if names is not None and name not in names:
+            continue
+        turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
+        options = [_between_fingers(outline, name, other, arm) for other in (turn, *_along(turn, body))]
+        fitting = [grasp for grasp in options if grasp is not None]
+        if fitting:  # as the robot stands, unless the object lies across
+            found.append(min(fitting, key=lambda grasp: grasp.width + (grasp.orientation != turn) * _SPARE))
     if all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
         found.extend(_rims(outline, robot, arm))
     return found
@@ -129,34 +124,16 @@ def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(
-    outline: Outline, options: Sequence[tuple[str, Quaternion]], arm: Arm
-) -> dict[tuple[str, Quaternion], Grasp | None]:
-    """For each side and orientation the grasp with the object in the middle of the fingers; None if it doesn't fit."""
+def _between_fingers(outline: Outline, name: str, turn: Quaternion, arm: Arm) -> Grasp | None:
+    """The grasp from one side, with the object in the middle between the fingers; None if it doesn't fit."""
     gripper = arm.gripper
-    frames: list[Pose] = []
-    places: list[NDArray[np.float64]] = []
-    for name, turn in options:
-        x, y, z = outline.middle
-        if name != "top":
-            z = max(z, outline.low[2] + gripper.underside)
-        half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
-        count = max(4, math.ceil((half + gripper.tips) / _STEP))
-        frames.append(((x, y, z), turn))
-        places.append(np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2])
-    surfaces = outline.across(frames, [each.tolist() for each in places], _PADS)
-    return {
-        option: _held(outline, option[0], frame, along, surface, arm)
-        for option, frame, along, surface in zip(options, frames, places, surfaces, strict=True)
-    }
-
-
-def _held(
-    outline: Outline, name: str, frame: Pose, places: NDArray[np.float64], surface: NDArray[np.float64], arm: Arm
-) -> Grasp | None:
-    """The grasp in a frame where an object's surface was looked for at places along the fingers."""
-    gripper = arm.gripper
-    (_, _, z), turn = frame
+    x, y, z = outline.middle
+    if name != "top":
+        z = max(z, outline.low[2] + gripper.underside)
+    half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
+    count = max(4, math.ceil((half + gripper.tips) / _STEP))
+    places = np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2]
+    surface = outline.across(((x, y, z), turn), places.tolist(), _PADS)
     solid = ~np.isnan(surface[:, 0])
     if not solid.any():
         return None
@@ -169,7 +146,7 @@ def _held(
     low, high = float(held[:, 0].min()), float(held[:, 1].max())
     if high - low > gripper.aperture - _SPARE:
         return None
-    return Grasp(name, geometry.transform(frame, (deep, (low + high) / 2, 0.0)), turn, high - low)
+    return Grasp(name, geometry.transform(((x, y, z), turn), (deep, (low + high) / 2, 0.0)), turn, high - low)
 
 
 def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:

@@ -287,7 +287,7 @@ class ArmKinematics:
         return home[None], [np.vstack([home, *seeds, *self._samples(0, few)]), self._samples(few, many)]
 
     def _misses(self, postures: Array, goal: Array, turn: Array | None) -> Array:
-        """Errors (n, 2) of position and orientation, in tolerances."""
+        """Errors (n, 2) of position and orientation, in tolerances, for one target or one for each."""
         pose = self.poses(postures)
         misses = np.zeros((len(postures), 2))
         misses[:, 0] = np.linalg.norm(pose[:, :3, 3] - goal, axis=1) / POSITION_TOLERANCE
@@ -321,8 +321,10 @@ class ArmKinematics:
             else:
                 found, strain = self._closed.postures(goals, None, home)
                 exact = [ways[strains == 0.0] for ways, strains in zip(found, strain, strict=True)]
-            for goal, turn, ways in zip(goals, turns, exact, strict=True):
-                told.append(self._told(self._distinct(ways, home), goal, turn) if len(ways) else [])
+            kept = [self._distinct(ways, home) if len(ways) else ways for ways in exact]
+            which = np.repeat(np.arange(len(chunk)), [len(ways) for ways in kept])
+            rows = self._told(np.concatenate(kept), goals[which], np.array(matrices)[which] if matrices else None)
+            told += [[rows[row] for row in np.flatnonzero(which == number)] for number in range(len(chunk))]
         return told
 
     def _distinct(self, found: Array, home: Array) -> Array:

@@ -71,6 +71,8 @@ class Outline:
         self._solids = solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
+        self._centers = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
+        self._radii = np.linalg.norm(solids.high - solids.low, axis=1) / 2 + 2 * _PADDED
         self._normals = np.einsum("mij,mj->mi", turns[solids.pieces], solids.normals)
         self._offsets = solids.offsets + (self._normals * positions[solids.pieces]).sum(axis=1) + _PADDED
 
@@ -82,30 +84,21 @@ class Outline:
         """
         return half(self.low, self.high, direction)
 
-    def across(self, frames: Sequence[Pose], xs: Sequence[Sequence[float]], zs: Sequence[float]) -> list[Array]:
-        """How far it extends along the y axes of frames.
+    def across(self, frame: Pose, xs: Sequence[float], zs: Sequence[float]) -> Array:
+        """How far it extends along the y axis of a frame.
 
         Args:
-            frames: in the world.
-            xs: for each frame, places along its x axis, m.
-            zs: places along the frames' z axes, m; of all of them together the farthest count.
+            frame: in the world.
+            xs: places along the frame's x axis, m.
+            zs: places along the frame's z axis, m; of all of them together the farthest count.
 
         Returns:
-            For each frame (len(its xs), 2), m: lowest and highest y at each x; nan where there is nothing.
+            (len(xs), 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
-        turns = [geometry.to_matrix(turn) for _, turn in frames]
-        starts = [
-            (np.asarray(at) + np.asarray(x)[:, None, None] * turn[:, 0] + np.asarray(zs)[:, None] * turn[:, 2])
-            for (at, _), turn, x in zip(frames, turns, xs, strict=True)
-        ]
-        counts = [len(x) * len(zs) for x in xs]
-        along = np.repeat(np.array([turn[:, 1] for turn in turns]).reshape(-1, 3), counts, axis=0)
-        enter, leave = self._met(np.concatenate([start.reshape(-1, 3) for start in starts]), along)
-        lowest = enter.min(axis=1, initial=np.inf).reshape(-1, len(zs)).min(axis=1)
-        highest = leave.max(axis=1, initial=-np.inf).reshape(-1, len(zs)).max(axis=1)
-        found = np.stack([lowest, highest], axis=1)
+        enter, leave = self._met(frame, (0, 2, 1), xs, zs)
+        found = np.stack([enter.min(axis=(1, 2), initial=np.inf), leave.max(axis=(1, 2), initial=-np.inf)], axis=1)
         found[~np.isfinite(found)] = np.nan
-        return np.split(found, np.cumsum([len(x) for x in xs])[:-1])
+        return found
 
     def wall(self, frame: Pose, ys: Sequence[float], zs: Sequence[float]) -> Array:
         """Where the wall of something hollow is, looked for from the origin of a frame along its x axis.
@@ -119,40 +112,48 @@ class Outline:
             (len(zs), 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters no piece,
             as where it begins within the solid, both where there is nothing.
         """
-        at, turn = frame
-        axes = geometry.to_matrix(turn)
-        starts = np.asarray(at) + np.asarray(zs)[:, None, None] * axes[:, 2] + np.asarray(ys)[:, None] * axes[:, 1]
-        starts = starts.reshape(-1, 3)
-        enter, leave = self._met(starts, np.broadcast_to(axes[:, 0], starts.shape))
-        shape = len(zs), len(ys)
-        first = np.where(enter > 0.0, enter, np.inf).min(axis=1, initial=np.inf).reshape(shape)
-        last = np.where(leave > 0.0, leave, -np.inf).max(axis=1, initial=-np.inf).reshape(shape)
+        enter, leave = self._met(frame, (2, 1, 0), zs, ys)
+        first = np.where(enter > 0.0, enter, np.inf).min(axis=2, initial=np.inf)
         inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
-        found = np.stack([inside, last.max(axis=1)], axis=1)
+        outside = np.where(leave > 0.0, leave, -np.inf).max(axis=(1, 2), initial=-np.inf)
+        found = np.stack([inside, outside], axis=1)
         found[~np.isfinite(found)] = np.nan
         return found
 
-    def _met(self, starts: Array, along: Array) -> tuple[Array, Array]:
-        """Where lines pass through its pieces.
+    def _met(
+        self, frame: Pose, order: tuple[int, int, int], us: Sequence[float], vs: Sequence[float]
+    ) -> tuple[Array, Array]:
+        """Where parallel lines pass through its pieces.
 
         Args:
-            starts: (n, 3) a point of each line, in the world, m.
-            along: (n, 3) unit vectors.
+            frame: in the world.
+            order: of the frame's axes: u and v across the lines, w along them.
+            us: places of lines along u, m.
+            vs: places of lines along v, m.
 
         Returns:
-            (n, pieces), m: how far from its point each line enters and leaves each piece; inf and -inf where it misses.
+            (len(us), len(vs), pieces), m: w at which each line enters and leaves each piece that is near; inf and -inf
+            where it misses it.
         """
-        pieces = self._solids.starts
-        if not len(pieces):
-            nowhere = np.zeros((len(starts), 0))
-            return nowhere, nowhere
-        speed = along @ self._normals.T
-        speed[np.abs(speed) < _ALONG] = 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # beside a plane that a line goes along: inf within, -inf without, both as they must be
-            meets = (self._offsets - starts @ self._normals.T) / speed
-        enter = np.fmax.reduceat(np.where(speed < 0.0, meets, -np.inf), pieces, axis=1)
-        leave = np.fmin.reduceat(np.where(speed < 0.0, np.inf, meets), pieces, axis=1)
+        position, turn = frame
+        axes = geometry.to_matrix(turn)[:, order]
+        at = (self._centers - position) @ axes[:, :2]
+        low, high = np.array([min(us), min(vs)]), np.array([max(us), max(vs)])
+        reach = self._radii[:, None]
+        near = ((at >= low - reach) & (at <= high + reach)).all(axis=1)
+        chosen = near[self._solids.pieces]
+        pieces, normals = self._solids.pieces[chosen], self._normals[chosen]
+        u, v, along = (normals @ axes).T
+        # a plane that lines go along is left far away by those within, and was left long ago by those without
+        along = np.where(np.abs(along) < _ALONG, _ALONG, along)
+        room = (self._offsets[chosen] - normals @ np.asarray(position)) / along
+        u, v = u / along, v / along
+        ends = []
+        for side, nearest in ((along < 0.0, np.maximum), (along > 0.0, np.minimum)):  # each piece has planes of both
+            meets = room[side] - np.multiply.outer(us, u[side])[:, None] - np.multiply.outer(vs, v[side])
+            firsts = np.flatnonzero(np.diff(pieces[side], prepend=-1))
+            ends.append(nearest.reduceat(meets, firsts, axis=2) if len(firsts) else meets)
+        enter, leave = ends
         missed = enter > leave
         enter[missed], leave[missed] = np.inf, -np.inf
         return enter, leave

@@ -42,8 +42,8 @@ def judge(
     if rehearsal is None or not ways:
         return Verdict(ways, evidence)
     settled = rehearsal.settled(ways[0].link if oriented else None)
-    for way in ways:
-        rehearsal.take(way.posture.positions, base)
+    for way, posture in zip(ways, rehearsal.foresee([way.posture.positions for way in ways], base), strict=True):
+        rehearsal.take(posture)
         touched = rehearsal.touched()
         own = rehearsal.touches_itself()
         if not touched and not own:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pycram import cargo
 from pycram.reasoning.articulation import Articulation
-from pycram.reasoning.boxes import Boxes, meeting, together
+from pycram.reasoning.boxes import meeting, overlapping, together
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
@@ -103,6 +103,7 @@ class Rehearsal:
         self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
         self._there = False
         self._seen: dict[Pair, list[Touch]] = {}
+        self._own: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -112,28 +113,25 @@ class Rehearsal:
     ) -> None:
         self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
-    def foresee(self, postures: Sequence[Mapping[str, float]], bases: Sequence[Pose | None] = ()) -> list[Foreseen]:
+    def foresee(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Foreseen]:
         """Finds out what could touch in postures, all at once.
 
         Args:
             postures: joint values in rad or m by name; the others stay.
-            bases: poses of the robot's base, as many as postures; None or no bases: it stays.
+            base: pose of the robot's base in them; it stays by default.
         """
-        stands = bases or [None] * len(postures)
         moved = self._articulation.moved(postures)
         there = moved
-        if any(base is not None for base in stands):
-            back = geometry.invert(self._stand)
-            driven = [geometry.IDENTITY if base is None else geometry.multiply(base, back) for base in stands]
-            there = np.array([geometry.pose_matrix(pose) for pose in driven])[:, None] @ moved
+        if base is not None:
+            there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
         found: list[dict[Pair, None]] = [{} for _ in postures]  # in order, each once
         for posture, box, other in zip(*meeting(centers, axes, self._mine.halves, self._others), strict=True):
             mover, link, _ = self._owners[box]
             found[posture][mover, link, self._whose[other], self._others.links[other]] = None
         return [
-            Foreseen(positions, base, tuple(pairs), way)
-            for positions, base, pairs, way in zip(postures, stands, found, moved, strict=True)
+            Foreseen(positions, base, _in_turn(pairs), way)
+            for positions, pairs, way in zip(postures, found, moved, strict=True)
         ]
 
     def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
@@ -144,7 +142,7 @@ class Rehearsal:
             base: pose of its base; it stays by default.
         """
         if not isinstance(positions, Foreseen):
-            (positions,) = self.foresee([positions], [base])
+            (positions,) = self.foresee([positions], base)
         self._taken = positions
         self._there = False
         self._seen = {}
@@ -197,21 +195,28 @@ class Rehearsal:
 
     def touches_itself(self) -> list[tuple[str, str]]:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
-        centers, axes = self._whole.carried(self._taken.moved[None, self._carried])
-        whole = Boxes(self._whole.links, centers[0], axes[0], self._whole.halves)
-        moving = np.array([link in self._moving for link in whole.links], dtype=bool)
-        met = meeting(centers[:, moving], axes[:, moving], whole.halves[moving], whole)
-        names = [link for link in whole.links if link in self._moving]
-        pairs = dict.fromkeys((names[box], whole.links[other]) for _, box, other in zip(*met, strict=True))
-        found = []
-        for link, other in pairs:
-            if other in self._moving and other <= link:
-                continue  # seen from the other side
-            if abs(self._depth[link] - self._depth[other]) <= _BESIDE:
-                continue
-            if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other))):
-                found.append((link, other))
-        return found
+        whole = self._whole
+        centers, axes = whole.carried(self._taken.moved[None, self._carried])
+        firsts, seconds = self._own_pairs()
+        met = overlapping(centers[0], axes[0], whole.halves, firsts, seconds)
+        pairs = dict.fromkeys((whole.links[firsts[pair]], whole.links[seconds[pair]]) for pair in met)
+        return [
+            (link, other)
+            for link, other in pairs
+            if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other)))
+        ]
+
+    def _own_pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Boxes of its links, one of which moves, that hang on numbers of joints more than a shoulder apart."""
+        if self._own is None:
+            links = self._whole.links
+            moving = np.array([link in self._moving for link in links], dtype=bool)
+            depths = np.array([self._depth[link] for link in links])
+            names = np.array(links)
+            told = moving[:, None] & (np.abs(depths[:, None] - depths) > _BESIDE)
+            firsts, seconds = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
+            self._own = firsts, seconds
+        return self._own
 
     def beyond(self, joints: Collection[str]) -> set[str]:
         """The robot's links that hang on all of some joints: with an arm's joints its hand.
@@ -230,6 +235,17 @@ class Rehearsal:
         """
         depths = {0} if link is None else {0, self._depth[link]}
         return {other for other, depth in self._depth.items() if depth in depths}
+
+
+def _in_turn(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
+    """Each object's first pair, then each one's second, and so on, as first it counts who is hit; furniture first."""
+    turns: dict[Object, int] = {}
+    order = []
+    for number, pair in enumerate(pairs):
+        other = pair[2]
+        turns[other] = turns.get(other, 0) + 1
+        order.append((turns[other], not other.fixed, number, pair))
+    return tuple(pair for *_, pair in sorted(order, key=lambda item: item[:3]))
 
 
 def _told(touches: list[Touch]) -> dict[str, object]:

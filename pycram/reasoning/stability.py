@@ -39,13 +39,7 @@ _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _CHECK: Final = 6  # steps between looks
 _LOOKS: Final = 4  # in a row, at which all must be at rest
-_DECISIONS: Final = (
-    4,
-    8,
-    16,
-    32,
-    64,
-)  # looks after which it is asked whether all stands firmly, which isn't for nothing
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # looks after which it is asked whether all stands firmly: not for nothing
 _GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling

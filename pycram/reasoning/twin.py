@@ -77,12 +77,19 @@ class Twin:
                 self.engine.set_pose(copy.body, _AWAY)
                 copy.state = None
         copies = {name: self._copy(body) for name, body in wanted.items()}
+        if self._solid:
+            self._start_afresh(wanted.values(), copies)
         if holding:
             for body in wanted.values():
                 for held in body.carried:
                     if held.body.name in copies:
                         self._hold(held, copies)
         return copies
+
+    def _start_afresh(self, bodies: Iterable[Object], copies: Mapping[str, Body]) -> None:
+        """Forgets contacts of earlier questions, which would change the last bits of the answer."""
+        for body in bodies:
+            self.engine.separate(copies[body.name], fixed=body.fixed, robot=body.is_robot)
 
     def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]

@@ -33,7 +33,8 @@ import set_the_table
 
 pytestmark = pytest.mark.slow
 
-LEFT, FRAME = "l_gripper_tool_frame", "wide_stereo_optical_frame"
+LEFT, RIGHT, FRAME = "l_gripper_tool_frame", "r_gripper_tool_frame", "wide_stereo_optical_frame"
+CLUTTER = ["milk", "cup", "bowl", "apple", "plate", "bottle", "breakfast_cereal", "pot", "glass", "spoon"]
 MANY = 40  # objects far away: ten times those that are near
 
 
@@ -124,6 +125,36 @@ def test_what_queries_cost(kitchen: Object) -> None:
     assert not missed
 
 
+def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:
+    """Random things close together on the counter, one after the other the target, for both arms."""
+    world = kitchen.world
+    robot, unit = world.robot, units(world)["IK call"]
+    for body in [body for body in world.objects if not body.fixed]:
+        body.remove()
+    rng = np.random.default_rng(0)
+    costs: dict[str, list[float]] = {"blocked": [], "free": [], "out of reach": []}
+    for _ in range(8):
+        things = []
+        for index, file in enumerate(rng.choice(CLUTTER, 6)):
+            body = Object(
+                f"{file}_{index}", str(file), f"{file}.stl", [0, 0, 2], geometry.from_rpy(0, 0, rng.uniform(-3, 3))
+            )
+            x, y = rng.uniform([1.1, 0.5], [1.5, 0.9])
+            body.set_position([float(x), float(y), 2.85 - body.get_AABB()[0][2]])
+            things.append(body)
+        for body in things[:3]:
+            for arm in (LEFT, RIGHT):
+                found = btr.blocking(body, robot, arm)
+                kind = "blocked" if found else "free" if found.evidence["reached"] else "out of reach"
+                costs[kind].append(ratio(lambda body=body, arm=arm: btr.blocking(body, robot, arm), unit, 3))
+        for body in things:
+            body.remove()
+    print()
+    for kind, each in costs.items():
+        print(f"blocking, {kind:12} {statistics.median(each):5.2f} IK calls in the median of {len(each)}, goal 5")
+    assert statistics.median(costs["blocked"]) < 20
+
+
 def test_what_is_far_away_costs_little(kitchen: Object) -> None:
     """The same queries before and after ten times as many things stand 20 m away."""
     world = kitchen.world
@@ -179,7 +210,7 @@ def test_verdicts_are_those_of_full_size_images(kitchen: Object) -> None:
             alone, seen = pixels(copies[body.name].id, lone.engine._client), pixels(body.id, client)
             same += bool(btr.visible(body, eye)) == (seen > 0.8 * alone)
     print(f"\n{same} of {asked} verdicts are those of full-size images")
-    assert same >= 0.98 * asked
+    assert same >= 0.99 * asked
 
 
 def test_200_places_of_the_robot(kitchen: Object) -> None:
@@ -200,4 +231,4 @@ def test_200_places_of_the_robot(kitchen: Object) -> None:
         took = seconds(lambda options=options: btr.reachable_poses([at], robot, LEFT, bases=bases, **options))
         step = statistics.median(seconds(lambda: world.engine.step(1)) for _ in range(30))
         print(f"{name:20} {took:.2f} s, {took / step:.0f} steps")
-        assert took < 2000 * step
+        assert took < 1000 * step

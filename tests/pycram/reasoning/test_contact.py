@@ -215,3 +215,5 @@ def test_nothing_is_stepped_and_nothing_carries_itself(scene: BulletWorld) -> No
     milk.set_position([x, y, z + 0.05])
     assert not btr.contact(milk, scene.get_object("kitchen"))
     assert milk.get_position() == [x, y, z + 0.05]
+    assert not btr.contact(milk, milk, margin=1.0)
+    assert not btr.supporting(milk, milk)

@@ -40,7 +40,7 @@ def test_widths_are_those_that_rays_feel(world: BulletWorld, name: str) -> None:
         frame = (outline.middle, turn)
         xs = np.linspace(-0.1, 0.1, 41).tolist()
         low, high = felt(body, frame, xs, PADS, 1.0), felt(body, frame, xs, PADS, -1.0)
-        (found,) = outline.across([frame], [xs], PADS)
+        found = outline.across(frame, xs, PADS)
         there = ~np.isnan(found[:, 0])
         felt_there = ~np.isnan(low).all(axis=1) & ~np.isnan(high).all(axis=1)
         assert (there == felt_there).mean() > 0.85, "they differ where a ray grazes an edge"
@@ -69,7 +69,7 @@ def test_what_is_solid_or_not_there_has_no_inside(world: BulletWorld) -> None:
     assert math.isnan(within[0])
     assert within[1] == pytest.approx(0.04, abs=0.01)
     assert np.isnan(above).all()
-    assert np.isnan(outline.across([((x, y, z + 1), (0, 0, 0, 1))], [[0.0]], PADS)).all()
+    assert np.isnan(outline.across(((x, y, z + 1), (0, 0, 0, 1)), [0.0], PADS)).all()
 
 
 def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -> None:
@@ -89,11 +89,11 @@ def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -
     two = Object("two", "two", file, [0, 0, 1])
     for value, far in ((0.0, 0.1), (0.4, 0.45)):
         two.set_joint_position("slide", value)
-        (((low, high),),) = Outline(two).across([((0, 0, 1), (0, 0, 0, 1))], [[0.0]], (0.0,))
+        ((low, high),) = Outline(two).across(((0, 0, 1), (0, 0, 0, 1)), [0.0], (0.0,))
         assert low == pytest.approx(-0.1, abs=0.002)
         assert high == pytest.approx(far, abs=0.002)
     bare = tmp_path / "frame.urdf"
     bare.write_text('<robot name="frame"><link name="nothing"/></robot>')
     frame = Outline(Object("frame", "frame", bare))
-    assert np.isnan(frame.across([((0, 0, 0), (0, 0, 0, 1))], [[0.0]], (0.0,))).all()
+    assert np.isnan(frame.across(((0, 0, 0), (0, 0, 0, 1)), [0.0], (0.0,))).all()
     assert np.isnan(frame.wall(((0, 0, 0), (0, 0, 0, 1)), (0.0,), [0.0])).all()

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
+from pycram.failures import BadArgument
 from pycram.process_module import ProcessModule
 from pycram.reasoning import visibility
 from recorder import geometry
@@ -199,6 +200,17 @@ def test_a_corner_in_the_plane_of_the_camera_is_no_matter(world: BulletWorld) ->
         Object(f"box {wall}", "environment", "milk.stl", [wall, 2.0, 1.0])
     for eye in ([-1.0, 0.0, 1.0], [0.0, -1.0, 1.0], [0.0, 0.0, 2.0]):
         assert btr.visible(cup, eye).evidence["share"] == 1.0
+
+
+def test_a_camera_of_another_worlds_robot_sees_nothing_here(world: BulletWorld) -> None:
+    milk = Object("milk", "milk", "milk.stl", [1.5, 0, 1])
+    with BulletWorld():
+        robot = Object("pr2", "robot", "pr2.urdf")
+        for query in (btr.visible, btr.occluding):
+            with pytest.raises(BadArgument, match="pr2 is in"):
+                query(milk, "wide_stereo_optical_frame", robot=robot)
+            with pytest.raises(BadArgument, match="robot"):
+                query(milk, "wide_stereo_optical_frame", robot=milk)
 
 
 def test_things_without_a_shape_are_no_matter(world: BulletWorld, tmp_path: Path) -> None:
