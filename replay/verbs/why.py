@@ -88,7 +88,8 @@ def facts(found: Why) -> dict[str, object]:
         ],
         "task": found.task and _task_facts(found.task),
         "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
-        "line": found.line and _line_facts(found.line),
+        "line": _line_facts(found.way[-1]) if found.way else None,
+        "callers": [_line_facts(line) for line in found.way[:-1]],
         "world": found.world and found.world.name,
         "things": [
             {
@@ -219,9 +220,9 @@ def _running(found: Why) -> Iterator[str]:
 
 def _where(found: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    if found.line is not None and not (found.raised and found.raised[0].lines):
-        shown.add((found.line.file, found.line.number))
-        yield from _line(found.line)
+    for line in () if found.raised and found.raised[0].lines else found.way:
+        shown.add((line.file, line.number))
+        yield from _line(line)
     for error in found.raised:
         fresh = [line for line in error.lines if (line.file, line.number) not in shown]
         if shown and fresh:
