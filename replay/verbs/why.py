@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 from replay import words
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
-from replay.plain import plain_arguments, plain_record
+from replay.plain import plain_record
+from replay.question import BadQuestion, Question, question_of
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -391,11 +392,15 @@ def _commands(found: Why, path: str) -> Iterator[str]:
 def _again(query: Query) -> str:
     """A query as ``ask`` takes it: what it was about, without its thresholds."""
     about = []
-    for name, told in plain_arguments(query.arguments).items():
-        if told is None or name in ("threshold", "margin", "grasp", "collision_free"):
+    try:
+        asked = question_of(query)
+    except BadQuestion:
+        return words.question(query)
+    for name, term in asked.keywords.items():
+        if name in ("threshold", "margin", "grasp", "collision_free"):
             break
-        about.append(words.value(told))
-    return f"{query.name}({', '.join(about)})"
+        about.append(term)
+    return str(Question(query.name, tuple(about)))
 
 
 def _nearer(found: Why) -> str:
