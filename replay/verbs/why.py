@@ -176,7 +176,7 @@ def _headline(found: Why) -> Iterator[str]:
     run, name = found.run, found.run.plan or "the plan"
     if run.outcome == "failed":
         message = run.failure
-        if found.failure is not None and found.failure.message and not found.is_of_python:
+        if found.raised and found.failure is not None and found.failure.message and not found.is_of_python:
             message = found.failure.message  # says it in words
         yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
     elif run.outcome == "succeeded":
@@ -206,7 +206,7 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
             yield f"{name} failed {times} times; it last succeeded at step {found.same.task.end}."
         yield f"The last, {_call(motion)}, ended at step {task.end}: {told}"
         return
-    lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
+    lead = "It began when" if found.raised else "Before that,"
     yield f"{lead} {_call(motion)} failed at step {task.end}: {told}"
 
 

@@ -261,6 +261,26 @@ def test_why_of_another_failure(small: Log) -> None:
         why(small, 5)
 
 
+def test_another_failure_isn_t_told_to_be_the_plan_s(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(small.path), "task:put@end"]) == 0
+    first, second = capsys.readouterr().out.splitlines()[:2]
+    assert "the milk can't be put anywhere" in first
+    assert second.startswith("Before that, put(object=milk, height=1) failed")
+
+
+def test_after_the_end_of_all_worlds_it_is_said_that_they_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab"):
+        Object("ball", "ball", "apple.stl")
+    for verb in ("state", "render", "ask"):
+        more = {"state": "ball", "ask": "stable(ball)"}.get(verb)
+        assert main([verb, str(tmp_path / "x.mcap"), "last", *([more] if more else [])]) == 2
+        said = capsys.readouterr().err
+        assert "no world is open" in said
+        assert "lab" in said
+
+
 def take_what_is_gone(file: Path) -> None:
     with recorder.record(file), BulletWorld() as world:
         world.set_gravity([0, 0, -9.8])
