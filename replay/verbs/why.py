@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
+from replay.cli import FINE, INCOMPLETE, USAGE
+from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
 from replay.plain import plain_record
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
     from replay.source import Line
     from replay.why import Since, Thing, Try, Why
 
-_FINE, _INCOMPLETE = 0, 3
 _FIRST, _LAST = 2, 5  # so many attempts are told one by one
 _MOST: Final = 12  # lines of a difference
 _STEP: Final = 0.35  # m: what a thing is moved by, to ask again
@@ -43,30 +44,29 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Log, options: argparse.Namespace) -> int:
     """Prints the explanation."""
     found = why(log, options.step)
-    pictures, refused = _pictures(log, found, options.pictures)
+    code, pictures = _pictures(log, found, options.pictures)
     if options.json:
         tell_json(facts(found) | {"pictures": pictures})
     else:
         tell("\n".join(lines(found, str(log.path))))
         if pictures:
             tell("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
-    if refused:
-        remark(f"no pictures: {refused}")
-        return _INCOMPLETE
-    return _FINE
+    return code
 
 
-def _pictures(log: Log, found: Why, folder: str | None) -> tuple[list[str], str]:
-    """The pictures that were asked for, and why there are none if they can't be made."""
+def _pictures(log: Log, found: Why, folder: str | None) -> tuple[int, list[str]]:
+    """The pictures that were asked for; says why there are none if they can't be made."""
     if folder is None:
-        return [], ""
+        return FINE, []
     if found.failure is None:
-        return [], "nothing failed"
+        remark("no pictures: nothing failed")
+        return FINE, []
     try:
         with results_only():
-            return [str(path) for path in write_pictures(log, found, Path(folder))], ""
+            return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
-        return [], f"{type(error).__name__}: {error}"
+        remark(f"no pictures: {type(error).__name__}: {error}")
+        return INCOMPLETE if isinstance(error, Damaged) else USAGE, []
 
 
 # --- for machines ----------------------------------------------------------------------------------------------------

@@ -446,6 +446,14 @@ def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: py
     assert capsys.readouterr().out == "walk succeeded.\n"
 
 
+def test_pictures_of_no_failure_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"):
+        pass
+    assert main(["why", str(tmp_path / "x.mcap"), "--pictures", str(tmp_path / "pictures")]) == 0
+    assert "nothing failed" in capsys.readouterr().err
+    assert not (tmp_path / "pictures").exists()
+
+
 def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with recorder.record(tmp_path / "x.mcap", name="walk"), span("plan", "walk"):
         for number in range(12):
