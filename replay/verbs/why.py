@@ -221,7 +221,7 @@ def _running(found: Why) -> Iterator[str]:
 
 def _where(found: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    for line in () if found.raised and found.raised[0].lines else found.way:
+    for line in () if _leads_there(found) else found.way:
         shown.add((line.file, line.number))
         yield from _line(line)
     for error in found.raised:
@@ -231,6 +231,14 @@ def _where(found: Why) -> Iterator[str]:
         for line in fresh:
             shown.add((line.file, line.number))
             yield from _line(line)
+
+
+def _leads_there(found: Why) -> bool:
+    """Whether the lines of the exceptions lead to the task; those of a failed block end where the block does."""
+    lines = [line for error in found.raised for line in error.lines]
+    return any(
+        line.file == last.file and last.function in ("", line.function) for last in found.way[-1:] for line in lines
+    )
 
 
 def _line(line: Line) -> Iterator[str]:

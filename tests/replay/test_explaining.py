@@ -16,6 +16,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
+from pycram.language import par
 from recorder.records import Mutation, Query, Run, Task
 from recorder.span import span
 from replay import words
@@ -259,6 +260,29 @@ def test_why_of_another_failure(small: Log) -> None:
         assert found.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
     with pytest.raises(replay.NoSuchStep, match="no task failed"):
         why(small, 5)
+
+
+def drop_in_branch(ball: Object) -> None:
+    with span("motion", "drop", {"object": ball}):
+        raise PlanFailure("it is stuck")
+
+
+def drop_in_block(file: Path) -> None:
+    with recorder.record(file, source=__file__), BulletWorld(name="lab"):
+        ball = Object("ball", "ball", "apple.stl")
+        with par as block:
+            block(drop_in_branch, ball)
+
+
+def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(PlanFailure):
+        drop_in_block(tmp_path / "x.mcap")
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    where = capsys.readouterr().out.partition("Where in the plan\n")[2].partition("\n\n")[0]
+    told = [line.strip() for line in where.splitlines()]
+    assert told.index("block(drop_in_branch, ball)") < told.index('with span("motion", "drop", {"object": ball}):')
+    assert "which became BranchesFailed:" in told
+    assert "with par as block:" in told
 
 
 def test_another_failure_isn_t_told_to_be_the_plan_s(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
