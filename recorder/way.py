@@ -126,7 +126,7 @@ def _kind(file: str, module: str) -> _Kind:
         kind = _Kind.MACHINERY
     else:
         kind = _Kind.FOREIGN if _FOREIGN.search(file) else _Kind.PLAN
-    if not file.startswith("<"):  # many modules share such names
+    if file.startswith("<frozen") or not file.startswith("<"):  # many modules share "<string>" and the like
         _kinds[file] = kind
     return kind
 
