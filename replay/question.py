@@ -159,8 +159,8 @@ def _word(node: ast.expr) -> str:
 
 
 def _text(term: Term) -> str:
-    if isinstance(term, Name | str):  # a query takes the one for the other
-        text = term.text if isinstance(term, Name) else term
+    if isinstance(term, Name):
+        text = term.text
         return text if text.isidentifier() and not iskeyword(text) and text not in _WORDS else repr(text)
     if isinstance(term, list):
         return f"[{', '.join(map(_text, term))}]"

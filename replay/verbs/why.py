@@ -13,7 +13,7 @@ from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
 from replay.plain import plain_record
-from replay.question import BadQuestion, Question, question_of
+from replay.question import BadQuestion, Name, Question, Term, question_of
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -399,7 +399,7 @@ def _commands(found: Why, path: str) -> Iterator[str]:
 
 def _again(query: Query) -> str:
     """A query as ``ask`` takes it: what it was about, without its thresholds."""
-    about = []
+    about: list[Term] = []
     try:
         asked = question_of(query)
     except BadQuestion:
@@ -407,7 +407,7 @@ def _again(query: Query) -> str:
     for name, term in asked.keywords.items():
         if name in ("threshold", "margin", "grasp", "collision_free"):
             break
-        about.append(term)
+        about.append(Name(term) if isinstance(term, str) else term)  # a query takes the one for the other
     return str(Question(query.name, tuple(about)))
 
 

@@ -87,7 +87,10 @@ def test_words_of_records_are_read() -> None:
         "grasp": None,
         "threshold": 1e-3,
     }
-    assert str(Question("stable", (Name("red cup"), "true", "milk", True))) == "stable('red cup', 'true', milk, True)"
+    assert (
+        str(Question("stable", (Name("red cup"), Name("true"), Name("milk"), True)))
+        == "stable('red cup', 'true', milk, True)"
+    )
 
 
 def test_a_name_that_is_no_word_says_so() -> None:
