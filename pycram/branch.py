@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from pycram.cancellation import checkpoint, wait
 from pycram.failures import BadArgument, UsageError
 from pycram.handle import unwrap
-from recorder.span import Span, plan_line
+from recorder.span import Span, current
 from recorder.tasks import State
+from recorder.way import way_here
 
 if TYPE_CHECKING:
     import threading
@@ -73,7 +74,8 @@ class Branch:
         self.ordered = ordered
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
-        self.span.source = plan_line()
+        around = current()
+        self.span.source = way_here(around.source if around is not None else None)
         self._dropped = dropped
         self._begun = False
         self._changed = changed

@@ -52,8 +52,8 @@ from pycram.nested_blocks import nested
 from pycram.open_block import OpenBlock, Rule, current_block
 from pycram.retries import failure_handling, retry
 from pycram.timeouts import timeout
-from recorder.span import plan_line
 from recorder.tasks import State
+from recorder.way import plan_line
 
 if TYPE_CHECKING:
     from types import TracebackType

@@ -43,7 +43,8 @@ from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
 from pycram.open_block import alone, name_of
-from recorder.span import Span, plan_line
+from recorder.span import Span
+from recorder.way import plan_line
 
 if TYPE_CHECKING:
     from types import TracebackType

@@ -45,6 +45,7 @@ from recorder.proto.log_pb2 import (
     SetRealtime,
     SetRobot,
     Simulate,
+    SourceLine,
     Task,
 )
 
@@ -83,6 +84,7 @@ __all__ = [
     "SetRealtime",
     "SetRobot",
     "Simulate",
+    "SourceLine",
     "Task",
     "arguments",
     "failure",

@@ -11,19 +11,17 @@ Every span makes its records, whether anybody records or not: they are what the 
 from __future__ import annotations
 
 import itertools
-import sys
 import threading
 import time
 from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
-from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder import journal
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
+from recorder.way import Way, callers, way_here
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -38,9 +36,6 @@ KEPT_BYTES: Final = 100_000_000
 _FINISHED: Final = Task.FINISHED
 _ids = itertools.count(1)
 _current: ContextVar[Span | None] = ContextVar("pycram_span", default=None)
-
-#: Frames of these packages are the machinery; the plan's line is the first one outside of them.
-_MACHINERY = frozenset({"pycram", "recorder", "contextlib", "threading", "concurrent", "contextvars"})
 
 
 class Cancelled(BaseException):
@@ -86,7 +81,7 @@ class Span:
         parent: id of the task that it is part of, 0 for none.
         parameters: as given.
         attempt: which attempt it is, from 1; 0 if it is none.
-        source: file and line of the plan that asked for it; None to look for it here.
+        source: the way through the plan's code to where it was asked for; None to look for it when it starts.
         id: unique in this process, from 1.
         solution: as resolved; set while it runs.
         result: what it returned; set while it runs.
@@ -98,7 +93,7 @@ class Span:
     parent: int = field(default_factory=journal.task_id.get)
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0
-    source: tuple[str, int] | None = None
+    source: Way | None = None
     id: int = field(default_factory=lambda: next(_ids))
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
@@ -152,6 +147,7 @@ class Span:
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Runs its block as part of this task, which begins and ends elsewhere."""
+        self._way()
         token = _current.set(self)
         id_token = journal.task_id.set(self.id)
         try:
@@ -162,6 +158,7 @@ class Span:
 
     def __enter__(self) -> Self:
         """Begins, as the current task of this context."""
+        self._way()
         self._tokens = _current.set(self), journal.task_id.set(self.id)
         try:
             self.start()
@@ -180,8 +177,16 @@ class Span:
             _current.reset(current)
             journal.task_id.reset(number)
 
+    def _way(self) -> Way:
+        """The way to where it was asked for; looked for before it is itself the current task."""
+        if self.source is None:
+            outer = _current.get()
+            self.source = way_here(outer.source if outer is not None else None)
+        return self.source
+
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
-        file, line = plan_line() if self.source is None else self.source
+        way = self._way()
+        file, line = way.line
         world, sim_step = journal.now()
         self._emit(
             Task(
@@ -197,6 +202,7 @@ class Span:
                 parameters=arguments(self.parameters) if self.parameters else None,
                 source_file=file,
                 source_line=line,
+                callers=callers(way.lines),
                 attempt=self.attempt,
             )
         )
@@ -215,28 +221,6 @@ class Span:
 def current() -> Span | None:
     """The innermost running task of this context."""
     return _current.get()
-
-
-def plan_line() -> tuple[str, int]:
-    """File and line of the user's code that led here.
-
-    Returns:
-        Path and line number of the innermost frame that isn't ours or the standard library's thread machinery.
-    """
-    frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: 100 times slower
-    while frame is not None:
-        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        if package not in _MACHINERY or _is_demo(frame.f_code.co_filename):
-            return frame.f_code.co_filename, frame.f_lineno
-        if frame.f_back is None:
-            break
-        frame = frame.f_back
-    return "", 0
-
-
-@lru_cache(maxsize=256)
-def _is_demo(file: str) -> bool:
-    return Path(file).parent.name == "demos"
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

@@ -103,11 +103,12 @@ def label(node: Node) -> str:
     return f"{node.name}{shown}{'' if node.kind in _PLAIN_KINDS else ' ' + node.kind}"
 
 
-def facts(tree: Tree) -> list[dict[str, object]]:
+def facts(tree: Tree, most: int | None = None) -> list[dict[str, object]]:
     """All tasks for machines, each before its parts.
 
     Args:
         tree: the tree.
+        most: only so many levels.
     """
     way = {node.id for node in tree.failure_path()}
     return [
@@ -130,6 +131,7 @@ def facts(tree: Tree) -> list[dict[str, object]]:
             "source": node.source,
         }
         for depth, node in tree.walk()
+        if most is None or depth < most
     ]
 
 

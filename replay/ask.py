@@ -17,7 +17,7 @@ from pycram.failures import PycramError
 from pycram.reasoning.query import Verdict
 from recorder.records import Query, to_json
 from replay.errors import NoSuchName
-from replay.question import BadQuestion, Name, Question, Term, parse
+from replay.question import BadQuestion, Name, Question, parse, question_of
 from replay.world import aside
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getatt
 
 #: Parameters that take an object, or several; a pose may be one, or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
-_RECORDED: Final = {"gripper": "gripper_name"}  # arguments whose name on record isn't the parameter's
+_RECORDED: Final = {"gripper": "gripper_name"}  # what records call arguments whose parameter has another name
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,30 +127,6 @@ def again(log: Log, step: int | str, *, moves: Sequence[Move] = ()) -> Answer:
     return ask(log, number, question_of(record), world=record.world, moves=moves)
 
 
-def question_of(record: Query) -> Question:
-    """The question that a query on record was.
-
-    Args:
-        record: the query.
-
-    Raises:
-        BadQuestion: its arguments can't be read.
-    """
-    try:
-        arguments = {_RECORDED.get(told.name, told.name): _recorded(json.loads(told.json)) for told in record.arguments}
-    except ValueError as error:
-        raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
-    return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
-
-
-def _recorded(value: Plain) -> Term:
-    if isinstance(value, dict):
-        return Name(str(value.get("object", "")))
-    if isinstance(value, list):
-        return [_recorded(item) for item in value]
-    return value
-
-
 def _put(world: BulletWorld, move: Move) -> None:
     body = _object(world, move.body)
     try:
@@ -162,8 +138,9 @@ def _put(world: BulletWorld, move: Move) -> None:
 def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | Found[Verdict]:
     query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
     signature = inspect.signature(query)
+    keywords = {_RECORDED.get(name, name): term for name, term in question.keywords.items()}
     try:
-        bound = signature.bind(*question.arguments, **question.keywords)
+        bound = signature.bind(*question.arguments, **keywords)
     except TypeError as error:
         takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
         raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None

@@ -109,8 +109,7 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
                 if joint:
                     world.bodies[body].joint(joint)
                 return world, body, joint
-    known = [body for world in worlds for body in world.bodies]
-    raise NoSuchName("object", target.partition(".")[0], known)
+    raise state.no_body(target.partition(".")[0], worlds)
 
 
 class _Search:

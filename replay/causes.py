@@ -32,6 +32,7 @@ class Cause:
         parameters: as given.
         step: where it starts.
         line: the plan's line that started it; None if it is not known.
+        callers: the plan's lines that led to that one, outermost first.
     """
 
     task: int
@@ -40,6 +41,7 @@ class Cause:
     parameters: Mapping[str, Plain]
     step: int
     line: Line | None
+    callers: tuple[Line, ...]
 
     @classmethod
     def of(cls, started: Task, source: Source) -> Cause:
@@ -56,6 +58,7 @@ class Cause:
             plain_arguments(started.parameters),
             started.seq,
             source.line(started.source_file, started.source_line),
+            source.callers(started),
         )
 
 
@@ -77,6 +80,11 @@ class Causes:
     def line(self) -> Line | None:
         """The plan's line that led to the record, if it is known."""
         return next((cause.line for cause in self.tasks if cause.line is not None), None)
+
+    @property
+    def way(self) -> tuple[Line, ...]:
+        """The plan's lines that led to the record, outermost first and that line last."""
+        return next(((*cause.callers, cause.line) for cause in self.tasks if cause.line is not None), ())
 
 
 def causes(log: Log, record: Record) -> Causes:

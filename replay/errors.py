@@ -70,12 +70,12 @@ class NoSuchName(ReplayError, LookupError):
         known: what was there.
     """
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+    def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         self.name = name
         self.known = sorted(known)
         near = difflib.get_close_matches(name, self.known, 3)
         told = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.known) or 'none'}"
-        super().__init__(f"there is no {kind} {name!r}; {told}")
+        super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or told}")
 
 
 class NotRestored(ReplayError):

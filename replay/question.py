@@ -2,19 +2,24 @@
 
 A small language, read with Python's own parser but never executed: one call of a query with names, texts, numbers,
 lists and keyword arguments. A name stands for an object, for the robot, or for a frame: whichever the query takes.
+What records show of a query can be typed as a question too, with ``true``, ``false`` and ``null``.
 """
 
 from __future__ import annotations
 
 import ast
+import json
 from dataclasses import dataclass, field
 from keyword import iskeyword
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+
+    from recorder.records import Query
+    from replay.plain import Plain
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +32,8 @@ class Name:
 
     text: str
 
+
+_WORDS: Final[Mapping[str, bool | None]] = {"true": True, "false": False, "null": None}
 
 Term: TypeAlias = "Name | str | float | int | bool | list[Term] | None"
 
@@ -63,6 +70,30 @@ class BadQuestion(ReplayError):
         super().__init__(f"{question}: {cause}")
         self.question = question
         self.cause = cause
+
+
+def question_of(record: Query) -> Question:
+    """The question that a query on record was, with the names of arguments that are on record.
+
+    Args:
+        record: the query.
+
+    Raises:
+        BadQuestion: its arguments can't be read.
+    """
+    try:
+        arguments = {told.name: _recorded(json.loads(told.json)) for told in record.arguments}
+    except ValueError as error:
+        raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
+    return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
+
+
+def _recorded(value: Plain) -> Term:
+    if isinstance(value, dict):
+        return Name(str(value.get("object", "")))
+    if isinstance(value, list):
+        return [_recorded(item) for item in value]
+    return value
 
 
 def parse(text: str) -> Question:
@@ -103,6 +134,8 @@ def _term(node: ast.expr) -> Term:
     Raises:
         _NoTerm: it is more than plain data.
     """
+    if isinstance(node, ast.Name) and node.id in _WORDS:
+        return _WORDS[node.id]
     if isinstance(node, ast.Name | ast.Attribute):
         return Name(_word(node))
     if isinstance(node, ast.List | ast.Tuple):
@@ -113,7 +146,7 @@ def _term(node: ast.expr) -> Term:
             return -number if isinstance(node.op, ast.USub) else number
     if isinstance(node, ast.Constant) and (node.value is None or isinstance(node.value, bool | int | float | str)):
         return node.value
-    raise _NoTerm(f"{ast.unparse(node)} can't be an argument")
+    raise _NoTerm(f"{ast.unparse(node)} can't be an argument (a name that is no word goes into quotes)")
 
 
 def _word(node: ast.expr) -> str:
@@ -127,7 +160,8 @@ def _word(node: ast.expr) -> str:
 
 def _text(term: Term) -> str:
     if isinstance(term, Name):
-        return term.text if term.text.isidentifier() and not iskeyword(term.text) else repr(term.text)
+        text = term.text
+        return text if text.isidentifier() and not iskeyword(text) and text not in _WORDS else repr(text)
     if isinstance(term, list):
         return f"[{', '.join(map(_text, term))}]"
     return repr(term)

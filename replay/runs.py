@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
-    "seq", "wall_time_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line",
+    "seq", "wall_time_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line", "callers",
 )  # fmt: skip
 
 _Key: TypeAlias = "tuple[int, int]"  # a task's path as a hash, and the how many-th of the task's records it is

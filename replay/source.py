@@ -13,6 +13,7 @@ from replay.errors import Damaged
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from recorder.records import Task
     from replay.log import Log
 
 
@@ -37,7 +38,7 @@ class Line:
 
 
 class Source:
-    """All source that is attached to a recording."""
+    """All source that is attached to a recording; of files that share a name nobody can tell which is which."""
 
     def __init__(self, log: Log) -> None:
         """Reads nothing yet.
@@ -46,7 +47,9 @@ class Source:
             log: the recording.
         """
         self._assets = log.assets
-        self._keys = {name_of(key): key for key in log.assets if key.endswith(".py")}
+        keys = [key for key in log.assets if key.endswith(".py")]
+        names = [name_of(key) for key in keys]
+        self._keys = {name: key for name, key in zip(names, keys, strict=True) if names.count(name) == 1}
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
@@ -63,6 +66,24 @@ class Source:
         if number > len(lines):
             return Line(file, number)
         return Line(file, number, _function(text, number), lines[number - 1].strip())
+
+    def way(self, task: Task) -> tuple[Line, ...]:
+        """The plan's lines that led to a task, outermost first; none if it isn't known what asked for it.
+
+        Args:
+            task: the record of its start.
+        """
+        line = self.line(task.source_file, task.source_line)
+        return (*self.callers(task), line) if line is not None else ()
+
+    def callers(self, task: Task) -> tuple[Line, ...]:
+        """The lines that led to the one that asked for a task, outermost first.
+
+        Args:
+            task: the record of its start.
+        """
+        told = (self.line(caller.file or task.source_file, caller.line) for caller in task.callers)
+        return tuple(line for line in told if line is not None)
 
     def text(self, file: str) -> str:
         """What a file said; "" if it is not attached, or damaged.

@@ -9,7 +9,7 @@ from replay.errors import NoSuchName
 from replay.lives import title
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.records import LoadBody
@@ -173,8 +173,10 @@ class State:
         opened = [world for world in self.worlds.values() if world.open]
         if name is None and opened:
             return opened[-1]
-        if name is None or name not in self.worlds:
-            raise NoSuchName("world", name or "", self.worlds)
+        if name is None:
+            raise NoSuchName("open world", "", self.worlds, self._none_open())
+        if name not in self.worlds:
+            raise NoSuchName("world", name, self.worlds)
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
@@ -187,7 +189,22 @@ class State:
         for candidate in reversed(worlds):
             if name in candidate.bodies:
                 return candidate.bodies[name]
-        raise NoSuchName("object", name, (known for candidate in worlds for known in candidate.bodies))
+        raise self.no_body(name, worlds)
+
+    def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
+        """What to say where a body isn't in any of some worlds.
+
+        Args:
+            name: of the body.
+            worlds: those of this state in which it was looked for.
+        """
+        opened = [world for world in worlds if world.open]
+        known = [body for world in opened for body in world.bodies]
+        return NoSuchName("object", name, known, "" if opened else self._none_open())
+
+    def _none_open(self) -> str:
+        told = ", ".join(f"{world.title} has ended" for world in self.worlds.values())
+        return f"no world is open after step {self.step}" + (f" ({told}); take an earlier one" if told else "")
 
     def urdf(self, body: Body) -> Urdf:
         """The model of a body, from the recording.

@@ -117,7 +117,7 @@ class Why:
         failure: what the plan failed with, or the task; None if nothing failed.
         raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code did it.
-        line: the plan's line that started that task.
+        way: the plan's lines that led to that task, outermost first.
         world: the world that it was about; None if none was open.
         is_default: whether that is the one that is meant where no world is named.
         things: the robot, and the bodies that it was about.
@@ -136,7 +136,7 @@ class Why:
     failure: Failure | None
     raised: tuple[Raised, ...] = ()
     task: Attempt | None = None
-    line: Line | None = None
+    way: tuple[Line, ...] = ()
     world: World | None = None
     is_default: bool = True
     things: tuple[Thing, ...] = ()
@@ -219,14 +219,7 @@ def _of_task(
         (broken.failure if broken is not None else None) or task.failure,
         broken.chain if broken is not None else (),
         task,
-        next(
-            (
-                line
-                for each in task.around()
-                if (line := source.line(each.started.source_file, each.started.source_line))
-            ),
-            None,
-        ),
+        next(filter(None, (source.way(each.started) for each in task.around())), ()),
         world,
         world is None or world is state.world(),
         tuple(_things(world, [*_of_world(objects, world), *_named(world, task)])),

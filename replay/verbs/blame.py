@@ -85,6 +85,7 @@ def _causes(why: Causes) -> dict[str, object]:
                 "parameters": cause.parameters,
                 "step": cause.step,
                 "line": _place(cause.line),
+                "callers": [_place(line) for line in cause.callers],
             }
             for cause in why.tasks
         ],
@@ -162,8 +163,9 @@ def _because(why: Causes, indent: str) -> Iterator[str]:
         kind = "" if cause.kind in ("motion", "process-module") else f" {cause.kind}"
         called = cause.name if cause.kind == "process-module" else words.call(cause.name, cause.parameters)
         yield f"{indent}in {called}{kind}  [step {cause.step}]"
-    if why.line is not None:
-        yield f"{indent}from {words.place(why.line)}"
+    if why.way:
+        for word, line in zip(("from", *["called from"] * len(why.way)), reversed(why.way), strict=False):
+            yield f"{indent}{word} {words.place(line)}"
     elif not why.tasks:
         yield f"{indent}by the plan itself" + words.around(why.after, why.before)
 

@@ -31,7 +31,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:
-        tell_json(facts(found))
+        tell_json(facts(found, options.depth))
     elif options.dot:
         tell(dot(found), end="")
     elif options.svg:

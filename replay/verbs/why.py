@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
+from replay.cli import FINE, INCOMPLETE, USAGE
+from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
-from replay.plain import plain_arguments, plain_record
+from replay.plain import plain_record
+from replay.question import BadQuestion, Name, Question, Term, question_of
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -25,7 +28,6 @@ if TYPE_CHECKING:
     from replay.source import Line
     from replay.why import Since, Thing, Try, Why
 
-_FINE, _INCOMPLETE = 0, 3
 _FIRST, _LAST = 2, 5  # so many attempts are told one by one
 _MOST: Final = 12  # lines of a difference
 _STEP: Final = 0.35  # m: what a thing is moved by, to ask again
@@ -42,30 +44,29 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Log, options: argparse.Namespace) -> int:
     """Prints the explanation."""
     found = why(log, options.step)
-    pictures, refused = _pictures(log, found, options.pictures)
+    code, pictures = _pictures(log, found, options.pictures)
     if options.json:
         tell_json(facts(found) | {"pictures": pictures})
     else:
         tell("\n".join(lines(found, str(log.path))))
         if pictures:
             tell("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
-    if refused:
-        remark(f"no pictures: {refused}")
-        return _INCOMPLETE
-    return _FINE
+    return code
 
 
-def _pictures(log: Log, found: Why, folder: str | None) -> tuple[list[str], str]:
-    """The pictures that were asked for, and why there are none if they can't be made."""
+def _pictures(log: Log, found: Why, folder: str | None) -> tuple[int, list[str]]:
+    """The pictures that were asked for; says why there are none if they can't be made."""
     if folder is None:
-        return [], ""
+        return FINE, []
     if found.failure is None:
-        return [], "nothing failed"
+        remark("no pictures: nothing failed")
+        return FINE, []
     try:
         with results_only():
-            return [str(path) for path in write_pictures(log, found, Path(folder))], ""
+            return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
-        return [], f"{type(error).__name__}: {error}"
+        remark(f"no pictures: {type(error).__name__}: {error}")
+        return INCOMPLETE if isinstance(error, Damaged) else USAGE, []
 
 
 # --- for machines ----------------------------------------------------------------------------------------------------
@@ -88,7 +89,8 @@ def facts(found: Why) -> dict[str, object]:
         ],
         "task": found.task and _task_facts(found.task),
         "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
-        "line": found.line and _line_facts(found.line),
+        "line": _line_facts(found.way[-1]) if found.way else None,
+        "callers": [_line_facts(line) for line in found.way[:-1]],
         "world": found.world and found.world.name,
         "things": [
             {
@@ -174,7 +176,7 @@ def _headline(found: Why) -> Iterator[str]:
     run, name = found.run, found.run.plan or "the plan"
     if run.outcome == "failed":
         message = run.failure
-        if found.failure is not None and found.failure.message and not found.is_of_python:
+        if found.raised and found.failure is not None and found.failure.message and not found.is_of_python:
             message = found.failure.message  # says it in words
         yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
     elif run.outcome == "succeeded":
@@ -204,7 +206,7 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
             yield f"{name} failed {times} times; it last succeeded at step {found.same.task.end}."
         yield f"The last, {_call(motion)}, ended at step {task.end}: {told}"
         return
-    lead = "It began when" if found.raised else "Before that" if found.run.outcome in ("running", "cut off") else "When"
+    lead = "It began when" if found.raised else "Before that,"
     yield f"{lead} {_call(motion)} failed at step {task.end}: {told}"
 
 
@@ -219,9 +221,9 @@ def _running(found: Why) -> Iterator[str]:
 
 def _where(found: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    if found.line is not None and not (found.raised and found.raised[0].lines):
-        shown.add((found.line.file, found.line.number))
-        yield from _line(found.line)
+    for line in () if _leads_there(found) else found.way:
+        shown.add((line.file, line.number))
+        yield from _line(line)
     for error in found.raised:
         fresh = [line for line in error.lines if (line.file, line.number) not in shown]
         if shown and fresh:
@@ -229,6 +231,14 @@ def _where(found: Why) -> Iterator[str]:
         for line in fresh:
             shown.add((line.file, line.number))
             yield from _line(line)
+
+
+def _leads_there(found: Why) -> bool:
+    """Whether the lines of the exceptions lead to the task; those of a failed block end where the block does."""
+    lines = [line for error in found.raised for line in error.lines]
+    return any(
+        line.file == last.file and last.function in ("", line.function) for last in found.way[-1:] for line in lines
+    )
 
 
 def _line(line: Line) -> Iterator[str]:
@@ -389,12 +399,16 @@ def _commands(found: Why, path: str) -> Iterator[str]:
 
 def _again(query: Query) -> str:
     """A query as ``ask`` takes it: what it was about, without its thresholds."""
-    about = []
-    for name, told in plain_arguments(query.arguments).items():
-        if told is None or name in ("threshold", "margin", "grasp", "collision_free"):
+    about: list[Term] = []
+    try:
+        asked = question_of(query)
+    except BadQuestion:
+        return words.question(query)
+    for name, term in asked.keywords.items():
+        if name in ("threshold", "margin", "grasp", "collision_free"):
             break
-        about.append(words.value(told))
-    return f"{query.name}({', '.join(about)})"
+        about.append(Name(term) if isinstance(term, str) else term)  # a query takes the one for the other
+    return str(Question(query.name, tuple(about)))
 
 
 def _nearer(found: Why) -> str:

@@ -12,9 +12,10 @@ import pytest
 import replay
 from pycram import worlds
 from recorder.records import Query
+from replay import words
 from replay.ask import QUERIES, Move, again, ask
 from replay.cli import main
-from replay.question import BadQuestion, Name, parse
+from replay.question import BadQuestion, Name, Question, parse
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -62,6 +63,39 @@ def assert_near(found: object, wanted: object, where: str) -> None:
         assert found == pytest.approx(wanted, abs=1e-6), where
     else:
         assert found == wanted, where
+
+
+@pytest.mark.slow
+def test_what_a_record_shows_can_be_asked(demo_log: Path, failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One of each query of the demos, typed as ``log`` and ``why`` show it."""
+    for file in (demo_log, failed_log):
+        with replay.open(file) as log:
+            asked = {record.name: record for record in log.records(Query)}
+            assert asked
+            for record in asked.values():
+                shown = words.question(record)
+                assert main(["ask", str(file), str(record.seq), shown, "--json"]) == 0, shown
+                assert json.loads(capsys.readouterr().out)["answer"] == names(record.answer_json), shown
+
+
+def test_words_of_records_are_read() -> None:
+    question = parse("reachable_object(object=milk, gripper=tip, collision_free=false, grasp=null, threshold=1e-3)")
+    assert question.keywords == {
+        "object": Name("milk"),
+        "gripper": Name("tip"),
+        "collision_free": False,
+        "grasp": None,
+        "threshold": 1e-3,
+    }
+    assert (
+        str(Question("stable", (Name("red cup"), Name("true"), Name("milk"), True)))
+        == "stable('red cup', 'true', milk, True)"
+    )
+
+
+def test_a_name_that_is_no_word_says_so() -> None:
+    with pytest.raises(BadQuestion, match="into quotes"):
+        parse("stable(red-cup)")
 
 
 def first(log: replay.Log, query: str) -> Query:

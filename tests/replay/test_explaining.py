@@ -16,6 +16,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
+from pycram.language import par
 from recorder.records import Mutation, Query, Run, Task
 from recorder.span import span
 from replay import words
@@ -261,6 +262,49 @@ def test_why_of_another_failure(small: Log) -> None:
         why(small, 5)
 
 
+def drop_in_branch(ball: Object) -> None:
+    with span("motion", "drop", {"object": ball}):
+        raise PlanFailure("it is stuck")
+
+
+def drop_in_block(file: Path) -> None:
+    with recorder.record(file, source=__file__), BulletWorld(name="lab"):
+        ball = Object("ball", "ball", "apple.stl")
+        with par as block:
+            block(drop_in_branch, ball)
+
+
+def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(PlanFailure):
+        drop_in_block(tmp_path / "x.mcap")
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    where = capsys.readouterr().out.partition("Where in the plan\n")[2].partition("\n\n")[0]
+    told = [line.strip() for line in where.splitlines()]
+    assert told.index("block(drop_in_branch, ball)") < told.index('with span("motion", "drop", {"object": ball}):')
+    assert "which became BranchesFailed:" in told
+    assert "with par as block:" in told
+
+
+def test_another_failure_isn_t_told_to_be_the_plan_s(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(small.path), "task:put@end"]) == 0
+    first, second = capsys.readouterr().out.splitlines()[:2]
+    assert "the milk can't be put anywhere" in first
+    assert second.startswith("Before that, put(object=milk, height=1) failed")
+
+
+def test_after_the_end_of_all_worlds_it_is_said_that_they_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab"):
+        Object("ball", "ball", "apple.stl")
+    for verb in ("state", "render", "ask"):
+        more = {"state": "ball", "ask": "stable(ball)"}.get(verb)
+        assert main([verb, str(tmp_path / "x.mcap"), "last", *([more] if more else [])]) == 2
+        said = capsys.readouterr().err
+        assert "no world is open" in said
+        assert "lab" in said
+
+
 def take_what_is_gone(file: Path) -> None:
     with recorder.record(file), BulletWorld() as world:
         world.set_gravity([0, 0, -9.8])
@@ -424,6 +468,14 @@ def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: py
         pass
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert capsys.readouterr().out == "walk succeeded.\n"
+
+
+def test_pictures_of_no_failure_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"):
+        pass
+    assert main(["why", str(tmp_path / "x.mcap"), "--pictures", str(tmp_path / "pictures")]) == 0
+    assert "nothing failed" in capsys.readouterr().err
+    assert not (tmp_path / "pictures").exists()
 
 
 def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
