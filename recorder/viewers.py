@@ -16,7 +16,8 @@ from urllib.parse import urlsplit
 from recorder.errors import RecordingError
 
 PORT: Final = 9876  # where viewers listen unless they are told otherwise
-PAGE_PORT: Final = 9090
+PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
+RECORDS_PORT: Final = 9877
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {
@@ -75,9 +76,9 @@ class Wish:
             place = urlsplit(url)
             sound = place.scheme in _SCHEMES and place.hostname and place.port != 0
         except ValueError as error:
-            raise RecordingError(text, f"is no address of a viewer ({error})", _HINT) from error
+            raise RecordingError(text, f"is no address of a viewer ({error}); {_HINT}") from error
         if not sound or place.path.rstrip("/") != "/proxy":
-            raise RecordingError(text, "is no address of a viewer", _HINT)
+            raise RecordingError(text, f"is no address of a viewer; {_HINT}")
         return cls(Kind.CONNECT, url)
 
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.viewers import HOST, PAGE_PORT, PORT, address, answers, free_port
+from recorder.viewers import HOST, PAGE_PORT, PORT, RECORDS_PORT, address, answers, free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ def serve_page(stream: rr.RecordingStream) -> str:
     Raises:
         ViewerGone: nothing can be served.
     """
-    records = _on_free_port(PORT, lambda port: _serve_records(stream, port))
+    records = _on_free_port(RECORDS_PORT, lambda port: _serve_records(stream, port))
     page = _on_free_port(
         PAGE_PORT, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False, connect_to=address(records))
     )

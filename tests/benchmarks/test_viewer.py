@@ -39,7 +39,7 @@ import set_the_table
 pytestmark = pytest.mark.slow
 
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))
-ROUNDS = 4
+ROUNDS = 3
 
 
 @contextmanager

@@ -303,6 +303,14 @@ def test_a_viewer_that_makes_no_sense_is_refused_at_once(tmp_path: Path, wrong: 
     assert not (tmp_path / "x.mcap").exists()
 
 
+def test_the_command_line_refuses_it_too(pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
+    process = pycram("demo", "--rerun=web")
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "--rerun: 'web' is no address of a viewer; say spawn, connect" in " ".join(said.split())
+    assert not list(tmp_path.iterdir())
+
+
 def test_addresses() -> None:
     assert Wish.parse("connect") == Wish(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
     assert Wish.parse("connect:rerun://robot/proxy") == Wish(Kind.CONNECT, "rerun://robot/proxy")

@@ -139,6 +139,14 @@ def test_rerun_makes_columns_of_records_transforms_of_frames_and_lines_of_the_lo
     assert rows["/log"] == len(stranger.on("/log"))
 
 
+def test_rerun_checks_it_and_finds_no_disorder(log: Path) -> None:
+    command = [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", str(log)]
+    checked = subprocess.run(command, capture_output=True, text=True, check=False)
+    topics = {row.split()[3]: row.split()[-1] for row in checked.stdout.splitlines() if row.startswith("ok")}
+    assert {*topics} >= {"/run", "/task", "/mutation", "/query", "/tf", "/log"}, checked.stdout + checked.stderr
+    assert set(topics.values()) == {"—"}, "no issues"
+
+
 def test_the_viewer_opens_it_and_has_no_complaint(log: Path, headless: Headless, tmp_path: Path, until) -> None:
     headless.open(log)
     assert [view.view_class for view in headless.state().views] == ["TextLog"]
