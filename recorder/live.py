@@ -91,6 +91,7 @@ def _serve(connection: Connection, wish: Wish, title: str) -> None:
         _show(translator, batch)
         _deliver(stream)
         connection.send(sum(isinstance(item, tuple) for item in batch))
+    translator.finish()
     if wish.kind is Kind.SERVE:
         connection.send(0)
         threading.Event().wait()  # the page is there until the process of the plan ends

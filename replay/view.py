@@ -99,7 +99,7 @@ def _translate(log: Log, translator: Translator) -> None:
             translator.show(TOPICS[type(record)], record)
         except (ValueError, KeyError, TypeError, IndexError, ArithmeticError) as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
-    translator.flush()
+    translator.finish()
 
 
 def _roots(logs: Sequence[Log]) -> list[str]:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 _STEP_NS: Final = 1_000_000_000 / 240  # of a simulated step
+_BUILDING: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
 _BATCH: Final = 10_000  # records
 
 
@@ -79,8 +80,6 @@ class Translator:
         text, level = text_of(record)
         self._lines.show(record, text, level, now)
         self._tables.show(record, text, now)
-        if not isinstance(record, Mutation):
-            self._meet(record.world)
         if isinstance(record, Task):
             self._lanes.show(record, now)
             self._graph.show(record, now)
@@ -96,6 +95,8 @@ class Translator:
         elif isinstance(record, Query):
             self._questions.show(record, now)
             self._answers.show(record, now)
+        if record.world not in self.worlds and not _builds(record):
+            self._meet(record.world)
         self._before = record.wall_time_ns
         self._waiting += 1
         if self._waiting >= _BATCH:
@@ -106,15 +107,27 @@ class Translator:
         self._columns.flush()
         self._waiting = 0
 
+    def finish(self) -> None:
+        """Ends: shows worlds too that nothing was done in, and sends what was gathered."""
+        for world in self._scene.bodies:
+            if world not in self.worlds:
+                self._meet(world)
+        self.flush()
+
     def _meet(self, world: str) -> None:
         """Lays the view out anew when a plan first does something in a world: then it is known what is there."""
-        if world and world not in self.worlds:
+        if world:
             self.worlds[world] = self._scene.middle(world)
             self._lay_out()
 
     def _lay_out(self) -> None:
         if not self._root:
             self._stream.send_blueprint(blueprint(self.worlds))
+
+
+def _builds(record: Record) -> bool:
+    """Whether it belongs to the making of a world, before a plan does something in it."""
+    return isinstance(record, Mutation) and record.WhichOneof("command") in _BUILDING
 
 
 def _moments(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
