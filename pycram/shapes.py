@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import lru_cache
@@ -102,6 +103,9 @@ def _rgb(material: ET.Element) -> tuple[float, ...] | None:
 
 def _groups(shape: ET.Element, folder: Path) -> Iterator[NDArray[np.float64]]:
     """Corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
+    if shape.tag == "box":
+        yield np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * _numbers(shape.get("size", ""))
+        return
     name = shape.get("filename", "")
     if not name.endswith(".obj"):
         yield _triangles(shape, folder)
