@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import lru_cache
@@ -91,8 +92,8 @@ def _parts(
         origin = element.find("origin")
         xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
         turn = geometry.to_matrix(geometry.from_rpy(*_numbers(rpy)))
-        for triangles in _groups(shape, folder) if grouped else [_triangles(shape, folder)]:
-            yield triangles @ turn.T + np.array(_numbers(xyz)), rgb or _GREY
+        for corners in _groups(shape, folder) if grouped else [_triangles(shape, folder)]:
+            yield corners @ turn.T + np.array(_numbers(xyz)), rgb or _GREY
 
 
 def _rgb(material: ET.Element) -> tuple[float, ...] | None:
@@ -101,14 +102,29 @@ def _rgb(material: ET.Element) -> tuple[float, ...] | None:
 
 
 def _groups(shape: ET.Element, folder: Path) -> Iterator[NDArray[np.float64]]:
-    """Triangles of the groups of a shape in its own frame; only an OBJ has several."""
+    """Corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
+    if shape.tag == "box":
+        yield np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * _numbers(shape.get("size", ""))
+        return
     name = shape.get("filename", "")
     if not name.endswith(".obj"):
         yield _triangles(shape, folder)
         return
     scale = np.array(_numbers(shape.get("scale", "1 1 1")))
-    for group in trimesh.load_scene(folder / name, process=False, split_objects=True).geometry.values():
-        yield np.array(group.triangles, dtype=np.float64) * scale
+    corners: list[list[float]] = []
+    groups: list[set[int]] = [set()]
+    for line in (folder / name).read_text(encoding="utf-8", errors="replace").splitlines():
+        key, *words = line.split() or [""]
+        if key == "v":
+            corners.append([float(word) for word in words[:3]])
+        elif key in {"o", "g"}:
+            groups.append(set())
+        elif key == "f":  # counted from 1, or backwards from the last
+            numbers = (int(word.split("/")[0]) for word in words)
+            groups[-1].update(number - 1 if number > 0 else len(corners) + number for number in numbers)
+    for group in groups:
+        if group:
+            yield np.array([corners[number] for number in sorted(group)]) * scale
 
 
 def _triangles(shape: ET.Element, folder: Path) -> NDArray[np.float64]:

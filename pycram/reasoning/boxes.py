@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.solids import solids_of
+from pycram.shapes import pieces_of
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -92,15 +92,15 @@ class Boxes:
 @lru_cache(maxsize=256)
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Links, and lowest and highest corners (k, 3) in their frames: of each piece, of all where a link has many."""
-    solids = solids_of(path)
+    pieces: dict[str, list[Array]] = {}
+    for link, corners in pieces_of(path):
+        pieces.setdefault(link, []).append(corners)
     links, low, high = [], [], []
-    for link in dict.fromkeys(solids.links):
-        mine = [i for i, name in enumerate(solids.links) if name == link]
-        parts = [[i] for i in mine] if len(mine) <= _MANY else [mine]
-        for part in parts:
+    for link, mine in pieces.items():
+        for corners in mine if len(mine) <= _MANY else [np.concatenate(mine)]:
             links.append(link)
-            low.append(solids.low[part].min(axis=0))
-            high.append(solids.high[part].max(axis=0))
+            low.append(corners.min(axis=0))
+            high.append(corners.max(axis=0))
     return tuple(links), np.array(low).reshape(-1, 3), np.array(high).reshape(-1, 3)
 
 

@@ -150,6 +150,43 @@ def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int
             body.remove()
 
 
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4, 5))])
+def test_what_is_touched_elsewhere_is_what_the_engine_says(kitchen: BulletWorld, seed: int) -> None:
+    """The whole robot at other places, also leaning, with its load and other values of the joints."""
+    robot, rng = kitchen.robot, random.Random(seed)
+    things = clutter(kitchen, seed)
+    held = Object("load", "load", "pot.stl", robot.get_link_position(RIGHT))
+    robot.attach(held, RIGHT)
+    try:
+        joints = {
+            name: value + rng.uniform(-0.4, 0.4)
+            for name, value in robot.description.arm("right").posture("park").items()
+        }
+        low_high = {name: robot.joint_limits(name) for name in joints}
+        joints = {name: min(max(value, low_high[name][0]), low_high[name][1]) for name, value in joints.items()}
+        lean = rng.uniform(-0.05, 0.05) if seed % 2 else 0.0
+        base = (rng.uniform(0.3, 1.2), rng.uniform(0.3, 1.2), 0.0), geometry.from_rpy(lean, 0, rng.uniform(-3, 3))
+        found = rehearsal.in_the_way(robot, joints, base=base, everything=True)
+        place = {other: at for other, _, at in rehearsal._held(robot)}
+        copy = twin(kitchen, "reach")
+        bodies = copy.sync()
+        copy.engine.set_pose(bodies[robot.name], base)
+        copy.engine.pose_joints(bodies[robot.name], joints)
+        for other, link, at in rehearsal._held(robot):
+            pose = geometry.multiply(copy.engine.link_pose(bodies[robot.name], link), at)
+            copy.engine.set_pose(bodies[other.name], pose)
+        depths = overlaps(copy, robot, list(robot.links), [*place], [*place], bodies)
+        copy.disturbed()
+        floor = kitchen.get_object("floor")  # the wheels stand on it
+        told = {other: info["depth"] for other, info in found.items() if other is not floor}
+        assert told == pytest.approx({other: depth for other, depth in depths.items() if other is not floor}, abs=1e-6)
+    finally:
+        for body in (held, *reversed(things)):
+            if body.attachments:
+                robot.detach(body)
+            body.remove()
+
+
 UPRIGHT, BROAD, FLAT = (0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2), (math.pi / 2, 0.0, 0.0)
 BEFORE, BEHIND = ((0.46, 0.3, 0.8), BROAD), ((0.75, 0.3, 0.8), BROAD)
 BESIDE, BEYOND = ((0.6, 0.15, 0.8), UPRIGHT), ((0.6, 0.45, 0.8), UPRIGHT)
