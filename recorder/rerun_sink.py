@@ -108,9 +108,10 @@ class RerunSink:
                 self._absent = True
             self._absent = False
             while batch := self._backlog.take(_MOST_ITEMS, _MOST_BYTES):
+                begun = time.monotonic()
                 self._connection.send(batch)
                 self._taken += self._connection.recv()
-                self._ended.wait(_RHYTHM)
+                self._ended.wait(max(_RHYTHM, time.monotonic() - begun))  # where cores are few it uses half of one
             self._connection.send([])
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has said why
