@@ -184,6 +184,8 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
         opening(str(path.resolve()))
         if step is not None:
             _go_to(client, step)
-    except (ViewerGone, RuntimeError, OSError) as error:
+    except ViewerGone as error:
+        raise ReplayError(f"{error}; without a screen, say --web or --save FILE") from error
+    except (RuntimeError, OSError) as error:
         raise ReplayError(f"{path} can't be shown: {error}") from error
     return place
