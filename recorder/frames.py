@@ -16,11 +16,11 @@ from recorder.records import Keyframe, LoadBody, Mutation
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator
 
     from google.protobuf.message import Message
 
-    from recorder.records import BodyState
+    from recorder.records import BodyState, Record
 
 ROOT: Final = "world"
 _STEPS: Final = 240  # a simulated second
@@ -41,8 +41,8 @@ class Frame(NamedTuple):
 
     parent: str
     child: str
-    position: Sequence[float]
-    orientation: Sequence[float]
+    position: tuple[float, ...]
+    orientation: tuple[float, ...]
     body: str
     link: str
 
@@ -89,28 +89,20 @@ class FrameTree:
         """
         return self._bodies.get((world, body))
 
-    def moved(self, record: object) -> Iterator[tuple[int, list[Frame]]]:
-        """The frames that a record changed.
+    def moved(self, record: Record) -> Iterator[tuple[int, BodyState, list[Frame]]]:
+        """The bodies that a record moved, and their frames that changed.
 
         Args:
             record: any.
 
         Yields:
-            The simulated step and the frames, for each moment.
+            The simulated step, what is told of the body, and its frames; moment by moment.
         """
-        if isinstance(record, Keyframe):
-            for loaded in record.loaded:
-                self._load(record.world, loaded)
-            yield record.sim_step, list(self._frames(record.world, record.bodies, whole=True))
-        elif isinstance(record, Mutation):
-            loading = record.WhichOneof("command") == "load_body"
-            if loading:
-                self._load(record.world, record.load_body)
-            for sample in record.effect.samples:
-                yield sample.sim_step, list(self._frames(record.world, sample.bodies))
-            yield record.sim_step, list(self._frames(record.world, record.effect.bodies, whole=loading))
+        for step, bodies, whole in self._moments(record):
+            for state in bodies:
+                yield step, state, self._frames(record.world, state, whole=whole)
 
-    def transforms(self, record: object) -> Iterator[tuple[str, FrameTransforms]]:
+    def transforms(self, record: Record) -> Iterator[tuple[str, FrameTransforms]]:
         """The frames that a record changed, as messages.
 
         Args:
@@ -119,30 +111,46 @@ class FrameTree:
         Yields:
             Topic and message, one for each moment in which something moved.
         """
-        for step, frames in self.moved(record):
+        for step, bodies, whole in self._moments(record):
+            frames = [frame for state in bodies for frame in self._frames(record.world, state, whole=whole)]
             if frames:
                 yield "/tf", _message(step, frames)
+
+    def _moments(self, record: Record) -> Iterator[tuple[int, Iterable[BodyState], bool]]:
+        """The moments of a record: simulated step, the bodies, and whether they are told whole."""
+        if isinstance(record, Keyframe):
+            for loaded in record.loaded:
+                self._load(record.world, loaded)
+            yield record.sim_step, record.bodies, True
+        elif isinstance(record, Mutation):
+            loading = record.WhichOneof("command") == "load_body"
+            if loading:
+                self._load(record.world, record.load_body)
+            effect = record.effect
+            for sample in effect.samples:
+                yield sample.sim_step, sample.bodies, False
+            yield record.sim_step, effect.bodies, loading
 
     def _load(self, world: str, loaded: LoadBody) -> None:
         model = self._models.get(loaded.assets[0].sha256) if loaded.assets else None
         if model is not None:
             self._bodies[world, loaded.body] = model
 
-    def _frames(self, world: str, bodies: Iterable[BodyState], *, whole: bool = False) -> Iterator[Frame]:
-        for state in bodies:
-            body = state.body
-            name = frame_name(world, body)
-            if state.position:
-                yield Frame(ROOT, name, state.position, state.orientation, body, "")
-            model = self._bodies.get((world, body))
-            if model is None:
-                continue
-            values = dict(zip(state.joints, state.joint_positions, strict=True))
-            joints = model.joints.values() if whole else [model.joint(joint) for joint in values]
-            for joint in joints:
-                parent = name if joint.parent == model.root else f"{name}/{joint.parent}"
-                position, orientation = joint.pose(values.get(joint.name, 0.0))
-                yield Frame(parent, f"{name}/{joint.child}", position, orientation, body, joint.child)
+    def _frames(self, world: str, state: BodyState, *, whole: bool) -> list[Frame]:
+        body = state.body
+        name = frame_name(world, body)
+        position = state.position
+        frames = [Frame(ROOT, name, tuple(position), tuple(state.orientation), body, "")] if position else []
+        model = self._bodies.get((world, body))
+        if model is None:
+            return frames
+        values = dict(zip(state.joints, state.joint_positions, strict=True))
+        joints = model.joints.values() if whole else [model.joint(joint) for joint in values]
+        for joint in joints:
+            parent = name if joint.parent == model.root else f"{name}/{joint.parent}"
+            at, turn = joint.pose(values.get(joint.name, 0.0))
+            frames.append(Frame(parent, f"{name}/{joint.child}", at, turn, body, joint.child))
+        return frames
 
 
 def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:

@@ -6,14 +6,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 
-from recorder.records import Keyframe
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Sequence
 
-    from recorder.records import BodyState, Mutation
+    from recorder.records import BodyState
     from recorder.viewer.columns import Columns, Moment, Series
-    from recorder.viewer.scene import Scene
+    from recorder.viewer.scene import Body
 
 HEIGHTS: Final = "heights"
 JOINTS: Final = "joints"
@@ -25,28 +23,27 @@ class Plots:
 
     Args:
         columns: where it goes.
-        scene: whose bodies they tell of.
     """
 
-    def __init__(self, columns: Columns, scene: Scene) -> None:
+    def __init__(self, columns: Columns) -> None:
         self._columns = columns
-        self._scene = scene
         self._last: dict[tuple[str, str, str], tuple[Moment, float]] = {}
         self._series: dict[tuple[str, str, str], Series] = {}
 
-    def show(self, record: Mutation | Keyframe, moments: Mapping[int, Moment]) -> None:
-        """Shows what a record changed; the scene has shown it before."""
-        there = self._scene.bodies.get(record.world, {})
-        for step, state in _states(record):
-            body = there.get(state.body)
-            if body is None:
-                continue
-            now = moments[step]
-            if state.position and not body.loaded.fixed_base:
-                self._add(record.world, state.body, "", state.position[2], now)
-            if state.joints:
-                for joint, value in zip(state.joints, state.joint_positions, strict=True):
-                    self._add(record.world, state.body, joint, value, now)
+    def show(self, world: str, body: Body, state: BodyState, now: Moment) -> None:
+        """Shows what was told of a body.
+
+        Args:
+            world: name of the world.
+            body: the body.
+            state: what was told.
+            now: when.
+        """
+        if state.joints:
+            for joint, value in zip(state.joints, state.joint_positions, strict=True):
+                self._add(world, state.body, joint, value, now)
+        if not body.loaded.fixed_base:
+            self._add(world, state.body, "", body.pose[0][2], now)
 
     def _add(self, world: str, body: str, joint: str, value: float, now: Moment) -> None:
         """Adds a value that has changed; what never changes has no curve."""
@@ -64,15 +61,6 @@ class Plots:
             series = self._series[key] = self._columns.series(path, _scalars)
             series.add(last[0], (last[1],))
         series.add(now, (value,))
-
-
-def _states(record: Mutation | Keyframe) -> Iterator[tuple[int, BodyState]]:
-    if isinstance(record, Keyframe):
-        yield from ((record.sim_step, state) for state in record.bodies)
-        return
-    for sample in record.effect.samples:
-        yield from ((sample.sim_step, state) for state in sample.bodies)
-    yield from ((record.sim_step, state) for state in record.effect.bodies)
 
 
 def _scalars(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

@@ -8,12 +8,14 @@ entities that have no way to the root.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 import rerun as rr
 
 from recorder import geometry
-from recorder.frames import ROOT, FrameTree, frame_name
+from recorder.frames import ROOT, frame_name
 from recorder.records import BodyState, Keyframe
 from recorder.viewer.shapes import drawn, shapes_of
 
@@ -21,13 +23,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from recorder.asset import AssetFile
-    from recorder.frames import Frame
+    from recorder.frames import Frame, FrameTree
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
     from recorder.viewer.columns import Columns, Moment, Series
 
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
+_MOVES: Final = ("move_body", "move_joints", "simulate", "attach_body", "detach_body")  # bring and take nothing
 _ROLES: Final = {BODIES: "visual", COLLISION: "collision"}
 _UNSEEN: Final = (0.9, 0.2, 0.9, 0.5)  # of collision shapes
 
@@ -63,13 +66,14 @@ class Scene:
 
     Args:
         columns: where it goes.
+        frames: what is known of bodies' links.
         prefix: before the names of all frames.
     """
 
-    def __init__(self, columns: Columns, prefix: str = "") -> None:
+    def __init__(self, columns: Columns, frames: FrameTree, prefix: str = "") -> None:
         self._columns = columns
         self._prefix = prefix
-        self._frames = FrameTree()
+        self._frames = frames
         self._files: dict[str, bytes] = {}
         self._last: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}  # poses by frame
         self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame
@@ -79,8 +83,6 @@ class Scene:
     def attach(self, asset: AssetFile) -> None:
         """Takes a model or mesh."""
         self._files[asset.sha256] = asset.content
-        if asset.name.endswith(".urdf"):
-            self._frames.learn(asset.sha256, asset.content)
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
         """The name of a frame in the viewer.
@@ -145,49 +147,61 @@ class Scene:
                 points.append(pose[0])
         return points
 
-    def show(self, record: Mutation | Keyframe, moments: Mapping[int, Moment]) -> None:
-        """Shows what a record did.
+    def begin(self, record: Mutation | Keyframe, now: Moment) -> None:
+        """Shows what a record brought or took away, before what it moved is told.
 
         Args:
             record: the record.
-            moments: those of the simulated steps within it.
+            now: when.
         """
-        now = moments[record.sim_step]
         if self._begin is None:
             self._begin = now
         there = self.bodies.get(record.world)
         if there is None:
             there = self.bodies[record.world] = {}
             self._columns.stand(self._columns.path(record.world), self.frame(record.world))
+        command = None if isinstance(record, Keyframe) else record.WhichOneof("command")
+        if command in _MOVES:
+            return  # which is most of what happens
         for name in _gone(record, there):
             self._remove(there.pop(name), record.world, now)
-        frames = self._frames.moved(record)
-        came = _came(record, there)
-        if came:
-            frames = iter(list(frames))  # which learns their models
-        for loaded in came:
+        for loaded in _came(record, there):
             there[loaded.body] = self._load(record.world, loaded, now)
-        _change(there, record)
-        for step, moved in frames:
-            for frame in moved:
-                self._move(record.world, frame, moments[step])
-        if not isinstance(record, Keyframe) and record.WhichOneof("command") == "set_color":
+        if not isinstance(record, Keyframe) and command == "set_color":
             self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
 
-    def _move(self, world: str, frame: Frame, moment: Moment) -> None:
-        pose = (tuple(frame.position), tuple(frame.orientation))
-        child = frame.child
-        if self._last.get(child) == pose:
-            return
-        self._last[child] = pose
-        row = (*pose, self._prefix + frame.parent, self._prefix + child)
-        moves = self._moves.get((world, child))
+    def move(self, world: str, state: BodyState, frames: Iterable[Frame], now: Moment) -> Body | None:
+        """Shows what was told of a body.
+
+        Args:
+            world: name of the world.
+            state: what was told.
+            frames: those that changed with it.
+            now: when.
+
+        Returns:
+            The body; None if it isn't there.
+        """
+        for frame in frames:
+            pose = (frame.position, frame.orientation)
+            if self._last.get(frame.child) != pose:
+                self._last[frame.child] = pose
+                self._moves_of(world, frame).add(now, pose)
+        body = self.bodies[world].get(state.body)
+        if body is not None:
+            body.change(state)
+        return body
+
+    def _moves_of(self, world: str, frame: Frame) -> Series:
+        """Where a frame's poses are gathered; the first one holds from the beginning on."""
+        moves = self._moves.get((world, frame.child))
         if moves is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
-            moves = self._moves[world, child] = self._columns.series(path, _transforms)
-            if self._begin is not None and moment > self._begin:
-                moves.add(self._begin, row)
-        moves.add(moment, row)
+            maker = partial(_transforms, self._prefix + frame.parent, self._prefix + frame.child)
+            moves = self._moves[world, frame.child] = self._columns.series(path, maker)
+            if self._begin is not None:
+                moves.add(self._begin, (frame.position, frame.orientation))
+        return moves
 
     def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:
         body = Body(loaded)
@@ -247,27 +261,18 @@ def _came(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[LoadBo
     return [record.load_body] if record.WhichOneof("command") == "load_body" else []
 
 
-def _change(there: Mapping[str, Body], record: Mutation | Keyframe) -> None:
-    for state in _states(record):
-        body = there.get(state.body)
-        if body is not None:
-            body.change(state)
-
-
-def _states(record: Mutation | Keyframe) -> Iterable[BodyState]:
-    if isinstance(record, Keyframe):
-        return record.bodies
-    if not record.effect.samples:
-        return record.effect.bodies
-    return [state for sample in record.effect.samples for state in sample.bodies] + list(record.effect.bodies)
-
-
 def _same(body: Body | None, loaded: LoadBody) -> bool:
     return body is not None and [asset.sha256 for asset in body.loaded.assets] == [
         asset.sha256 for asset in loaded.assets
     ]
 
 
-def _transforms(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    position, orientation, parent, child = zip(*rows, strict=True)
-    return rr.Transform3D.columns(translation=position, quaternion=orientation, parent_frame=parent, child_frame=child)
+def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    position, orientation = zip(*rows, strict=True)
+    count = len(rows)
+    return rr.Transform3D.columns(
+        translation=np.array(position),
+        quaternion=np.array(orientation),
+        parent_frame=[parent] * count,
+        child_frame=[child] * count,
+    )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
+from recorder.frames import FrameTree
 from recorder.log_lines import text_of
 from recorder.records import Keyframe, Mutation, Query, Run, Task
 from recorder.viewer.answers import Answers
@@ -20,6 +21,8 @@ from recorder.viewer.tables import Tables
 from recorder.viewer.targets import Targets
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     import rerun as rr
 
     from recorder.asset import AssetFile
@@ -46,12 +49,20 @@ class Translator:
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream
         self._columns = Columns(stream, root)
-        self._scene = Scene(self._columns, f"{root}/" if root else "")
+        self._frames = FrameTree()
+        self._scene = Scene(self._columns, self._frames, f"{root}/" if root else "")
         self._lanes, self._graph = Lanes(self._columns), Graph(self._columns)
         self._lines, self._tables = Lines(self._columns), Tables(self._columns)
-        self._plots = Plots(self._columns, self._scene)
+        self._plots = Plots(self._columns)
         self._holds, self._targets = Holds(self._columns, self._scene), Targets(self._columns, self._scene)
         self._answers, self._questions = Answers(self._columns, self._scene), Questions(self._columns)
+        self._shows: Mapping[type[Record], Callable[[Any, Moment], None]] = {
+            Task: self._show_task,
+            Mutation: self._show_change,
+            Keyframe: self._show_change,
+            Query: self._show_query,
+            Run: self._show_run,
+        }
         self._root = root
         self.worlds: dict[str, Vector] = {}
         self._sim = 0  # ns, of the world that something happened in last
@@ -65,6 +76,8 @@ class Translator:
         Args:
             asset: a model or mesh, before the records that use it, or anything else.
         """
+        if asset.name.endswith(".urdf"):
+            self._frames.learn(asset.sha256, asset.content)
         self._scene.attach(asset)
 
     def show(self, topic: str, record: Record) -> None:  # noqa: ARG002  records know their type
@@ -80,27 +93,42 @@ class Translator:
         text, level = text_of(record)
         self._lines.show(record, text, level, now)
         self._tables.show(record, text, now)
-        if isinstance(record, Task):
-            self._lanes.show(record, now)
-            self._graph.show(record, now)
-            self._targets.show(record, now)
-            self._answers.begin(record, now)
-        elif isinstance(record, Mutation | Keyframe):
-            moments = _moments(record, now, self._before)
-            self._scene.show(record, moments)
-            self._plots.show(record, moments)
-            self._holds.show(record, now)
-        elif isinstance(record, Run) and record.phase == Run.STARTED:
-            self._graph.begin(record)
-        elif isinstance(record, Query):
-            self._questions.show(record, now)
-            self._answers.show(record, now)
+        show = self._shows.get(type(record))
+        if show is not None:
+            show(record, now)
         if record.world not in self.worlds and not _builds(record):
             self._meet(record.world)
         self._before = record.wall_time_ns
         self._waiting += 1
         if self._waiting >= _BATCH:
             self.flush()
+
+    def _show_task(self, record: Task, now: Moment) -> None:
+        self._lanes.show(record, now)
+        self._graph.show(record, now)
+        self._targets.show(record, now)
+        self._answers.begin(record, now)
+
+    def _show_change(self, record: Mutation | Keyframe, now: Moment) -> None:
+        moved = self._frames.moved(record)
+        if isinstance(record, Keyframe) or _builds(record):
+            moved = iter(list(moved))  # which learns the models of what comes
+        self._scene.begin(record, now)
+        moments = _moments(record, now, self._before)
+        for step, state, frames in moved:
+            moment = moments[step]
+            body = self._scene.move(record.world, state, frames, moment)
+            if body is not None:
+                self._plots.show(record.world, body, state, moment)
+        self._holds.show(record, now)
+
+    def _show_query(self, record: Query, now: Moment) -> None:
+        self._questions.show(record, now)
+        self._answers.show(record, now)
+
+    def _show_run(self, record: Run, now: Moment) -> None:  # noqa: ARG002  as the others
+        if record.phase == Run.STARTED:
+            self._graph.begin(record)
 
     def flush(self) -> None:
         """Sends what was gathered; costs nothing if that is nothing."""
