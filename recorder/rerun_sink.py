@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 _AT_THE_END: Final = 1.8  # s for the viewer to take what is left
 _TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
-_RHYTHM: Final = 0.1  # s between batches: many small ones cost more than they show
+_RHYTHM: Final = 0.2  # s between batches: many small ones cost more than they show
 _MOST_ITEMS: Final = 500
 _MOST_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent)

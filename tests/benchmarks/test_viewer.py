@@ -107,8 +107,8 @@ def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str])
     print(f"processor time of its process: {processor:.2f}; by the clock, up to the plan's end: {wall:.2f}")
     print(f"its end takes {least(watched, lambda cost: cost.end):.2f} s more, feeding the viewer", end=" ")
     print(f"{least(watched, lambda cost: cost.feeding):.2f} s of another core")
-    assert processor < 1.3  # 1.15 is the goal, for both; a noisy machine needs room
-    assert wall < 4  # where others use the cores too, this says little
+    assert processor < 1.5  # 1.15 is the goal, for both; cores that are shared with others need room
+    assert wall < 4  # and say little by the clock
 
 
 @pytest.mark.parametrize("fault", ["absent", "stopped", "killed"])
@@ -128,7 +128,7 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
     end = max(cost.end for cost in costs)
     processor = least(costs, lambda cost: cost.processor) / least(bare, lambda cost: cost.processor)
     print(f"\na viewer that is {fault}: the plan's process {processor:.2f}, its end takes {end:.2f} s more")
-    assert processor < 1.3  # with its recording
+    assert processor < 1.5  # with its recording
     assert end < 2.5  # 2 is the goal
 
 

@@ -147,14 +147,16 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
 ) -> None:
     running = plan("wait_for('go'); move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy")
     until((tmp_path / "begun").exists, "the plan has begun")
+    assert running.process.stderr is not None
+    assert "it can be started at any time" in running.process.stderr.readline(), "nobody was there when it looked"
     server = serve()
     until(server.rows, "something is shown")
     (tmp_path / "go").touch()
     ended = running.end()
     ended.check()
-    assert "it can be started at any time" in ended.err
     assert "missed" not in ended.err
-    assert server.rows() == afterwards(ended.log, tmp_path / "afterwards.rrd")
+    expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
+    until(lambda: server.rows() == expected, "what was before is there")
 
 
 def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
