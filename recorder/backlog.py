@@ -88,6 +88,13 @@ class Backlog:
                 size += _cost(taken[-1])
         return taken
 
+    def rest(self) -> list[Item]:
+        """Takes everything at once and ends it."""
+        with self._changed:
+            taken = list(self._items.values())
+            self.clear()
+        return taken
+
     def close(self) -> None:
         """Ends it: what is there can still be taken."""
         with self._changed:

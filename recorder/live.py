@@ -12,7 +12,9 @@ files, and an empty one at the end.
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import signal
 import sys
 import threading
@@ -25,15 +27,17 @@ import rerun as rr
 from recorder.records import TOPICS
 from recorder.viewer.translator import Translator
 from recorder.viewer.windows import APPLICATION, ViewerGone, open_window, serve_page
-from recorder.viewers import Kind, Wish, Word, answers
+from recorder.viewers import LINGERING, Kind, Wish, Word, answers
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from recorder.backlog import Item
 
 _KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
 _NICE: Final = 5  # the plan goes first where cores are few
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
-_LAST_WORDS: Final = 2.0  # s to hand over what is here when the plan's process was killed
+_STDERR: Final = 2
 _PATIENCE: Final = 1.0  # s that one call of the viewer's library may take
 
 
@@ -45,11 +49,13 @@ def main(arguments: list[str]) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
-    threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
+    wish = Wish.parse(arguments[1])
+    found = threading.Event()
+    threading.Thread(target=_end_with_parent, args=[found], name="parent", daemon=True).start()
     os.nice(_NICE)
     status = 0
     try:
-        _serve(connection, Wish.parse(arguments[1]), arguments[2])
+        _serve(connection, wish, arguments[2], found)
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
             print(f"recorder: {end}", file=sys.stderr)
@@ -62,14 +68,46 @@ def main(arguments: list[str]) -> None:
         os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
 
 
-def _end_with_parent() -> None:
-    """Ends soon after the parent, whose end of this pipe closes however it dies."""
+def _end_with_parent(found: threading.Event) -> None:
+    """Ends some time after the recording, whose end of this pipe closes however its process ends: all is here then.
+
+    Pages end at once. A viewer that was found gets a while, but nobody who waits for the plan waits for that.
+    """
     sys.stdin.buffer.read()
-    threading.Event().wait(_LAST_WORDS)
+    sys.stderr.flush()
+    os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
+    if found.is_set():
+        threading.Event().wait(LINGERING)
     os._exit(1)
 
 
-def _serve(connection: Connection, wish: Wish, title: str) -> None:
+class _Batches:
+    """What the recording sends: read at once, however slow the viewer is."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+        self._queue: queue.SimpleQueue[list[Item]] = queue.SimpleQueue()
+        threading.Thread(target=self._read, name="batches", daemon=True).start()
+
+    def _read(self) -> None:
+        batch: list[Item] = [("", b"")]
+        while batch:
+            try:
+                batch = self._connection.recv()
+            except (EOFError, OSError):  # the recording was killed
+                batch = []
+            self._queue.put(batch)
+
+    def __iter__(self) -> Iterator[list[Item]]:
+        return iter(self._queue.get, [])
+
+    def taken(self, batch: list[Item]) -> None:
+        """Says that the viewer has a batch, if the recording still wants to know."""
+        with contextlib.suppress(OSError):
+            self._connection.send(sum(isinstance(item, tuple) for item in batch))
+
+
+def _serve(connection: Connection, wish: Wish, title: str, found: threading.Event) -> None:
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
     if wish.kind is Kind.SERVE:
@@ -85,18 +123,20 @@ def _serve(connection: Connection, wish: Wish, title: str) -> None:
             )
             _await(url)
         stream.set_sinks(rr.GrpcSink(url))
+        found.set()
     translator = Translator(stream)
     connection.send(Word.READY)
-    while batch := connection.recv():
+    batches = _Batches(connection)
+    for batch in batches:
         _show(translator, batch)
         _deliver(stream)
-        connection.send(sum(isinstance(item, tuple) for item in batch))
+        batches.taken(batch)
     translator.finish()
     if wish.kind is Kind.SERVE:
-        connection.send(0)
+        batches.taken([])
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all
-    connection.send(0)
+    batches.taken([])
 
 
 def _show(translator: Translator, batch: list[Item]) -> None:

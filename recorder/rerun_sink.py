@@ -2,14 +2,16 @@
 
 Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
 (:mod:`recorder.live`) that translates them, and goes on when the viewer has taken a batch. When the recording ends,
-a viewer that takes what is left gets a moment to do so; then the process is killed. What the viewer missed is
-counted and said: the file has it all.
+the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand it
+over. What the viewer has not got is counted and said: the file has it all.
 """
 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 import threading
@@ -19,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.backlog import Backlog, is_passing
-from recorder.viewers import Kind, Wish, Word
+from recorder.viewers import LINGERING, Kind, Wish, Word
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 _AT_THE_END: Final = 1.8  # s for the viewer to take what is left
 _TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
+_HANDING: Final = 0.5  # s for the process to read the rest
 _RHYTHM: Final = 0.2  # s between batches: many small ones cost more than they show
 _MOST_ITEMS: Final = 500
 _MOST_BYTES: Final = 4 << 20
@@ -39,6 +42,9 @@ sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could
 from recorder.live import main
 main(sys.argv[1:])
 """
+
+
+_lingering: Final[list[subprocess.Popen[bytes]]] = []  # that hand over the rest
 
 
 class RerunSink:
@@ -61,7 +67,9 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._absent = False
+        self._absent = True  # until it is found
+        self._looked_in_vain = False
+        self._sending = threading.Lock()
         self._started = time.monotonic()
         self.missed = 0
         self._connection, theirs = Pipe()
@@ -86,35 +94,58 @@ class RerunSink:
         self._ended.set()
         self._backlog.close()
         now = time.monotonic()
-        until = now if self._absent else max(now + _AT_THE_END, self._started + _TO_START[self._wish.kind])
-        self._thread.join(until - now)
+        patience = 0.0 if self._looked_in_vain else max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now)
+        self._thread.join(patience)
+        behind = self._thread.is_alive() and not self._absent and self._hand_over()
         if self._wish.kind is Kind.SERVE and not self._thread.is_alive() and self._process.poll() is None:
             atexit.register(_stop, self._process)
-        else:
+        elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
-            self._thread.join()
+        self._thread.join()
         self._connection.close()
         self.missed = self._records - self._taken
         if self.missed:
-            print(
-                f"recorder: the viewer missed {self.missed} of {self._records} records; the file has them all",
-                file=sys.stderr,
+            told = (
+                f"the viewer is {self.missed} of {self._records} records behind; it has {LINGERING:.0f} s to take them"
             )
+            lost = f"the viewer missed {self.missed} of {self._records} records"
+            print(f"recorder: {told if behind else lost}; the file has them all", file=sys.stderr)
+
+    def _hand_over(self) -> bool:
+        """Gives the rest to the process, and frees the thread; whether it was taken."""
+        giving = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
+        giving.start()
+        giving.join(_HANDING)
+        if giving.is_alive():  # the process doesn't read any more
+            return False
+        with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
+            ending.shutdown(socket.SHUT_RD)
+        if self._process.stdin is not None:
+            self._process.stdin.close()  # from now on its time runs
+        _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
+        return self._process in _lingering
+
+    def _give_rest(self) -> None:
+        with self._sending, contextlib.suppress(OSError):
+            self._connection.send(self._backlog.rest())
+            self._connection.send([])
 
     def _run(self) -> None:
         """The thread's: one batch at a time."""
         try:
             while self._connection.recv() is not Word.READY:
-                self._absent = True
-            self._absent = False
+                self._looked_in_vain = True
+            self._absent = self._looked_in_vain = False
             while batch := self._backlog.take(_MOST_ITEMS, _MOST_BYTES):
                 begun = time.monotonic()
-                self._connection.send(batch)
+                with self._sending:
+                    self._connection.send(batch)
                 self._taken += self._connection.recv()
                 self._ended.wait(max(_RHYTHM, time.monotonic() - begun))  # where cores are few it uses half of one
-            self._connection.send([])
+            with self._sending:
+                self._connection.send([])
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended, and has said why
+        except (EOFError, OSError):  # the process has ended, and has said why; or it has got the rest
             self._backlog.clear()
 
     def wait(self) -> None:

@@ -21,8 +21,9 @@ from rerun.chunk import RrdReader
 
 import recorder
 import replay
-from recorder.viewers import Kind, Wish, answers, free_port
+from recorder.viewers import LINGERING, Kind, Wish, answers, free_port
 from replay.view import convert
+from tests.viewer.conftest import wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -62,13 +63,13 @@ class Ended:
 
     def missed(self) -> tuple[int, int]:
         """How many records the viewer missed, and of how many, as it was said."""
-        found = re.search(r"the viewer missed (\d+) of (\d+) records; the file has them all", self.err)
+        found = re.search(r"the viewer (?:missed|is) (\d+) of (\d+) records.*; the file has them all", self.err)
         return (int(found[1]), int(found[2])) if found else (0, 0)
 
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
         assert self.code == 0, self.err
-        assert not marked(self.mark), "no process is left"
+        wait_until(lambda: not marked(self.mark), "no process is left", LINGERING + 10)
         with replay.open(self.log) as log:
             assert log.complete
             count = len(log)
