@@ -231,7 +231,13 @@ class Browser:
             self.call(f"{domain}.enable")
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
-        """Gives an order and waits for its answer; what happens meanwhile is kept in ``events``."""
+        """Gives an order that is obeyed; what happens meanwhile is kept in ``events``."""
+        told = self.order(method, **parameters)
+        assert "result" in told, told
+        return told["result"]
+
+    def order(self, method: str, **parameters: object) -> dict[str, Any]:
+        """Gives an order and waits for its answer."""
         self._count += 1
         order = {"id": self._count, "method": method, "params": parameters}
         if self._session is not None:
@@ -241,8 +247,7 @@ class Browser:
         while True:
             told = self._next()
             if told.get("id") == self._count:
-                assert "result" in told, told
-                return told["result"]
+                return told
             self.events.append(told)
 
     def _next(self) -> dict[str, Any]:
@@ -265,7 +270,14 @@ class Browser:
         return [line for line in lines if line.lstrip().startswith("ERROR")] + thrown
 
     def picture(self, file: Path) -> Image.Image:
-        file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
+        taken: dict[str, Any] = {}
+
+        def drawn() -> bool:
+            taken.update(self.order("Page.captureScreenshot"))
+            return "result" in taken  # a page that is on its way elsewhere can't be drawn
+
+        wait_until(drawn, "the page is drawn")
+        file.write_bytes(base64.b64decode(taken["result"]["data"]))
         with Image.open(file) as image:
             return image.convert("RGB")
 
