@@ -24,6 +24,7 @@ from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, ent
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BranchesFailed, PlanFailure, leaves_uncleaned
 from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
+from pycram.retries import Retry
 from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
@@ -228,6 +229,7 @@ class Block(OpenBlock):
         bugs = [one for one in wrong if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
         if bugs:  # the program is wrong, or the user wants out
             self._state = State.FAILED
+            bugs.sort(key=lambda one: isinstance(one, Retry))  # trying again would hide the others
             return chained(bugs[0], [*bugs[1:], *failures])
         self._state = self._outcome(error, failures)
         if self._collected is not None:

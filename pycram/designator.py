@@ -23,7 +23,7 @@ from pycram.equated import Equated
 from pycram.error_chain import chained
 from pycram.event import qualified_name
 from pycram.failures import BadArgument
-from pycram.handle import Handle, branch_of, unwrap
+from pycram.handle import Handle, branches_in, unwrap
 from pycram.resolvers import Resolvers
 from pycram.solutions import Solution, Solutions
 
@@ -367,5 +367,5 @@ def unfinished(designator: Designator) -> list[str]:
     Returns:
         The branches among its slots that have not ended and may come to wait for something that is asked for later.
     """
-    branches = [branch_of(value) for _, value in designator.description]
-    return [branch.name for branch in branches if branch is not None and not branch.done and not branch.ordered]
+    branches = branches_in([value for _, value in designator.description])
+    return [branch.name for branch in branches if not branch.done and not branch.ordered]

@@ -210,6 +210,27 @@ def branch_of(value: object) -> Branch | None:
     return branch
 
 
+def branches_in(value: object) -> Iterator[Branch]:
+    """The branches of all handles in a value: of itself, and of those in lists, tuples and dictionaries, however deep.
+
+    Doesn't wait. Who waits for each before asking for the next gets those in their results too.
+
+    Args:
+        value: anything.
+    """
+    queue = [value]
+    seen = set()
+    for one in queue:
+        branch = branch_of(one)
+        if branch is not None:
+            yield branch
+            if branch.state is State.SUCCEEDED:
+                queue.append(branch.result())
+        elif isinstance(one, (list, tuple, dict)) and id(one) not in seen:
+            seen.add(id(one))
+            queue += one.values() if isinstance(one, dict) else one
+
+
 def unwrap(value: Result) -> Result:
     """The thing itself where a handle stands for it; anything else unchanged.
 

@@ -22,7 +22,7 @@ from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, unfinished
 from pycram.event import qualified_name
 from pycram.failures import BadArgument, NoWorld, UsageError
-from pycram.handle import unwrap
+from pycram.handle import branches_in
 from pycram.open_block import current_block
 from pycram.resolvers import Resolvers
 from recorder.span import Span, span
@@ -248,8 +248,8 @@ class _Motion:
         """Waits for its turn and does it, as the task that its span is."""
         designator = self._designator
         try:
-            for _, value in designator.description:
-                unwrap(value)  # waits for what may wait itself, while it holds nothing of the robot
+            for branch in branches_in([value for _, value in designator.description]):
+                branch.result()  # waits for what may wait itself, while it holds nothing of the robot
             ticket = self._ticket or self.arrive()
             with ticket.turn():
                 checkpoint()

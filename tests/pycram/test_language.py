@@ -818,6 +818,26 @@ def test_retry_in_a_branch_reaches_its_attempt() -> None:
     assert len(runs) == 3
 
 
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, SystemExit])
+def test_trying_again_in_one_branch_does_not_hide_a_bug_or_ctrl_c_in_another(error: type[BaseException]) -> None:
+    runs, begun = [], Gate()
+
+    def tries_again() -> None:
+        begun.pass_through()
+        retry()
+
+    def breaks_off() -> None:
+        begun.open()
+        raise error
+
+    with pytest.raises(error):
+        for attempt in failure_handling(5):
+            with attempt:
+                runs.append(1)
+                par(tries_again, breaks_off)
+    assert len(runs) == 1
+
+
 def test_recoveries_by_the_type_of_failure() -> None:
     recovered = []
 

@@ -130,7 +130,8 @@ def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
     assert order == [1, 2]
 
 
-def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting() -> None:
+@pytest.mark.parametrize("where", [lambda found: found, lambda found: [0.5, {"x": (found,)}]], ids=["slot", "within"])
+def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[object], object]) -> None:
     order, asked = [], threading.Event()
 
     def find() -> str:
@@ -140,7 +141,23 @@ def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting() -> None:
 
     with par as s:
         found = s(find)
-        do(lambda: order.append(2), "left-arm", object=found)
+        do(lambda: order.append(2), "left-arm", object=where(found))
+        asked.set()
+    assert order == [1, 2]
+
+
+def test_a_motion_waits_for_results_in_results() -> None:
+    order, asked = [], threading.Event()
+
+    def find() -> str:
+        asked.wait(20)
+        do(lambda: order.append(1), "left-arm")
+        return "milk"
+
+    with par as s:
+        found = s(find)
+        listed = s(lambda: [found])
+        do(lambda: order.append(2), "left-arm", object=listed)
         asked.set()
     assert order == [1, 2]
 
