@@ -65,6 +65,7 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
         assert attached == ["bowl", "milk", "cereal", "spoon"], "what blocks goes first"
 
 
+@pytest.mark.slow
 def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)
     assert ended.returncode == 1

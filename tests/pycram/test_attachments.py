@@ -40,6 +40,7 @@ def test_the_full_pose_is_kept_through_chains_and_joints(scene: BulletWorld) -> 
     assert milk.carrier is robot
 
 
+@pytest.mark.slow
 def test_in_simulation_it_stays_in_the_hand(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     link = "l_gripper_tool_frame"
@@ -53,6 +54,7 @@ def test_in_simulation_it_stays_in_the_hand(scene: BulletWorld) -> None:
     assert math.dist(before[0], relative(robot, link, milk)[0]) > 0.05
 
 
+@pytest.mark.slow
 def test_moved_by_hand_it_moves_alone_and_is_carried_on_from_there(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     robot.attach(milk, "r_gripper_tool_frame")
@@ -117,6 +119,7 @@ def test_a_branch_s_handle_stands_for_its_object(scene: BulletWorld) -> None:
     assert milk.carrier is None
 
 
+@pytest.mark.slow
 def test_a_chain_that_hangs_out_far_stays_together_in_simulation(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     x, y, z = robot.get_link_position("l_gripper_tool_frame")

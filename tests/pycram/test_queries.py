@@ -155,6 +155,7 @@ def build() -> BulletWorld:
     return world
 
 
+@pytest.mark.slow
 def test_queries_leave_no_trace_now_or_later() -> None:
     """A world that was asked goes on, bit for bit, as its twin that wasn't."""
     told = []

@@ -145,6 +145,7 @@ def test_tables_of_methods(scene: BulletWorld) -> None:
         Object("milk", "milk", "milk.stl")
 
 
+@pytest.mark.slow
 def test_robots_hold_their_posture_and_things_have_weight(scene: BulletWorld) -> None:
     robot = scene.robot
     assert robot is not None

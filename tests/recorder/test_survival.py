@@ -113,6 +113,7 @@ except recorder.RecordingError as error:
         assert len(log) > int(number) - 60
 
 
+@pytest.mark.slow
 def test_a_recording_that_can_t_begin_leaves_nothing_open(tmp_path: Path) -> None:
     program = """
 import resource, signal, sys, threading

@@ -142,6 +142,7 @@ def ran(tmp_path: Path) -> Path:
     return tmp_path / "x.mcap"
 
 
+@pytest.mark.slow
 def test_modules_of_the_plan_s_own_go_with_the_recording(ran: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with replay.open(ran) as log:
         found = blame(log, "ball").causes

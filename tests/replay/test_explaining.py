@@ -390,6 +390,7 @@ def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
 
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
+@pytest.mark.slow
 def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
     taken: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -236,6 +237,7 @@ def told(state: replay.State) -> dict[str, dict[str, object]]:
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(actions, min_size=40, max_size=80), st.randoms(use_true_random=False))
+@pytest.mark.slow
 def test_any_step_is_what_happened_whatever_keyframe_it_is_folded_from(steps: list, rng) -> None:
     models = {name: Model(name) for name in ("a", "b")}
     expected: list[dict[str, object]] = []

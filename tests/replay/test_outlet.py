@@ -61,6 +61,7 @@ def commands(folder: Path) -> list[list[str]]:
     return [line.split("|") if "|" in line else line.split() for line in told]
 
 
+@pytest.mark.slow
 def test_json_loses_nothing_where_a_terminal_has_no_letters(
     strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

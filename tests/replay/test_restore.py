@@ -51,6 +51,7 @@ print(bowl.get_position()[2], big_cup.name, objects["big cup"] is big_cup, robot
 """
 
 
+@pytest.mark.slow
 def test_a_script_finds_the_world_and_its_objects(log_file: Path, tmp_path: Path) -> None:
     script = tmp_path / "look.py"
     script.write_text(SCRIPT)
@@ -87,6 +88,7 @@ def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path
         assert verify(log).sound
 
 
+@pytest.mark.slow
 def test_a_shell_talks_python(log_file: Path) -> None:
     told = restore(log_file, "5", "--shell", input="print(bowl.get_position())\n1/0\nworld.name\n")
     assert told.returncode == 0

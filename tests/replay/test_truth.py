@@ -117,6 +117,7 @@ def run_plan(witness: Witness) -> None:
 
 
 @pytest.mark.parametrize("late", [False, True], ids=["from the start", "worlds before the recording"])
+@pytest.mark.slow
 def test_state_after_every_record_equals_the_live_world(tmp_path: Path, late: bool) -> None:
     file = tmp_path / "run.mcap"
     witness = Witness()

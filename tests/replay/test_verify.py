@@ -284,6 +284,7 @@ def test_a_file_that_was_exchanged_is_found(run_log: Path, tmp_path: Path) -> No
     assert "damaged" in found.cause
 
 
+@pytest.mark.slow
 def test_on_another_machine_it_says_how_near_it_is(run_log: Path, tmp_path: Path) -> None:
     """Where the engine isn't the same, the last bits say nothing; but what is far off is a problem still."""
 

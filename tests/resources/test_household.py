@@ -132,6 +132,7 @@ def test_things_stand_upright_on_the_island(resources: Path, bench: Bench) -> No
         assert turn[2, 2] > np.cos(np.radians(0.5)), name
 
 
+@pytest.mark.slow
 def test_cutlery_lies_still_on_the_counter(resources: Path, bench: Bench) -> None:
     bench.fixed(resources / "kitchen.urdf")
     halves = {name: half_height(resources, name) for name in CUTLERY}
@@ -161,6 +162,7 @@ def test_vessels_are_hollow_for_collision(resources: Path, bench: Bench, name: s
 
 
 @pytest.mark.parametrize("drop", [0.0, 0.012])
+@pytest.mark.slow
 def test_a_spoon_stays_where_it_is_laid_across_a_bowl(resources: Path, bench: Bench, drop: float) -> None:
     bench.fixed(resources / "kitchen.urdf")
     pairs = []

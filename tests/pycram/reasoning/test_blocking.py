@@ -286,6 +286,7 @@ sizes = st.tuples(*[st.floats(0.005, 0.4)] * 3).map(np.array)
 
 @settings(max_examples=150, deadline=None)
 @given(places, turns, sizes, places, st.one_of(st.none(), turns), sizes, st.floats(-1e-7, 1e-7))
+@pytest.mark.slow
 def test_boxes_meet_where_some_point_is_in_both(
     at: np.ndarray,
     turn: np.ndarray,

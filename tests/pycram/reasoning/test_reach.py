@@ -66,6 +66,7 @@ def random_postures(robot: Object, link: str, count: int, seed: int) -> np.ndarr
 
 
 @pytest.mark.parametrize("link", [LEFT, RIGHT])
+@pytest.mark.slow
 def test_every_pose_that_some_posture_has_is_reached(robot: Object, link: str) -> None:
     for pose in arm_of(robot, link).poses(random_postures(robot, link, 40, 3)):
         position, turn = in_world(robot, (pose[:3, 3], geometry.from_matrix(pose[:3, :3])))
