@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
+import threading
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 from rerun.experimental import ViewerClient
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
     from replay.log import Log
 
+_TO_LOAD: Final = 20.0  # s for the viewer to load a file
+_LOOK_AGAIN: Final = 0.1  # s
 _PATIENCE: Final = 60.0  # s for the last rows to be written
 
 
@@ -156,10 +160,18 @@ def check(url: str | None) -> None:
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    try:
-        client.set_time("step", sequence=step, play_state="paused")
-    except TypeError:  # before rerun-sdk 0.40, where it pauses anyway
-        client.set_time("step", sequence=step)
+    """Goes to a step as soon as the viewer has something to go in."""
+    paused: dict[str, Any] = {"play_state": "paused"} if hasattr(client, "open") else {}  # older ones pause anyway
+    pause, until = threading.Event(), time.monotonic() + _TO_LOAD
+    while True:
+        try:
+            client.set_time("step", sequence=step, **paused)
+        except (RuntimeError, OSError):
+            if time.monotonic() > until:
+                raise
+            pause.wait(_LOOK_AGAIN)
+        else:
+            return
 
 
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
