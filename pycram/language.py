@@ -117,7 +117,11 @@ class Opening:
         host = current_block()
         block = Block(self._rule, self._failures) if host is None else nested(host, self._rule, self._failures)
         block.__enter__()
-        self._open.set((*self._open.get(), (_generator(), block)))
+        try:
+            self._open.set((*self._open.get(), (_generator(), block)))
+        except BaseException as stopped:  # Ctrl-C: there will be no body
+            block.__exit__(type(stopped), stopped, stopped.__traceback__)
+            raise
         return block
 
     def __exit__(

@@ -141,6 +141,8 @@ class OpenBlock(ABC):
         rule: what kind of block it is.
         branches: its branches, in the order in which they were asked for.
         changed: notified when one of them ends; guards what it knows of them.
+        readings: to be called when its body has ended: each says so to a block that is read in it, however deep. Ctrl-C
+            between two statements may have kept that one from knowing.
     """
 
     def __init__(self, rule: Rule) -> None:
@@ -152,6 +154,7 @@ class OpenBlock(ABC):
         self.rule = rule
         self.branches: list[Branch] = []
         self.changed = threading.Condition()
+        self.readings: list[Callable[[], None]] = []
 
     @property
     def name(self) -> str:

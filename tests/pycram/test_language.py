@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram import tasks
+from pycram import language, tasks
 from pycram.branch import NoResult
-from pycram.cancellation import Cancelled, checkpoint, wait
+from pycram.cancellation import Cancelled, checkpoint, current_scope, wait
 from pycram.failures import (
     BadArgument,
     BranchesFailed,
@@ -50,6 +50,7 @@ from pycram.language import (
     try_all,
     try_in_order,
 )
+from pycram.nested_blocks import Deferred
 from pycram.open_block import BlockClosed, current_block
 from pycram.retries import FailureLeft
 from pycram.timeouts import TimedOut
@@ -593,6 +594,35 @@ def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.Monke
         s(busy)
     assert s.branches[0].state is S
     assert "waiting for par-1" in screen.text
+
+
+@pytest.mark.parametrize("opened", ["par", "seq in it"])
+def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
+    opened: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = ["par", "seq in it"]
+
+    def interrupted() -> int:
+        if left and left.pop(0) == opened:
+            raise KeyboardInterrupt
+        return 0
+
+    monkeypatch.setattr(language, "_generator", interrupted)
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(succeeds)
+        with seq as q:
+            q(succeeds)
+    assert current_block() is None
+    assert current_scope() is None
+
+
+def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> bool:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Deferred, "__exit__", interrupted)
+    with pytest.raises(KeyboardInterrupt), par, seq as q:
+        q(succeeds)
 
 
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
