@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram import language, tasks
+from pycram import nesting, tasks
 from pycram.branch import NoResult
 from pycram.cancellation import Cancelled, checkpoint, current_scope, wait
 from pycram.failures import (
@@ -37,7 +37,6 @@ from pycram.failures import (
 from pycram.fluent import Fluent, whenever
 from pycram.handle import branch_of
 from pycram.language import (
-    BlocksMixed,
     NeverOpened,
     State,
     failure_handling,
@@ -51,6 +50,7 @@ from pycram.language import (
     try_in_order,
 )
 from pycram.nested_blocks import Deferred
+from pycram.nesting import BlocksMixed
 from pycram.open_block import BlockClosed, current_block
 from pycram.retries import FailureLeft
 from pycram.timeouts import TimedOut
@@ -607,7 +607,7 @@ def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
             raise KeyboardInterrupt
         return 0
 
-    monkeypatch.setattr(language, "_generator", interrupted)
+    monkeypatch.setattr(nesting, "_generator", interrupted)
     with pytest.raises(KeyboardInterrupt), par as s:
         s(succeeds)
         with seq as q:
@@ -617,12 +617,15 @@ def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
 
 
 def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object) -> bool:
+    def interrupted(block: Deferred, *_: object) -> bool:
+        block._exits.close()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Deferred, "__exit__", interrupted)
+    begun = Gate()
     with pytest.raises(KeyboardInterrupt), par, seq as q:
-        q(succeeds)
+        q(begun.open)
+        begun.pass_through()
 
 
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
@@ -743,6 +746,44 @@ def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
             for v in plan(kind):
                 v(succeeds)
         assert (u.state, v.state) == (S, S)
+
+
+def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_refused() -> None:
+    def in_time() -> Iterator[None]:
+        with timeout(100):
+            yield
+
+    def cleaning() -> Iterator[None]:
+        with finally_(succeeds):
+            yield
+
+    def trying() -> Iterator[None]:
+        for attempt in failure_handling(1):
+            with attempt:
+                yield
+
+    for plan, name in ((in_time, "timeout"), (cleaning, "finally"), (trying, "failure_handling")):
+        for other in (in_time, cleaning, trying):
+            first, second = plan(), other()
+            next(first)
+            next(second)
+            with pytest.raises(BlocksMixed, match=name):
+                list(first)
+            with suppress(BlocksMixed):
+                list(second)
+            assert (current_scope(), current_block(), tasks.current()) == (None, None, None)
+        assert list(zip(plan(), strict=True)) == [(None,)]
+
+
+def test_timeouts_and_cleanups_as_decorators() -> None:
+    cleaned = []
+
+    @timeout(100)
+    @finally_(cleaned.append, 1)
+    def act() -> int:
+        return 3
+
+    assert (act(), act(), cleaned) == (3, 3, [1, 1])
 
 
 def test_blocks_in_context_managers() -> None:
