@@ -96,6 +96,11 @@ class Nested(Generic[Value]):
         raise wrong
 
 
+def nothing_open() -> None:
+    """From here on nothing is open in this context: it is that of a branch, which ends only what it begins itself."""
+    Nested._open.set(())  # noqa: SLF001  same module
+
+
 def _generator() -> int:
     """Which generator's code opens or ends a stretch; 0 for code that is never left in the middle."""
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other

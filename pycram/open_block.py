@@ -18,6 +18,7 @@ from pycram.branch import Branch, Result
 from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.handle import Handle
+from pycram.nesting import nothing_open
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -93,6 +94,7 @@ def enter_branch(scope: Scope) -> None:
         scope: its block's.
     """
     _host.set(None)
+    nothing_open()
     enter(scope)
 
 

@@ -775,6 +775,23 @@ def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_
         assert list(zip(plan(), strict=True)) == [(None,)]
 
 
+def test_what_began_in_one_thread_does_not_end_in_another() -> None:
+    def plan() -> Iterator[None]:
+        with timeout(100):
+            yield
+
+    with pytest.raises(BlocksMixed, match="a seq block"), seq:  # which ends the timeout
+        begun = plan()
+        next(begun)
+        try:
+            par(lambda: list(begun))
+        except UsageError as error:
+            refused = error
+    assert isinstance(refused, BlocksMixed)
+    assert refused.block == "timeout"
+    assert current_scope() is None
+
+
 def test_timeouts_and_cleanups_as_decorators() -> None:
     cleaned = []
 
