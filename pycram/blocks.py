@@ -190,11 +190,15 @@ class Block(OpenBlock):
 
     def __enter__(self) -> Self:
         checkpoint()
-        if self._owns_span:
-            self._exits.enter_context(self._span)
-        self._exits.enter_context(entered(self.scope))
-        self._exits.enter_context(hosted(None if self.rule.plain else self))
-        self._state = State.RUNNING
+        try:
+            if self._owns_span:
+                self._exits.enter_context(self._span)
+            self._exits.enter_context(entered(self.scope))
+            self._exits.enter_context(hosted(None if self.rule.plain else self))
+            self._state = State.RUNNING
+        except BaseException as stopped:  # Ctrl-C: there will be no body
+            self._leave(stopped)
+            raise
         return self
 
     def __exit__(
@@ -218,10 +222,12 @@ class Block(OpenBlock):
         elif error is not None:
             self.scope.cancel()
         try:
+            self._end_readings()
             self._join()
         except BaseException:
             with _Waiting(self):  # no thread outlives its block, however often somebody presses Ctrl-C
                 self.scope.cancel()
+                self._end_readings()
                 self._join()
             raise
         failures = self.failures
@@ -264,6 +270,11 @@ class Block(OpenBlock):
             body = Span("branch", "body", parent=self._span.id)
             body.ask()
             body.finish(failure)
+
+    def _end_readings(self) -> None:
+        """Says to the blocks in its body that this has ended."""
+        for end in self.readings:
+            end()
 
     def _join(self) -> None:
         """Waits for all branches; those of a block in which things happen in order have ended anyway."""

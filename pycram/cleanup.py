@@ -6,13 +6,13 @@ done here is shielded from that.
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pycram.branch import completed
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
+from pycram.nesting import stretch
 from pycram.open_block import alone, name_of
 from pycram.retries import Retry
 from recorder.span import span
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
-@contextmanager
+@stretch
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
     """Does something when its block has ended, however it did. In the block actions happen one after the other.
 

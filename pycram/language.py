@@ -31,32 +31,28 @@ or wait, and the block ends when all its threads have. An empty block succeeds. 
 decides ``pursue``, and is one more of the failures elsewhere.
 
 A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are.
-A block ends where it began, in the order of ``with`` statements: a generator may yield in its body only to what is over
-when the generator goes on, as a context manager's does.
+A block, a timeout, an attempt or a cleanup ends where it began, in the order of ``with`` statements
+(:mod:`pycram.nesting`): a generator may yield in its body only to what is over when the generator goes on, as a context
+manager's does.
 Branches that need the same part of the robot queue in the order in which they are asked for (:mod:`pycram.claims`).
 """
 
 from __future__ import annotations
 
-import sys
 import warnings
 from collections.abc import Callable
-from contextvars import ContextVar
-from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, overload
+from typing import Any, Final, TypeAlias, overload
 
 from pycram.blocks import Block
 from pycram.cleanup import finally_
-from pycram.failures import BadArgument, UsageError
+from pycram.failures import BadArgument
 from pycram.nested_blocks import nested
+from pycram.nesting import Nested
 from pycram.open_block import OpenBlock, Rule, current_block
 from pycram.retries import failure_handling, retry
 from pycram.timeouts import timeout
 from recorder.tasks import State
 from recorder.way import plan_line
-
-if TYPE_CHECKING:
-    from types import TracebackType
 
 __all__ = [
     "State",
@@ -75,33 +71,12 @@ Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 
 
-#: The frames of these can be left in the middle of a block and come back later.
-_LEFT_AND_RESUMED: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
-
-
-class BlocksMixed(UsageError):
-    """A block was ended while another one was open that had been opened after it.
-
-    Attributes:
-        block: what kind it is.
-    """
-
-    def __init__(self, block: str) -> None:
-        super().__init__(
-            f"a {block} block ends while one that was opened after it is open, or in another thread than it began; "
-            "a generator that yields in the body of a block has to get to the block's end before others go on"
-        )
-        self.block = block
-
-
 class NeverOpened(RuntimeWarning):
     """A block was given a list for failures, and no body."""
 
 
-class Opening:
+class Opening(Nested[OpenBlock]):
     """Opens a block when a ``with`` statement begins; may be used again, in other threads and within itself."""
-
-    _open: ContextVar[tuple[tuple[int, OpenBlock], ...]] = ContextVar("pycram_openings", default=())
 
     def __init__(self, rule: Rule, failures: list[BaseException] | None = None) -> None:
         """Makes an opening.
@@ -110,45 +85,13 @@ class Opening:
             rule: what kind of block.
             failures: where failures of its branches go; None to raise them.
         """
+        super().__init__(rule.name)
         self._rule = rule
         self._failures = failures
 
-    def __enter__(self) -> OpenBlock:
+    def _opened(self) -> OpenBlock:
         host = current_block()
-        block = Block(self._rule, self._failures) if host is None else nested(host, self._rule, self._failures)
-        block.__enter__()
-        self._open.set((*self._open.get(), (_generator(), block)))
-        return block
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
-        opened, generator = self._open.get(), _generator()
-        if not opened or opened[-1][0] != generator:
-            return self._end_mixed(opened, generator, error)
-        self._open.set(opened[:-1])
-        return opened[-1][1].__exit__(kind, error, trace)
-
-    def _end_mixed(
-        self, opened: tuple[tuple[int, OpenBlock], ...], generator: int, error: BaseException | None
-    ) -> bool:
-        """Ends all blocks up to the one that was opened here, and refuses what the plan does."""
-        wrong = BlocksMixed(self._rule.name)
-        place = max((place for place, (opener, _) in enumerate(opened) if opener == generator), default=len(opened))
-        for kept, (_, block) in reversed(list(enumerate(opened[place:], place))):
-            self._open.set(opened[:kept])
-            block.__exit__(BlocksMixed, wrong, None)
-        if error is not None and place == len(opened):  # one that was ended like that before
-            return False
-        raise wrong
-
-
-def _generator() -> int:
-    """Which generator's code opens or ends a block; 0 for code that is never left in the middle."""
-    frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
-    while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
-        frame = frame.f_back
-    return id(frame) if frame.f_code.co_flags & _LEFT_AND_RESUMED else 0
+        return Block(self._rule, self._failures) if host is None else nested(host, self._rule, self._failures)
 
 
 class Collecting(Opening):

@@ -91,6 +91,7 @@ class Deferred(OpenBlock):
         self._begun = False
         self._begun_changed = threading.Condition()
         self._exits = ExitStack()
+        self.readings = host.readings
 
     @property
     def state(self) -> State:
@@ -150,13 +151,15 @@ class Deferred(OpenBlock):
                 raise stopped
 
     def __enter__(self) -> Self:
+        self.readings.append(self._asked.end)
         try:
             self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
             self._exits.enter_context(self._span.entered())
             self._exits.enter_context(entered(self._block.scope))
             self._exits.enter_context(hosted(self))
         except BaseException:  # told to stop, or Ctrl-C: there will be no body
-            self._asked.end(None)
+            self._exits.close()
+            self._asked.end()
             raise
         return self
 
@@ -191,16 +194,17 @@ class _Asked:
                 return
         branch.settle(State.CANCELLED)
 
-    def end(self, error: Exception | None) -> None:
-        """The body has ended.
+    def end(self, error: Exception | None = None) -> None:
+        """The body has ended; nothing happens if that was said before.
 
         Args:
             error: what it raised.
         """
         with self._changed:
-            self._ended = True
-            self._error = error
-            self._changed.notify_all()
+            if not self._ended:
+                self._ended = True
+                self._error = error
+                self._changed.notify_all()
 
     def outcome(self) -> Exception | None:
         """Waits until the body has ended, whoever is told to stop; what it raised."""

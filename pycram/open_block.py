@@ -18,6 +18,7 @@ from pycram.branch import Branch, Result
 from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.handle import Handle
+from pycram.nesting import nothing_open
 from recorder.tasks import State
 
 if TYPE_CHECKING:
@@ -93,6 +94,7 @@ def enter_branch(scope: Scope) -> None:
         scope: its block's.
     """
     _host.set(None)
+    nothing_open()
     enter(scope)
 
 
@@ -141,6 +143,8 @@ class OpenBlock(ABC):
         rule: what kind of block it is.
         branches: its branches, in the order in which they were asked for.
         changed: notified when one of them ends; guards what it knows of them.
+        readings: to be called when its body has ended: each says so to a block that is read in it, however deep. Ctrl-C
+            between two statements may have kept that one from knowing.
     """
 
     def __init__(self, rule: Rule) -> None:
@@ -152,6 +156,7 @@ class OpenBlock(ABC):
         self.rule = rule
         self.branches: list[Branch] = []
         self.changed = threading.Condition()
+        self.readings: list[Callable[[], None]] = []
 
     @property
     def name(self) -> str:

@@ -25,6 +25,7 @@ from pycram.failures import BadArgument, NoWorld, UsageError
 from pycram.handle import branches_in
 from pycram.open_block import current_block
 from pycram.resolvers import Resolvers
+from recorder.interrupts import Uninterrupted
 from recorder.span import Span, span
 
 if TYPE_CHECKING:
@@ -194,9 +195,9 @@ class ProcessModule(ABC):
                 return result
         # its place in the queue is taken here if nothing but earlier ones can then keep it waiting
         ordered = block.prompt and not unfinished(designator)
-        if ordered:
-            motion.arrive()
         try:
+            if ordered:
+                motion.arrive()
             return block.start(motion.name, motion.carry_out, ordered=ordered, dropped=motion.leave, span=motion.span)
         except BaseException:
             motion.leave()
@@ -236,7 +237,8 @@ class _Motion:
 
     def arrive(self) -> Ticket:
         """Takes its place among those that wait for parts of the robot."""
-        self._ticket = self._queue.arrive(self._claims, self.name)
+        with Uninterrupted():  # a place that nobody knows of would keep others waiting for ever
+            self._ticket = self._queue.arrive(self._claims, self.name)
         return self._ticket
 
     def leave(self) -> None:

@@ -42,11 +42,13 @@ from pycram.branch import completed
 from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
+from pycram.nesting import Nested
 from pycram.open_block import alone, name_of
 from recorder.span import Span
 from recorder.way import plan_line
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
     from types import TracebackType
 
     from typing_extensions import Self
@@ -233,7 +235,7 @@ class FailureHandling:
 failure_handling = FailureHandling
 
 
-class Attempt:
+class Attempt(Nested["Attempt"]):
     """One run of what may be tried again.
 
     Attributes:
@@ -252,42 +254,55 @@ class Attempt:
             parameters: what it is to use.
             failures: those of the attempts before it.
         """
+        super().__init__("failure_handling")
         self.number = number
         self.parameters = parameters
         self.failures = tuple(failures)
         self.used = False
         self._attempts = attempts
-        self._span: Span | None = None
-        self._exits = ExitStack()
 
     def __getitem__(self, name: str) -> Result:
         """A parameter."""
         return self.parameters[name]
 
-    def __enter__(self) -> Self:
+    def _opened(self) -> AbstractContextManager[Attempt]:
         if self.used:
             raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
         self.used = True
+        return _Run(self, self._attempts)
+
+
+class _Run:
+    """The body of an attempt."""
+
+    def __init__(self, attempt: Attempt, attempts: _Attempts) -> None:
+        self._attempt = attempt
+        self._attempts = attempts
+        self._span: Span | None = None
+        self._exits = ExitStack()
+
+    def __enter__(self) -> Attempt:
+        made = self._attempt
         try:
             with ExitStack() as entering:
                 entering.enter_context(self._attempts.entered())
-                self._span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
+                self._span = Span("attempt", f"attempt {made.number}", parameters=made.parameters, attempt=made.number)
                 entering.enter_context(self._span.entered())
                 self._span.start()
-                token = _attempt.set(self)
+                token = _attempt.set(made)
                 entering.callback(lambda: _attempt.reset(token))
                 self._exits = entering.pop_all()
         except BaseException as stopped:
             self._attempts.finish(stopped)
             raise
-        return self
+        return made
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         handled = error
         changed: Parameters | None = None
-        if isinstance(error, Retry) and error.attempt is self:
+        if isinstance(error, Retry) and error.attempt is self._attempt:
             handled, changed = error.error or error, error.changed
         if self._span is not None:
             self._span.finish(handled)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.checks import number
 from pycram.failures import BadArgument, NoWorld, PlanFailure
+from pycram.nesting import stretch
 from pycram.open_block import alone
 from recorder.span import span
 
@@ -39,7 +40,7 @@ class TimedOut(PlanFailure):
         self.clock = clock
 
 
-@contextmanager
+@stretch
 def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     """Gives its block so much time. In the block actions happen one after the other.
 

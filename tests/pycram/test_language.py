@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram import tasks
+from pycram import nesting, tasks
 from pycram.branch import NoResult
-from pycram.cancellation import Cancelled, checkpoint, wait
+from pycram.cancellation import Cancelled, checkpoint, current_scope, wait
 from pycram.failures import (
     BadArgument,
     BranchesFailed,
@@ -37,7 +37,6 @@ from pycram.failures import (
 from pycram.fluent import Fluent, whenever
 from pycram.handle import branch_of
 from pycram.language import (
-    BlocksMixed,
     NeverOpened,
     State,
     failure_handling,
@@ -50,6 +49,8 @@ from pycram.language import (
     try_all,
     try_in_order,
 )
+from pycram.nested_blocks import Deferred
+from pycram.nesting import BlocksMixed
 from pycram.open_block import BlockClosed, current_block
 from pycram.retries import FailureLeft
 from pycram.timeouts import TimedOut
@@ -595,6 +596,38 @@ def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.Monke
     assert "waiting for par-1" in screen.text
 
 
+@pytest.mark.parametrize("opened", ["par", "seq in it"])
+def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
+    opened: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = ["par", "seq in it"]
+
+    def interrupted() -> int:
+        if left and left.pop(0) == opened:
+            raise KeyboardInterrupt
+        return 0
+
+    monkeypatch.setattr(nesting, "_generator", interrupted)
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(succeeds)
+        with seq as q:
+            q(succeeds)
+    assert current_block() is None
+    assert current_scope() is None
+
+
+def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(block: Deferred, *_: object) -> bool:
+        block._exits.close()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Deferred, "__exit__", interrupted)
+    begun = Gate()
+    with pytest.raises(KeyboardInterrupt), par, seq as q:
+        q(begun.open)
+        begun.pass_through()
+
+
 def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
     gate = Gate()
     swallowed = []
@@ -713,6 +746,61 @@ def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
             for v in plan(kind):
                 v(succeeds)
         assert (u.state, v.state) == (S, S)
+
+
+def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_refused() -> None:
+    def in_time() -> Iterator[None]:
+        with timeout(100):
+            yield
+
+    def cleaning() -> Iterator[None]:
+        with finally_(succeeds):
+            yield
+
+    def trying() -> Iterator[None]:
+        for attempt in failure_handling(1):
+            with attempt:
+                yield
+
+    for plan, name in ((in_time, "timeout"), (cleaning, "finally"), (trying, "failure_handling")):
+        for other in (in_time, cleaning, trying):
+            first, second = plan(), other()
+            next(first)
+            next(second)
+            with pytest.raises(BlocksMixed, match=name):
+                list(first)
+            with suppress(BlocksMixed):
+                list(second)
+            assert (current_scope(), current_block(), tasks.current()) == (None, None, None)
+        assert list(zip(plan(), strict=True)) == [(None,)]
+
+
+def test_what_began_in_one_thread_does_not_end_in_another() -> None:
+    def plan() -> Iterator[None]:
+        with timeout(100):
+            yield
+
+    with pytest.raises(BlocksMixed, match="a seq block"), seq:  # which ends the timeout
+        begun = plan()
+        next(begun)
+        try:
+            par(lambda: list(begun))
+        except UsageError as error:
+            refused = error
+    assert isinstance(refused, BlocksMixed)
+    assert refused.block == "timeout"
+    assert current_scope() is None
+
+
+def test_timeouts_and_cleanups_as_decorators() -> None:
+    cleaned = []
+
+    @timeout(100)
+    @finally_(cleaned.append, 1)
+    def act() -> int:
+        return 3
+
+    assert (act(), act(), cleaned) == (3, 3, [1, 1])
 
 
 def test_blocks_in_context_managers() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import faulthandler
+import signal
 import threading
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import pytest
 
 from pycram.branch import NoResult
 from pycram.cancellation import wait
-from pycram.claims import ClaimError, Claims
+from pycram.claims import ClaimError, Claims, ResourceQueue
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.bullet_world import BulletWorld
+    from pycram.claims import Ticket
+    from pycram.language import Kind
 
 
 class Doing(MotionDesignator):
@@ -182,6 +185,22 @@ def test_a_motion_that_never_began_gives_its_place_up() -> None:
         do(lambda: wait(gate, lambda: False), "left-arm")
         do(lambda: None, "left-arm")
     do(lambda: order.append("free again"), "left-arm")
+
+
+@pytest.mark.parametrize("block", [par, seq], ids=["par", "seq"])
+def test_ctrl_c_as_a_motion_takes_its_place_leaves_none_taken(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+    arrive = ResourceQueue.arrive
+
+    def interrupted(queue: ResourceQueue, claims: Claims | None, motion: str) -> Ticket:
+        ticket = arrive(queue, claims, motion)
+        signal.raise_signal(signal.SIGINT)
+        return ticket
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt), block:
+        patched.setattr(ResourceQueue, "arrive", interrupted)
+        do(lambda: None, "left-arm")
+    with timeout(20):
+        assert do(lambda: 3, "left-arm") == 3
 
 
 def test_a_motion_may_be_made_of_blocks_within_what_it_has() -> None:
