@@ -15,6 +15,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.cli import run
 from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.records import Mutation, Query, Run, Task
@@ -192,7 +193,36 @@ def test_blame_knows_lines_around_what_no_task_did(small: Log) -> None:
     found = blame(small, "cereal")
     assert not found.causes.tasks
     assert found.causes.after.text == "with par as block:"
-    assert found.causes.before.function == "put"
+    assert found.causes.before.text == "put(milk, height)"
+
+
+IN_A_MODULE = """
+from recorder.span import span
+
+def say(what):
+    with span("motion", what):
+        pass
+"""
+OF_A_PLAN = """
+from pycram.bullet_world import BulletWorld, Object
+from speech_of_robots import say
+
+with BulletWorld():
+    ball = Object("ball", "ball", "apple.stl")
+    say("now")
+    ball.set_position([1, 0, 0])
+    say("done")
+"""
+
+
+def test_lines_around_are_the_plan_s_not_those_of_a_module_that_it_calls(tmp_path: Path) -> None:
+    (tmp_path / "speech_of_robots.py").write_text(IN_A_MODULE)
+    (tmp_path / "plan.py").write_text(OF_A_PLAN)
+    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    with replay.open(tmp_path / "x.mcap") as log:
+        moved, loaded = blame(log, "ball").causes, blame(log, "ball", 2).causes
+    assert (moved.after.text, moved.before.text) == ('say("now")', 'say("done")')
+    assert (loaded.after, loaded.before.text) == (None, 'say("now")')
 
 
 @pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
@@ -462,6 +492,33 @@ def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.Capture
         assert '{}["spoon"]' in found.raised[0].lines[-1].text
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
+
+
+def gives_up(error: BaseException) -> None:
+    with pytest.raises(PlanFailure) as failed, span("motion", "fetch"):
+        raise PlanFailure("it is out of reach")
+    raise error from failed.value
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KeyError("left"), "KeyError: 'left'"),
+        (SystemExit(3), "SystemExit: 3"),
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (PlanFailure("milk"), "PlanFailure: milk"),
+        (PlanFailure("no milk is left"), "no milk is left"),
+    ],
+)
+def test_the_first_line_says_what_went_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, told: str
+) -> None:
+    with pytest.raises(type(error)), recorder.record(tmp_path / "x.mcap", name="plan", source=__file__):
+        gives_up(error)
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].partition(" s: ")[2] == told
+    assert said[1].startswith("It began when fetch failed")
 
 
 def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
