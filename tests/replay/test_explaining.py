@@ -225,6 +225,44 @@ def test_lines_around_are_the_plan_s_not_those_of_a_module_that_it_calls(tmp_pat
     assert (loaded.after, loaded.before.text) == (None, 'say("now")')
 
 
+def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab") as world:
+        ball = Object("ball", "ball", "apple.stl")
+        ball.set_position([1, 0, 0])
+        with span("motion", "clear"):
+            ball.remove()
+        world.simulate(0.1)
+        Object("ball", "ball", "apple.stl", [0, 0, 3])
+    with replay.open(tmp_path / "x.mcap") as log:
+        removal, again = mutation(log, "remove_body"), mutation(log, "load_body", 1)
+        gone = blame(log, "ball", again - 1)
+        assert (gone.how, gone.record.seq, gone.after) == ("removed", removal, None)
+        assert gone.causes.tasks[0].name == "clear"
+        assert (gone.earlier.how, gone.earlier.record.seq) == ("command", mutation(log, "move_body"))
+        assert blame(log, "ball").how == "load"
+        with pytest.raises(replay.NoSuchName):
+            blame(log, "ball", mutation(log, "load_body") - 1)
+        with pytest.raises(replay.NoSuchName, match="no world is open"):
+            blame(log, "ball", "last")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1)]) == 0
+    assert capsys.readouterr().out.startswith("ball was removed from [1, 0, 0]\n")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["earlier"]["how"] == "command"
+
+
+def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld() as world:
+        world.robot = robot = Object("pr2", "robot", "pr2.urdf", [0.123, 0.456, 0], [0, 0, 0.3, 0.9])
+        milk = Object("milk", "milk", "milk.stl", [0.777, 0.333, 1.1], [0.1, 0.2, 0.3, 0.7])
+        robot.attach(milk, "l_gripper_tool_frame")
+        milk.set_position([0.7, 0.3, 1.1])
+        robot.set_joint_position("head_pan_joint", 0.5)
+    with replay.open(tmp_path / "x.mcap") as log:
+        moved, turned = mutation(log, "move_body"), mutation(log, "move_joints")
+        assert "milk" in [state.body for state in log[turned].effect.bodies]  # in its last digits
+        assert blame(log, "milk").record.seq == moved
+
+
 @pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
 def test_blame_of_what_isn_t_there_says_what_is(small: Log, target: str, hint: str) -> None:
     with pytest.raises(replay.NoSuchName, match=hint):
