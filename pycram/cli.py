@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import runpy
+import shlex
 import sys
 import threading
 import traceback
@@ -163,7 +164,7 @@ def _wait_for_threads() -> None:
 def _say_where(log: Path, size: float, code: int) -> None:
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
     for verb in ("info", "tree", "view") if code == _DONE else ("why", "tree", "view"):
-        print(f"  pycram-replay {verb} {log}", file=sys.stderr)
+        print(f"  pycram-replay {verb} {shlex.quote(str(log))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

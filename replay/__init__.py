@@ -4,7 +4,7 @@
 world after one. Needs neither the plan nor the physics engine.
 """
 
-from replay.errors import Damaged, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
+from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.fold import fold, state_at
 from replay.log import Log
 from replay.log import open_log as open  # noqa: A004  replay.open reads well
@@ -15,6 +15,7 @@ __all__ = [
     "Body",
     "Damaged",
     "Log",
+    "LogClosed",
     "NoSuchName",
     "NoSuchStep",
     "NotALog",

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: In simulation, less than this is a body coming to rest: m (or a joint's rad), rad.
 _SETTLING: Final = 5e-3, math.radians(5)
+#: Less than this is arithmetic, as above: what a resting hand holds moves by it when the head turns.
+_ROUNDING: Final = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +55,15 @@ class Blame:
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
         how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
-            in), "physics", "reset", or "before" (the recording began later).
+            in), "physics", "reset", "removed", or "before" (the recording began later).
         before: its pose or value before; None if it wasn't there.
-        after: its pose or value after.
+        after: its pose or value after; None if it was removed.
         distance: how far it moved: m, or of a revolute joint rad.
         angle: by how much it turned, rad; 0 for joints.
         carried: the attachments that made it move with the commanded body, the body's own first.
         causes: why the record is there.
         earlier: of a change in simulation, what happened to it before: another one that is more than coming to rest, or
-            what brought it there; None of any other.
+            what brought it there; of its removal, what last changed it until then; None of any other.
     """
 
     world: str
@@ -71,7 +73,7 @@ class Blame:
     record: Mutation | Keyframe
     how: str
     before: Pose | float | None
-    after: Pose | float
+    after: Pose | float | None
     distance: float
     angle: float
     carried: tuple[Carried, ...]
@@ -90,13 +92,48 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
 
     Raises:
         NoSuchStep: there is no such step.
-        NoSuchName: the body or joint wasn't there then.
+        NoSuchName: the body or joint wasn't there then, nor was it removed before.
     """
     step = final_of(log) if at is None else log.step(at)
     state = log.state_at(step)
-    place, body, joint = _find(state, target, world)
+    try:
+        place, body, joint = _find(state, target, world)
+    except NoSuchName:
+        gone = _removal(log, state, target, world)
+        if gone is None:
+            raise
+        return _removed(log, gone, blame(log, target, gone.seq - 1, gone.world))
     others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
     return _Search(log, place.name, others, body, joint).run(step)
+
+
+def _removal(log: Log, state: State, target: str, world: str | None) -> Mutation | None:
+    """The record that removed a body, or the one with that joint, from a world that is still open."""
+    lives = {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
+    for record in log.backwards(state.step, Mutation) if world is None or world in lives else ():
+        if (
+            isinstance(record, Mutation)
+            and any(target == name or target.startswith(f"{name}.") for name in record.effect.removed)
+            and record.world in ((world,) if world is not None else lives)
+            and log.life_at(record.world, record.seq) == lives[record.world]
+        ):
+            return record
+    return None
+
+
+def _removed(log: Log, record: Mutation, until: Blame) -> Blame:
+    return replace(
+        until,
+        record=record,
+        how="removed",
+        before=until.after,
+        after=None,
+        distance=math.inf,
+        angle=0.0,
+        carried=(),
+        causes=causes(log, record),
+        earlier=until,
+    )
 
 
 def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
@@ -125,13 +162,14 @@ class _Search:
     def run(self, step: int) -> Blame:
         """The last change; and if that was physics, what happened to it before."""
         records = self._changes(step)
-        last = next(records, None)
-        if last is None:
-            raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
-        found = self._told(last)
-        if found.how != "physics":
-            return found
-        return replace(found, earlier=self._told(self._before(last, records)))
+        for last in records:
+            found = self._told(last)
+            if found.how != "command" and found.distance < _ROUNDING[0] and found.angle < _ROUNDING[1]:
+                continue
+            if found.how != "physics":
+                return found
+            return replace(found, earlier=self._told(self._before(last, records)))
+        raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
         """The last record before one that did more than let it come to rest; told without folding states."""
@@ -141,10 +179,16 @@ class _Search:
         for record in older:
             for part, value in self._parts(record).items():
                 changed = newer.get(part)
-                if changed is not None and (not _is_physics(changed) or _is_far(part, values[part], value)):
+                if changed is not None and self._counts(changed, part, values[part], value):
                     return changed
                 newer[part], values[part] = record, value
         return record
+
+    def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
+        """Whether a change is more than coming to rest, or than arithmetic."""
+        if _commanded(record) == self._body:
+            return True
+        return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
         """What a record says of it: position and orientation, or the joint's value."""
@@ -233,10 +277,16 @@ def _is_physics(record: Mutation | Keyframe) -> bool:
     return isinstance(record, Mutation) and record.WhichOneof("command") in ("simulate", "set_realtime")
 
 
-def _is_far(part: str, after: Sequence[float], before: Sequence[float]) -> bool:
+def _commanded(record: Mutation | Keyframe) -> str:
+    """The body that a command is about."""
+    command = record.WhichOneof("command") if isinstance(record, Mutation) else None
+    return str(getattr(getattr(record, command), "body", "")) if command else ""
+
+
+def _is_far(part: str, after: Sequence[float], before: Sequence[float], limits: tuple[float, float]) -> bool:
     if part == "orientation":
-        return turn(before, after) >= _SETTLING[1]
-    return math.dist(before, after) >= _SETTLING[0]
+        return turn(before, after) >= limits[1]
+    return math.dist(before, after) >= limits[0]
 
 
 def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, float]:
@@ -249,12 +299,11 @@ def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, floa
 
 def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachment]]:
     """How a command made a body move, by the state before it."""
-    command = record.WhichOneof("command") or ""
     if _is_physics(record):
         return "physics", []
-    if command == "reset":
+    if record.HasField("reset"):
         return "reset", []
-    commanded = getattr(getattr(record, command), "body", "") if command else ""
+    commanded = _commanded(record)
     if commanded == body:
         return "command", []
     chain: list[Attachment] = []

@@ -73,11 +73,12 @@ def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
 def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
     """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
 
-    What was raised before that had been dealt with, even if Python goes on telling it.
+    What was raised before that had been dealt with, even if Python goes on telling it. Of all that failed in a block it
+    is the task whose error became the block's, whichever ended last.
     """
     for number in range(len(chain) - 1, -1, -1):
         error = chain[number].type, chain[number].message
-        for task in reversed(found.origins):
-            if any(outer.error == error for outer in task.around()):
-                return task, number
+        told = [task for task in found.origins if any(outer.error == error for outer in task.around())]
+        if told:
+            return next((task for task in reversed(told) if task.error == error), told[-1]), number
     return None

@@ -105,9 +105,9 @@ def causes(log: Log, record: Record) -> Causes:
                 break
     if found:
         return Causes(tuple(found), None, None)
-    after = _line(source, record, log.backwards(record.seq, Task))
-    before = _line(source, record, log.records(Task, record.seq))
-    return Causes((), after, before)
+    after = _way(source, record, log.backwards(record.seq, Task))
+    before = _way(source, record, log.records(Task, record.seq))
+    return Causes((), *_between(after, before))
 
 
 def _starts(records: Iterator[Record]) -> Iterator[Task]:
@@ -116,8 +116,21 @@ def _starts(records: Iterator[Record]) -> Iterator[Task]:
             yield record
 
 
-def _line(source: Source, record: Record, records: Iterator[Record]) -> Line | None:
+def _way(source: Source, record: Record, records: Iterator[Record]) -> tuple[Line, ...]:
+    """The plan's lines that led to the first task in the same thread."""
     for started in _starts(islice(records, _NEAR)):
         if started.thread == record.thread and started.source_line:
-            return source.line(started.source_file, started.source_line)
-    return None
+            return source.way(started)
+    return ()
+
+
+def _between(after: tuple[Line, ...], before: tuple[Line, ...]) -> tuple[Line | None, Line | None]:
+    """Of two ways the lines where they part; else the innermost that are in the plan's own file, not in its modules."""
+    for one, other in zip(after, before, strict=False):
+        if one != other:
+            return one, other
+    return _own(after), _own(before)
+
+
+def _own(way: tuple[Line, ...]) -> Line | None:
+    return next((line for line in reversed(way) if line.file == way[0].file), None)

@@ -15,6 +15,7 @@ from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
+from replay.errors import LogClosed
 from replay.places import HEADER
 
 if TYPE_CHECKING:
@@ -210,6 +211,8 @@ class Chunks:
         entries = _Entries()
         try:
             self._divide(self._index.contents(number), entries)
+        except LogClosed:
+            raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
             self.hurt.setdefault(number, str(error) or type(error).__name__)
         self._cache[number] = entries

@@ -9,7 +9,9 @@ import argparse
 import importlib
 import io
 import os
+import re
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay.errors import Damaged, ReplayError, Unreadable
@@ -37,6 +39,8 @@ VERBS: Final = {
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 _INTERRUPTED = 130
+_POINTS: Final = ("--from", "--to")
+_NEGATIVE: Final = re.compile(r"-[\d.]")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,10 +52,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed by the shell: what is opened later would take its place
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names may have letters that a terminal has not
-    given = list(sys.argv[1:] if argv is None else argv)
+    given = _joined(sys.argv[1:] if argv is None else argv)
     verb = _module(given[0]) if given and given[0] in VERBS else None
     try:
         options = _parser(given[:1], verb).parse_args(given)
@@ -60,12 +67,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _run(_module(options.verb), options)
         sys.stdout.flush()
-    except BrokenPipeError:  # somebody's head has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FINE
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
+        if isinstance(error, BrokenPipeError):  # somebody's head has seen enough
+            return FINE
+        return _complain(str(error), USAGE)  # as that the disk is full
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
+
+
+def _joined(given: Sequence[str]) -> list[str]:
+    """Arguments with points that begin with a minus joined to their options; alone they would be taken for options."""
+    joined: list[str] = []
+    for text in given:
+        if joined and joined[-1] in _POINTS and _NEGATIVE.match(text):
+            joined[-1] += f"={text}"
+        else:
+            joined.append(text)
+    return joined
 
 
 def _module(verb: str) -> ModuleType:

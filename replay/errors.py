@@ -48,6 +48,18 @@ class Damaged(ReplayError):
         self.cause = cause
 
 
+class LogClosed(ReplayError):
+    """A recording that is read after it was closed, as behind the ``with`` that opened it.
+
+    Attributes:
+        path: the file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        super().__init__(f"{path}: it was closed; read it within its with, or open it again")
+        self.path = str(path)
+
+
 class NoSuchStep(ReplayError, LookupError):
     """A step that the recording doesn't have.
 

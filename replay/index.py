@@ -29,6 +29,7 @@ from mcap.records import (
 )
 from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
+from replay.errors import LogClosed
 from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
 
 if TYPE_CHECKING:
@@ -102,7 +103,13 @@ class Index:
             found.clear()
 
     def read(self, place: Place | ChunkPlace) -> bytes:
-        """The content of a record, less if the file ends in it."""
+        """The content of a record, less if the file ends in it.
+
+        Raises:
+            LogClosed: the file was closed.
+        """
+        if self._file.closed:
+            raise LogClosed(self._file.name)
         self._file.seek(place.offset)
         return self._file.read(place.length)
 

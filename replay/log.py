@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.assets import Assets
 from replay.chunks import KINDS, Chunks, Kinds, kinds_of
-from replay.errors import Damaged, NoSuchStep, NotALog, Unreadable
+from replay.errors import Damaged, LogClosed, NoSuchStep, NotALog, Unreadable
 from replay.fold import state_at
 from replay.index import MAGIC, Index
 from replay.lives import Life, lives_of
@@ -73,6 +73,8 @@ class Log:
         self.close()
 
     def __repr__(self) -> str:
+        if self._file.closed:
+            return f"<Log {self.path}: closed>"
         return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.missing}>"
 
     def close(self) -> None:
@@ -97,7 +99,13 @@ class Log:
 
     @property
     def live(self) -> bool:
-        """Whether a recorder is writing the file now."""
+        """Whether a recorder is writing the file now.
+
+        Raises:
+            LogClosed: the file was closed, and nobody can tell any more.
+        """
+        if self._file.closed and not self.closed:
+            raise LogClosed(self.path)
         return not self.closed and _is_locked(self._file)
 
     @property

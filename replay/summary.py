@@ -7,6 +7,7 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Run
+from replay.plain import told_failure
 from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ def summary(log: Log) -> Summary:
         seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
         worlds=tuple(_simulated(log, life) for life in log.lives),
         outcome=outcome,
-        failure=f"{end.failure.type}: {end.failure.message}" if end is not None and end.HasField("failure") else "",
+        failure=told_failure(end.failure) if end is not None and end.HasField("failure") else "",
         records=len(log),
         counts=log.counts(),
         attachments=len(log.assets),

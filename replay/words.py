@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.log_lines import text_of
 from recorder.records import Event, Query, Task
-from replay.plain import plain_arguments, plain_json
+from replay.plain import plain_arguments, plain_json, told_failure
 from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def call(name: str, parameters: Mapping[str, Plain]) -> str:
         parameters: by name; those without a value are left out.
     """
     told = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
-    return f"{name}({told})"
+    return f"{name}({told})" if told else name
 
 
 def names(told: Sequence[str]) -> str:
@@ -220,7 +220,7 @@ def answer(query: Query) -> str:
         query: its record.
     """
     if query.HasField("failure"):
-        return f"{query.failure.type}: {query.failure.message}"
+        return told_failure(query.failure)
     told = plain_json(query.answer_json)
     if isinstance(told, bool):
         return "yes" if told else "no"

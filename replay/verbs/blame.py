@@ -123,6 +123,8 @@ def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
 def _headline(found: Blame) -> str:
     name = f"{found.body}.{found.joint}" if found.joint else found.body
     name += f" in {found.world}" if found.others else ""
+    if found.after is None:
+        return f"{name} was removed" + (f" from {_value(found.before)}" if found.before is not None else "")
     where = _value(found.after)
     if isinstance(found.record, Keyframe):
         return f"{name} was at {where} already when the recording began"

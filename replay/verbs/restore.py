@@ -40,6 +40,9 @@ def run(log: Log, options: argparse.Namespace) -> int:
     script = None if options.script is None else Path(options.script)
     if script is not None and not script.is_file():
         raise ReplayError(f"{script}: no such file")
+    target = None if options.target is None else Path(options.target)
+    if target is not None and target.exists() and target.samefile(log.path):
+        raise ReplayError(f"{target}: that is the recording itself; what happens there goes into another file")
     step = log.step(options.step)
     try:
         with results_only():
@@ -47,7 +50,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     except DisplayError as error:
         raise ReplayError(str(error)) from error
     try:
-        with world, record(options.target, source=script) if options.target else nullcontext():
+        with world, record(target, source=script) if target is not None else nullcontext():
             return _do(log, step, world, script, options)
     except RecordingError as error:
         raise ReplayError(str(error)) from error

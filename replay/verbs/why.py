@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import math
 import shlex
 from pathlib import Path
@@ -12,7 +13,7 @@ from replay.cli import FINE, INCOMPLETE, USAGE
 from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
-from replay.plain import plain_record
+from replay.plain import plain_record, told_failure
 from replay.question import BadQuestion, Name, Question, Term, question_of
 from replay.steps import HINT
 from replay.verbs import diff
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from recorder.records import Query
+    from recorder.records import Failure, Query
     from replay.failures import Attempt
     from replay.log import Log
     from replay.source import Line
@@ -176,14 +177,12 @@ def _headline(found: Why) -> Iterator[str]:
     run, name = found.run, found.run.plan or "the plan"
     if run.outcome == "failed":
         message = run.failure
-        if found.raised and found.failure is not None and found.failure.message and not found.is_of_python:
-            message = found.failure.message  # says it in words
+        if found.raised and found.failure is not None and _says_it(found.failure):
+            message = found.failure.message
         yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
     elif run.outcome == "succeeded":
         yield (
-            f"{name} succeeded."
-            if found.failure is None
-            else f"{name} succeeded; what failed on its way it dealt with."
+            f"{name} succeeded." if found.failure is None else f"{name} succeeded, though something failed on its way."
         )
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
@@ -193,6 +192,11 @@ def _headline(found: Why) -> Iterator[str]:
     warning = found.warning
     if warning is not None and not found.is_of_python:
         yield f"The robot had been told: {_again(warning)} said no at step {warning.seq}."
+
+
+def _says_it(failure: Failure) -> bool:
+    """Whether a message says in words what was wrong; those of Python's own errors need the error's name too."""
+    return " " in failure.message and not hasattr(builtins, failure.type)
 
 
 def _first_words(found: Why, task: Attempt) -> Iterator[str]:
@@ -251,7 +255,7 @@ def _what(found: Why) -> Iterator[str]:
     if found.task is None:
         if found.failure is not None:
             yield "no task: the plan's own code raised"
-            yield from (f"  {line}" for line in f"{found.failure.type}: {found.failure.message}".splitlines())
+            yield from (f"  {line}" for line in told_failure(found.failure).splitlines())
         return
     path = list(found.task.around())
     path.reverse()
@@ -266,8 +270,7 @@ def _what(found: Why) -> Iterator[str]:
         called = task.started.name if task.started.kind == "process-module" else _call(task)
         yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
-        text = f"{found.task.failure.type}: {found.task.failure.message}"
-        yield from (f"{'  ' * len(path)}{line}" for line in text.splitlines())
+        yield from (f"{'  ' * len(path)}{line}" for line in told_failure(found.task.failure).splitlines())
     told = {each.task for each in found.tries}  # in a section of their own
     siblings = [
         part

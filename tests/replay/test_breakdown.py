@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING
 
 import pytest
@@ -11,7 +12,7 @@ import replay
 from pycram import tasks
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
-from pycram.language import failure_handling, try_in_order
+from pycram.language import failure_handling, par, try_in_order
 from recorder.span import span
 from replay.why import why
 
@@ -50,6 +51,26 @@ def fails_by_its_own_mistake() -> None:
         _ = {}["spoon"]
 
 
+def fails_by_a_mistake_beside_another_failure() -> None:
+    with par() as block:
+        block(first_breaks)
+        block(then_fails)
+
+
+BROKEN = threading.Event()
+
+
+def first_breaks() -> None:
+    with span("motion", "break"):
+        BROKEN.set()
+        _ = {}["spoon"]
+
+
+def then_fails() -> None:
+    BROKEN.wait(10)
+    fail("open")
+
+
 def fails_because_of_another() -> None:
     try:
         fail("open")
@@ -78,6 +99,7 @@ def deals_with_all() -> None:
         (raises_an_earlier_failure, "open"),
         (gives_up_after_attempts, "grasp"),
         (fails_because_of_another, "open"),
+        (fails_by_a_mistake_beside_another_failure, "break"),
         (fails_by_its_own_mistake, None),
         (fails_outside_of_blocks_and_in_one, "open"),
         (deals_with_all, "kick"),

@@ -15,6 +15,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.cli import run
 from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.records import Mutation, Query, Run, Task
@@ -192,7 +193,74 @@ def test_blame_knows_lines_around_what_no_task_did(small: Log) -> None:
     found = blame(small, "cereal")
     assert not found.causes.tasks
     assert found.causes.after.text == "with par as block:"
-    assert found.causes.before.function == "put"
+    assert found.causes.before.text == "put(milk, height)"
+
+
+IN_A_MODULE = """
+from recorder.span import span
+
+def say(what):
+    with span("motion", what):
+        pass
+"""
+OF_A_PLAN = """
+from pycram.bullet_world import BulletWorld, Object
+from speech_of_robots import say
+
+with BulletWorld():
+    ball = Object("ball", "ball", "apple.stl")
+    say("now")
+    ball.set_position([1, 0, 0])
+    say("done")
+"""
+
+
+def test_lines_around_are_the_plan_s_not_those_of_a_module_that_it_calls(tmp_path: Path) -> None:
+    (tmp_path / "speech_of_robots.py").write_text(IN_A_MODULE)
+    (tmp_path / "plan.py").write_text(OF_A_PLAN)
+    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    with replay.open(tmp_path / "x.mcap") as log:
+        moved, loaded = blame(log, "ball").causes, blame(log, "ball", 2).causes
+    assert (moved.after.text, moved.before.text) == ('say("now")', 'say("done")')
+    assert (loaded.after, loaded.before.text) == (None, 'say("now")')
+
+
+def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab") as world:
+        ball = Object("ball", "ball", "apple.stl")
+        ball.set_position([1, 0, 0])
+        with span("motion", "clear"):
+            ball.remove()
+        world.simulate(0.1)
+        Object("ball", "ball", "apple.stl", [0, 0, 3])
+    with replay.open(tmp_path / "x.mcap") as log:
+        removal, again = mutation(log, "remove_body"), mutation(log, "load_body", 1)
+        gone = blame(log, "ball", again - 1)
+        assert (gone.how, gone.record.seq, gone.after) == ("removed", removal, None)
+        assert gone.causes.tasks[0].name == "clear"
+        assert (gone.earlier.how, gone.earlier.record.seq) == ("command", mutation(log, "move_body"))
+        assert blame(log, "ball").how == "load"
+        with pytest.raises(replay.NoSuchName):
+            blame(log, "ball", mutation(log, "load_body") - 1)
+        with pytest.raises(replay.NoSuchName, match="no world is open"):
+            blame(log, "ball", "last")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1)]) == 0
+    assert capsys.readouterr().out.startswith("ball was removed from [1, 0, 0]\n")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["earlier"]["how"] == "command"
+
+
+def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld() as world:
+        world.robot = robot = Object("pr2", "robot", "pr2.urdf", [0.123, 0.456, 0], [0, 0, 0.3, 0.9])
+        milk = Object("milk", "milk", "milk.stl", [0.777, 0.333, 1.1], [0.1, 0.2, 0.3, 0.7])
+        robot.attach(milk, "l_gripper_tool_frame")
+        milk.set_position([0.7, 0.3, 1.1])
+        robot.set_joint_position("head_pan_joint", 0.5)
+    with replay.open(tmp_path / "x.mcap") as log:
+        moved, turned = mutation(log, "move_body"), mutation(log, "move_joints")
+        assert "milk" in [state.body for state in log[turned].effect.bodies]  # in its last digits
+        assert blame(log, "milk").record.seq == moved
 
 
 @pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
@@ -462,6 +530,33 @@ def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.Capture
         assert '{}["spoon"]' in found.raised[0].lines[-1].text
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
+
+
+def gives_up(error: BaseException) -> None:
+    with pytest.raises(PlanFailure) as failed, span("motion", "fetch"):
+        raise PlanFailure("it is out of reach")
+    raise error from failed.value
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KeyError("left"), "KeyError: 'left'"),
+        (SystemExit(3), "SystemExit: 3"),
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (PlanFailure("milk"), "PlanFailure: milk"),
+        (PlanFailure("no milk is left"), "no milk is left"),
+    ],
+)
+def test_the_first_line_says_what_went_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, told: str
+) -> None:
+    with pytest.raises(type(error)), recorder.record(tmp_path / "x.mcap", name="plan", source=__file__):
+        gives_up(error)
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].partition(" s: ")[2] == told
+    assert said[1].startswith("It began when fetch failed")
 
 
 def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

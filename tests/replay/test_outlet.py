@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -17,9 +17,6 @@ from pycram.failures import PlanFailure
 from recorder.span import span
 from replay.cli import main
 from replay.outlet import tell, tell_json, visible
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SPOON = "Löffel 🥄"
 RED = "\x1b[31mred\x9b0m\r\x07\u202e"
@@ -111,3 +108,19 @@ def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixtu
     said = capsys.readouterr().out
     assert json.loads(said, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
     assert "\x7f" not in said
+
+
+@pytest.mark.parametrize("verb", ["info", "log", "show 4", "ask|last|stable('Löffel 🥄')"])
+def test_results_that_reach_nobody_end_without_a_traceback(strange: Path, verb: str) -> None:
+    command = [sys.executable, "-m", "replay", *commands_of(verb, strange)]
+    with Path("/dev/full").open("w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 2
+    assert ended.stderr == "pycram-replay: [Errno 28] No space left on device\n"
+    closed = subprocess.run(["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh", *command], check=False)
+    assert closed.returncode == 0
+
+
+def commands_of(verb: str, file: Path) -> list[str]:
+    name, *rest = verb.split("|") if "|" in verb else verb.split()
+    return [name, str(file), *rest]

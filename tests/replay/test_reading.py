@@ -243,6 +243,21 @@ def test_every_verb_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
         assert "LOG" in capsys.readouterr().out
 
 
+def test_what_is_read_behind_its_with_is_not_called_damaged(small_log: Path) -> None:
+    with replay.open(small_log) as log:
+        late = log.records()
+    for read in (
+        lambda: next(late),
+        lambda: log[5],
+        lambda: log.state_at(5),
+        lambda: log.assets[next(iter(log.assets))],
+    ):
+        with pytest.raises(replay.LogClosed, match="open it again"):
+            read()
+    assert log.complete
+    assert repr(log) == f"<Log {small_log}: closed>"
+
+
 @pytest.mark.parametrize("verb", ["info", "log", "state last", "why", "show 3"])
 def test_names_that_a_terminal_has_no_letters_for(tmp_path: Path, verb: str) -> None:
     with recorder.record(tmp_path / "x.mcap"), span("motion", "hole Löffel 🥄"):

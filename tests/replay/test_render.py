@@ -83,7 +83,7 @@ def test_what_cant_be_shown_says_so(file: Path, demo_log: Path) -> None:
 
 def test_the_verb_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.png"
-    asked = ["render", str(file), "2", "-o", str(target), "--from=-1,0,0.3", "--to", "0,0,0", "--size", "80x60"]
+    asked = ["render", str(file), "2", "-o", str(target), "--from", "-1,0,0.3", "--to", "-.1,0,0", "--size", "80x60"]
     assert main(asked) == 0
     assert capsys.readouterr().out == f"{target}\n"
     assert red(Image.open(target)).any()

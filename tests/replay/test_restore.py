@@ -88,6 +88,18 @@ def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path
         assert verify(log).sound
 
 
+def test_a_recording_is_not_overwritten_by_what_happens_in_it(
+    log_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = log_file.read_bytes()
+    (tmp_path / "s.py").write_text("")
+    (tmp_path / "link.mcap").symlink_to(log_file)
+    for same in (log_file, tmp_path / "link.mcap"):
+        assert main(["restore", str(log_file), "5", "--script", str(tmp_path / "s.py"), "--log", str(same)]) == 2
+        assert "the recording itself" in capfd.readouterr().err
+    assert log_file.read_bytes() == before
+
+
 @pytest.mark.slow
 def test_a_shell_talks_python(log_file: Path) -> None:
     told = restore(log_file, "5", "--shell", input="print(bowl.get_position())\n1/0\nworld.name\n")
