@@ -21,7 +21,8 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par, seq
 from recorder import geometry
-from recorder.records import Mutation, Query
+from recorder.records import Mutation, Query, Task
+from recorder.span import Span
 from replay.cli import main
 from tests.viewer.shown import Shown, in_world
 
@@ -187,6 +188,39 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     assert all(labels[0] == "lift" for labels in graph)
     failed = [values["TextLog:text"][0] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
     assert failed[0] == "fail: PlanFailure: too heavy"
+
+
+def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        for _ in range(2):
+            with pytest.raises(PlanFailure), Span("task", "lift"), Span("task", "grasp"):
+                fail()
+    shown = view(log, tmp_path / "log.rrd")
+    failed = [values["TextLog:text"] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
+    assert failed == [["grasp: PlanFailure: too heavy"]] * 2
+
+
+def test_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        left, right = (Span("motion", "moving-tcp", parameters={"target": [y, 0.0, 1.0]}) for y in (1.0, 2.0))
+        for span in (left, right):
+            span.start()
+        left.finish()
+        middle = Span("motion", "moving-tcp", parameters={"target": [3.0, 0.0, 1.0]})
+        middle.start()
+        for span in (middle, right):
+            span.finish()
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        steps = [record.seq for record in recording.records(Task)]
+    targets = [entity for entity in shown.rows if entity.startswith("/w/targets/")]
+    standing = [
+        {now["Points3D:positions"][0][0] for entity in targets if (now := shown.at(entity, step))} for step in steps
+    ]
+    assert standing == [{1}, {1, 2}, {2}, {2, 3}, {2}, set()]
+    assert len(targets) == 2, "names come again"
 
 
 def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
