@@ -49,12 +49,14 @@ class Log:
     Attributes:
         path: the file.
         assets: the attached files by ``<sha256>/<file name>``.
+        written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._file = _open(self.path)
         try:
+            self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             _check_ours(self.path, self._index)
             self._chunks = Chunks(self._index)

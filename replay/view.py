@@ -11,6 +11,7 @@ import os
 import tempfile
 import threading
 import time
+import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -35,6 +36,17 @@ if TYPE_CHECKING:
 _TO_LOAD: Final = 20.0  # s for the viewer to load a file
 _LOOK_AGAIN: Final = 0.1  # s
 _PATIENCE: Final = 60.0  # s for the last rows to be written
+_NONSENSE: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    ArithmeticError,
+    AttributeError,
+    SyntaxError,
+    zlib.error,
+)
+"""What records raise that nobody could have written; models that are no XML are syntax errors."""
 
 
 def convert(logs: Sequence[Log], path: Path) -> None:
@@ -96,12 +108,15 @@ def _title(logs: Sequence[Log]) -> str:
 
 def _translate(log: Log, translator: Translator) -> None:
     for name in log.assets:
-        with contextlib.suppress(Damaged):  # which the recording remembers; what needs it isn't shown
-            translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
+        try:
+            with contextlib.suppress(Damaged):  # which the recording remembers; what needs it isn't shown
+                translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
+        except _NONSENSE as error:
+            raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
     for record in log:
         try:
             translator.show(TOPICS[type(record)], record)
-        except (ValueError, KeyError, TypeError, IndexError, ArithmeticError) as error:
+        except _NONSENSE as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
     translator.finish()
 
@@ -125,12 +140,14 @@ def cached(log: Log) -> Path:
         Damaged: a record makes no sense.
     """
     beside = log.path.with_name(f"{log.path.name}.rrd")
-    newest = max(log.path.stat().st_mtime_ns, *(file.stat().st_mtime_ns for file in _sources()))
-    if beside.exists() and beside.stat().st_mtime_ns > newest:
+    software = max(file.stat().st_mtime_ns for file in _sources())
+    if beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software):
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = Path(tempfile.gettempdir()) / beside.name
     convert([log], beside)
+    known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
+    os.utime(beside, ns=(known, known))
     return beside
 
 

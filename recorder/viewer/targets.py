@@ -25,6 +25,7 @@ _ARROW: Final = 0.35  # m
 _ABOVE: Final = 1.8  # m above its base that a robot's failure is told
 _LARGE: Final = 0.03  # m
 _PIN: Final = 0.3  # m
+_NOTHING: Final = ("", "")
 
 
 class Targets:
@@ -39,14 +40,16 @@ class Targets:
         self._columns = columns
         self._scene = scene
         self._running: dict[int, Marks] = {}
+        self._names: dict[int, str] = {}  # of running motions' marks
         self._places: dict[int, Vector] = {}  # targets of running tasks
         self._failures = Marks(columns, scene)
-        self._told = ("", "")  # the last failure: those of what it was part of are the same
+        self._told = _NOTHING  # the failure that stands: those of what it was part of are the same
 
     def show(self, record: Task, now: Moment) -> None:
         """Shows what a task's start or end changes."""
         if record.phase == Task.STARTED:
             self._failures.clear(now)
+            self._told = _NOTHING
             place = target(self._scene, record.world, values_of(record.parameters))
             if place is not None:
                 self._places[record.task] = place
@@ -54,6 +57,7 @@ class Targets:
                     self._aim(record, place, now)
         elif record.phase == Task.FINISHED:
             marks = self._running.pop(record.task, None)
+            self._names.pop(record.task, None)
             if marks is not None:
                 marks.clear(now)
             place = self._places.pop(record.task, None)
@@ -70,7 +74,15 @@ class Targets:
         elif turn is not None:
             shapes.append(arrow(place, geometry.rotate(turn, (_ARROW, 0.0, 0.0)), BLUE))
         marks = self._running[record.task] = Marks(self._columns, self._scene)
-        marks.put(record.world, (TARGETS, record.name), now, *shapes)
+        marks.put(record.world, (TARGETS, self._name(record)), now, *shapes)
+
+    def _name(self, record: Task) -> str:
+        """A name that no other running motion's mark has; short ones come again, so that entities stay few."""
+        taken = self._names.values()
+        numbers = range(2, len(taken) + 2)
+        names = (record.name, *(f"{record.name} {number}" for number in numbers))
+        name = self._names[record.task] = next(name for name in names if name not in taken)
+        return name
 
     def _fail(self, record: Task, goal: Vector | None, now: Moment) -> None:
         told = (record.failure.type, record.failure.message)

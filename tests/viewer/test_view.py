@@ -21,7 +21,10 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par, seq
 from recorder import geometry
-from recorder.records import Mutation, Query
+from recorder.asset import AssetFile
+from recorder.mcap_sink import McapSink
+from recorder.records import TOPICS, Argument, Failure, Mutation, Picture, Query, Record, Task
+from recorder.span import Span
 from replay.cli import main
 from tests.viewer.shown import Shown, in_world
 
@@ -189,6 +192,39 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     assert failed[0] == "fail: PlanFailure: too heavy"
 
 
+def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        for _ in range(2):
+            with pytest.raises(PlanFailure), Span("task", "lift"), Span("task", "grasp"):
+                fail()
+    shown = view(log, tmp_path / "log.rrd")
+    failed = [values["TextLog:text"] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
+    assert failed == [["grasp: PlanFailure: too heavy"]] * 2
+
+
+def test_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        left, right = (Span("motion", "moving-tcp", parameters={"target": [y, 0.0, 1.0]}) for y in (1.0, 2.0))
+        for span in (left, right):
+            span.start()
+        left.finish()
+        middle = Span("motion", "moving-tcp", parameters={"target": [3.0, 0.0, 1.0]})
+        middle.start()
+        for span in (middle, right):
+            span.finish()
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        steps = [record.seq for record in recording.records(Task)]
+    targets = [entity for entity in shown.rows if entity.startswith("/w/targets/")]
+    standing = [
+        {now["Points3D:positions"][0][0] for entity in targets if (now := shown.at(entity, step))} for step in steps
+    ]
+    assert standing == [{1}, {1, 2}, {2}, {2, 3}, {2}, set()]
+    assert len(targets) == 2, "names come again"
+
+
 def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
@@ -242,9 +278,53 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
         assert kept == tmp_path / "log.mcap.rrd"
         made = kept.stat().st_mtime_ns
         assert cached(recording).stat().st_mtime_ns == made
-        os.utime(log, ns=(made + 10**9, made + 10**9))
+    os.utime(log, ns=(made + 10**9, made + 10**9))
+    with replay.open(log) as recording:
         assert cached(recording).stat().st_mtime_ns > made
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
+
+
+def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        half = replay.open(log)
+        Object("cup", "cup", "cup.stl", [0, 0, 1])
+    os.utime(log, ns=(half.written_ns + 10**7, half.written_ns + 10**7))  # however coarse the clock is
+    with half:
+        assert "/w/bodies/cup" not in Shown(cached(half)).rows, "the plan ended after it had been opened"
+    with replay.open(log) as whole:
+        assert "/w/bodies/cup" in Shown(cached(whole)).rows
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        Query(name="visible", answer_json="true", picture=Picture(width=1, height=1, pixels=b"no picture")),
+        Task(phase=Task.FINISHED, status=Task.FAILED, failure=Failure(type="F", data=[Argument(name="x", json="{")])),
+        Query(world="w", name="x", answer_json="1", evidence=[Argument(name="points", json="3")]),
+    ],
+    ids=["picture", "failure", "points"],
+)
+def test_nonsense_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], record: Record) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
+    sink = McapSink(log, {})
+    sink.write(TOPICS[type(record)], record, record.SerializeToString())
+    sink.close()
+    assert main(["view", str(log), "--save", str(file)]) == 3
+    assert "it makes no sense" in capsys.readouterr().err
+    assert not file.exists()
+
+
+def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
+    sink = McapSink(log, {})
+    sink._frames.learn = lambda *_: None  # it would refuse
+    sink.attach(AssetFile("cup.urdf", b"no model"))
+    sink.close()
+    assert main(["view", str(log), "--save", str(file)]) == 3
+    assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
 
 
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
