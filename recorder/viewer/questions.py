@@ -77,6 +77,11 @@ def _page(record: Query) -> str:
         "",
         "| evidence | |",
         "|---|---|",
-        *(f"| {one.name} | {by_name(one.json)} |" for one in record.evidence),
+        *(f"| {_cell(one.name)} | {_cell(by_name(one.json))} |" for one in record.evidence),
     ]
     return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    """A text within a table's row."""
+    return text.replace("|", "\\|")

@@ -249,6 +249,18 @@ def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
     assert "visible(object=cup" in shown.at("/queries/page", asked)["TextDocument:text"][0]
 
 
+def test_names_do_not_break_the_table_of_a_query(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        cup = Object("cup", "cup", "cup.stl", [2, 0, 1])
+        Object("milk|2", "milk", "milk.stl", [1.5, 0.03, 1])
+        btr.visible(cup, [0, 0, 1])
+    page = view(log, tmp_path / "log.rrd").rows["/queries/page"][0][1]["TextDocument:text"][0]
+    row = next(line for line in page.splitlines() if "hidden_by" in line)
+    assert "milk" in row
+    assert row.replace("\\|", "").count("|") == 3
+
+
 def context(shown: Shown) -> list[dict]:
     return shown.fixed["/queries/picture"]["AnnotationContext:context"][0]
 
