@@ -408,7 +408,7 @@ def test_the_viewer_shows_the_demo(
             scene = headless.picture(tmp_path / f"{step}.png").crop((5, 50, 1140, 750))
             likeness = {other: alike(structure(scene), picture) for other, picture in goldens.items()}
             nearest = max(likeness, key=lambda other: likeness[other])
-            return nearest == name and likeness[name] > 0.85 and robot_pixels(scene) > 2000
+            return nearest == name and likeness[name] > 0.97 and robot_pixels(scene) > 2000
 
         until(seen, f"{name}, step {step}, looks like its golden picture", 30)
     assert not headless.complaints()
