@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from pycram.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
 from recorder.mcap_sink import versions
-from recorder.viewers import Kind, Wish
+from recorder.viewer.audience import Kind, Wish
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,9 +1,9 @@
 """Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
 
 Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
-(:mod:`recorder.live`) that translates them, and goes on when the viewer has taken a batch. When the recording ends,
-the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand it
-over. What the viewer has not got is counted and said: the file has it all.
+(:mod:`recorder.viewer.live`) that translates them, and goes on when the viewer has taken a batch. When the recording
+ends, the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand
+it over. What the viewer has not got is counted and said: the file has it all.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from multiprocessing import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.backlog import Backlog, is_passing
-from recorder.viewers import LINGERING, Kind, Wish, Word
+from recorder.viewer.audience import LINGERING, Kind, Wish, Word
+from recorder.viewer.backlog import Backlog, is_passing
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -39,7 +39,7 @@ _ROOT: Final = str(Path(__file__).parent.parent)
 _CODE: Final = """
 import sys
 sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
-from recorder.live import main
+from recorder.viewer.live import main
 main(sys.argv[1:])
 """
 

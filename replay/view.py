@@ -22,10 +22,10 @@ import recorder.viewer
 from recorder.asset import AssetFile
 from recorder.errors import RecordingError
 from recorder.records import TOPICS
+from recorder.viewer.audience import Wish, answers
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
 from recorder.viewer.windows import APPLICATION, ViewerGone, open_window
-from recorder.viewers import Wish, answers
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.viewers import HOST, PAGE_PORT, PORT, RECORDS_PORT, address, answers, free_port
+from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, address, answers, free_port
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -25,7 +25,7 @@ import pytest
 import rerun_cli
 
 import recorder
-from recorder.viewers import address, answers
+from recorder.viewer.audience import address, answers
 from replay.cli import main
 from tests.benchmarks.test_reading import write
 

@@ -21,7 +21,7 @@ from rerun.chunk import RrdReader
 
 import recorder
 import replay
-from recorder.viewers import LINGERING, Kind, Wish, answers, free_port
+from recorder.viewer.audience import LINGERING, Kind, Wish, answers, free_port
 from replay.view import convert
 from tests.viewer.conftest import wait_until
 
@@ -158,6 +158,20 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
     assert "missed" not in ended.err
     expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
     until(lambda: server.rows() == expected, "what was before is there")
+
+
+def test_what_can_not_be_shown_is_left_out(
+    plan: Callable[..., Plan], serve: Callable[[], Server], until: Callable[..., None]
+) -> None:
+    server = serve()
+    nonsense = "records.Query(name='visible', picture=records.Picture(width=1, height=1, pixels=b'none'))"
+    code = f"from recorder import journal, records\njournal.emit({nonsense}, world=world.name)\nmove(50)"
+    ended = plan(code, f"connect:{server.url}").end()
+    assert ended.code == 0
+    assert ended.err.count("something can't be shown") == 1
+    with replay.open(ended.log) as log:
+        moves = log.counts()["mutation"]
+    until(lambda: server.rows()["/records/mutation"] == moves, "all else is shown")
 
 
 def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:

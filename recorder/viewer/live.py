@@ -25,14 +25,14 @@ from typing import TYPE_CHECKING, Final
 import rerun as rr
 
 from recorder.records import TOPICS
+from recorder.viewer.audience import LINGERING, Kind, Wish, Word, answers
 from recorder.viewer.translator import Translator
 from recorder.viewer.windows import APPLICATION, ViewerGone, open_window, serve_page
-from recorder.viewers import LINGERING, Kind, Wish, Word, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.backlog import Item
+    from recorder.viewer.backlog import Item
 
 _KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
 _NICE: Final = 5  # the plan goes first where cores are few
@@ -127,8 +127,9 @@ def _serve(connection: Connection, wish: Wish, title: str, found: threading.Even
     translator = Translator(stream)
     connection.send(Word.READY)
     batches = _Batches(connection)
+    shown = True
     for batch in batches:
-        _show(translator, batch)
+        shown = _show(translator, batch, tell=shown) and shown
         _deliver(stream)
         batches.taken(batch)
     translator.finish()
@@ -139,14 +140,26 @@ def _serve(connection: Connection, wish: Wish, title: str, found: threading.Even
     batches.taken([])
 
 
-def _show(translator: Translator, batch: list[Item]) -> None:
+def _show(translator: Translator, batch: list[Item], *, tell: bool) -> bool:
+    """Translates a batch; what can't be is left out, and said once.
+
+    Returns:
+        Whether all of it could be.
+    """
+    whole = True
     for item in batch:
-        if isinstance(item, tuple):
-            topic, payload = item
-            translator.show(topic, _KINDS[topic].FromString(payload))
-        else:
-            translator.attach(item)
+        try:
+            if isinstance(item, tuple):
+                topic, payload = item
+                translator.show(topic, _KINDS[topic].FromString(payload))
+            else:
+                translator.attach(item)
+        except Exception as error:  # noqa: BLE001  users' own values stand in records
+            if tell and whole:
+                print(f"recorder: something can't be shown ({error!r}); the file has it", file=sys.stderr, flush=True)
+            whole = False
     translator.flush()
+    return whole
 
 
 def _deliver(stream: rr.RecordingStream) -> None:

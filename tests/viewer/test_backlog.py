@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recorder.asset import AssetFile
-from recorder.backlog import Backlog, is_passing
 from recorder.records import (
     AttachBody,
     Event,
@@ -25,9 +24,10 @@ from recorder.records import (
     Simulate,
     Task,
 )
+from recorder.viewer.backlog import Backlog, is_passing
 
 if TYPE_CHECKING:
-    from recorder.backlog import Item
+    from recorder.viewer.backlog import Item
 
 ALL = 1_000_000
 
