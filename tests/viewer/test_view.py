@@ -301,6 +301,7 @@ def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp
 
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
+        Object("milk", "milk", "milk.stl", [1, 0, 1])  # its model goes to the file at once, and what was before
         half = replay.open(log)
         Object("cup", "cup", "cup.stl", [0, 0, 1])
     os.utime(log, ns=(half.written_ns + 10**7, half.written_ns + 10**7))  # however coarse the clock is
