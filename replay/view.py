@@ -7,6 +7,7 @@ viewers of other versions may not read it, so it is made anew when the recording
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import tempfile
 import threading
@@ -68,7 +69,8 @@ def convert(logs: Sequence[Log], path: Path) -> None:
     try:
         stream = rr.RecordingStream(APPLICATION)
         stream.save(name)
-        translate(logs, stream)
+        with _without_collecting():
+            translate(logs, stream)
         stream.flush(timeout_sec=_PATIENCE)
         stream.disconnect()
         Path(name).chmod(0o644)
@@ -77,6 +79,18 @@ def convert(logs: Sequence[Log], path: Path) -> None:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _without_collecting() -> Iterator[None]:
+    """Rests the garbage collector: rows live until they are sent, and it would walk over them in vain."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def translate(logs: Sequence[Log], stream: rr.RecordingStream) -> None:

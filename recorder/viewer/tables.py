@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+import pyarrow as pa
 import rerun as rr
 
 from recorder.log_lines import by_name, values
@@ -108,5 +109,9 @@ class Tables:
 
 
 def _rows(kind: str, names: tuple[str, ...], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    told = zip(("world", "task", "thread", "text", *names), map(list, zip(*rows, strict=True)), strict=True)
+    told = zip(
+        ("world", "task", "thread", "text", *names),
+        (pa.array(column) for column in zip(*rows, strict=True)),
+        strict=True,
+    )
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind}", components=dict(told))
