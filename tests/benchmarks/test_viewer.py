@@ -94,7 +94,9 @@ def least(costs: list[Cost], what: Callable[[Cost], float]) -> float:
 
 
 @pytest.mark.parametrize(
-    "options", [["--serve-grpc"], ["--headless"]], ids=["a viewer that takes", "a viewer that draws"]
+    "options",
+    [["--serve-grpc"], pytest.param(["--headless"], marks=pytest.mark.long)],
+    ids=["a viewer that takes", "a viewer that draws"],
 )
 def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str]) -> None:
     demo()  # what is made once: files laid out, code compiled
@@ -111,6 +113,7 @@ def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str])
     assert wall < 4  # and say little by the clock
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", ["absent", "stopped", "killed"])
 def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: str) -> None:
     demo()
