@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
+from recorder.viewer.places import camera_of
 from replay.errors import ReplayError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from recorder.geometry import Vector
     from replay.log import Log
-    from replay.state import Body
     from replay.why import Why
 
 
@@ -42,8 +36,8 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
         files = []
         world = found.world.name if found.world is not None else None
         robot = next((thing.body for thing in found.things if thing.robot), None)
-        camera = camera_of(robot) if robot is not None else None
-        if camera is not None:
+        camera = camera_of(robot.loaded).get("frame") if robot is not None else None
+        if isinstance(camera, str):
             files.append(folder / f"step_{found.step}_robot.png")
             render(log, found.step, camera=camera, world=world).save(files[-1])
         if found.things:
@@ -52,20 +46,6 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
-
-
-def camera_of(robot: Body) -> str | None:
-    """The frame of a robot's camera, by the description that was recorded with it; None if it says none.
-
-    Args:
-        robot: its state.
-    """
-    try:
-        camera = tomllib.loads(robot.loaded.robot_description).get("camera", {})
-    except ValueError:
-        return None
-    frame = camera.get("frame") if isinstance(camera, dict) else None
-    return frame if isinstance(frame, str) else None
 
 
 def _middle(found: Why) -> Vector:

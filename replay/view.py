@@ -22,7 +22,6 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.asset import AssetFile
 from recorder.errors import RecordingError
-from recorder.records import TOPICS
 from recorder.viewer.audience import Wish, answers
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
@@ -129,7 +128,7 @@ def _translate(log: Log, translator: Translator) -> None:
             raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
     for record in log:
         try:
-            translator.show(TOPICS[type(record)], record)
+            translator.show(record)
         except _NONSENSE as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
     translator.finish()

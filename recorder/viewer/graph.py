@@ -11,7 +11,7 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State, Tree
-from recorder.viewer.lanes import rgb
+from recorder.viewer.lanes import MARKS, rgb
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from recorder.viewer.columns import Columns, Moment
 
 GRAPH: Final = "graph"
+_MARKS: Final = MARKS | {State.SUCCEEDED: " \u2713"}
 _PLAN: Final = "plan"
 _KEPT: Final = 300  # tasks that are remembered
 _PARTS: Final = 7  # of a task that are shown
@@ -94,5 +95,4 @@ def _last(nodes: Sequence[Node], way: set[int]) -> list[Node]:
 
 def _label(node: Node) -> str:
     name = node.name if len(node.name) <= _LETTERS else f"{node.name[: _LETTERS - 1]}\u2026"
-    mark = {State.FAILED: " \u2717", State.CANCELLED: " \u2013", State.SUCCEEDED: " \u2713"}.get(node.status, "")
-    return f"{name}{mark}"
+    return name + _MARKS.get(node.status, "")

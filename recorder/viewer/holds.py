@@ -70,7 +70,7 @@ class Holds:
 
     def _look(self, world: str, name: str, body: Body, now: Moment) -> None:
         path = self._cameras[world, name] = self._columns.path(world, CAMERA, name)
-        camera = camera_of(body)
+        camera = camera_of(body.loaded)
         try:
             right, down = (math.tan(camera[f"{way}_fov"] / 2) * _SIGHT for way in ("horizontal", "vertical"))
             frame = self._scene.frame(world, name, str(camera["frame"]))

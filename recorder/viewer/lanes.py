@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 LANES: Final = "lanes"
 _MOST_LOOKS: Final = 300  # names of tasks in one lane that have colours; from then on they go by their kinds
-_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
+MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
 _NOTHING: Final = ""
 
 
@@ -80,7 +80,7 @@ class Lanes:
         name = record.name if len(lane.looks) < _MOST_LOOKS else record.kind
         state = f"{name} {status.word}"
         if state not in lane.looks:
-            lane.looks[state] = (name + _MARKS.get(status, ""), status)
+            lane.looks[state] = (name + MARKS.get(status, ""), status)
             labels, shown = zip(*lane.looks.values(), strict=True)
             colors = [rgb(one) for one in shown]
             self._columns.fix(lane.path, rr.StateConfiguration(values=list(lane.looks), labels=labels, colors=colors))

@@ -1,9 +1,9 @@
 """The process between a recording and its viewer: translates records and hands them over.
 
 Whatever a viewer does to those who talk to it, it does to this process: stall it, fill its memory, hang its exit. The
-recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it, or doesn't; it kills this
-process when it has waited long enough. Loading the viewer's library and translating cost the plan nothing either, but
-for the core that they run on.
+recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it. At its end it gives all
+that is left, and this process has a while of its own to hand that over. Loading the viewer's library and translating
+cost the plan nothing either, but for the core that they run on.
 
 On the socket between them, this side says ``Word.ABSENT`` perhaps, ``Word.READY`` when there is a viewer, and then how
 many records of each batch the viewer took. The other side sends batch after batch, lists of topics with payloads and of
@@ -151,7 +151,7 @@ def _show(translator: Translator, batch: list[Item], *, tell: bool) -> bool:
         try:
             if isinstance(item, tuple):
                 topic, payload = item
-                translator.show(topic, _KINDS[topic].FromString(payload))
+                translator.show(_KINDS[topic].FromString(payload))
             else:
                 translator.attach(item)
         except Exception as error:  # noqa: BLE001  users' own values stand in records

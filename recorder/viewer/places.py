@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from recorder.geometry import Vector
-    from recorder.records import Argument
+    from recorder.records import Argument, LoadBody
     from recorder.viewer.scene import Body, Scene
 
 Values: TypeAlias = "dict[str, Any]"
@@ -66,14 +66,14 @@ def position(value: object) -> Vector | None:
     return (found[0], found[1], found[2]) if found is not None else None
 
 
-def camera_of(body: Body) -> Mapping[str, Any]:
+def camera_of(robot: LoadBody) -> Mapping[str, Any]:
     """What a robot's description says of its camera; empty if it says nothing.
 
     Args:
-        body: the robot.
+        robot: how it was loaded.
     """
     try:
-        camera = tomllib.loads(body.loaded.robot_description).get("camera", {})
+        camera = tomllib.loads(robot.robot_description).get("camera", {})
     except ValueError:
         return {}
     return camera if isinstance(camera, dict) else {}
@@ -121,5 +121,5 @@ def eye(scene: Scene, world: str, camera: object = None) -> Vector | None:
     if isinstance(camera, list) or found is None:
         return position(camera)
     name, body = found
-    pose = scene.pose(world, name, str(camera or camera_of(body).get("frame", "")))
+    pose = scene.pose(world, name, str(camera or camera_of(body.loaded).get("frame", "")))
     return pose[0] if pose is not None else None

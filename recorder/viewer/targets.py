@@ -17,6 +17,7 @@ from recorder.viewer.places import eye, numbers, robot, target, values_of
 if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.places import Values
     from recorder.viewer.scene import Scene
 
 TARGETS: Final = "targets"
@@ -50,11 +51,12 @@ class Targets:
         if record.phase == Task.STARTED:
             self._failures.clear(now)
             self._told = _NOTHING
-            place = target(self._scene, record.world, values_of(record.parameters))
+            values = values_of(record.parameters)
+            place = target(self._scene, record.world, values)
             if place is not None:
                 self._places[record.task] = place
                 if record.kind == "motion":
-                    self._aim(record, place, now)
+                    self._aim(record, values, place, now)
         elif record.phase == Task.FINISHED:
             marks = self._running.pop(record.task, None)
             self._names.pop(record.task, None)
@@ -64,9 +66,9 @@ class Targets:
             if record.status == Task.FAILED:
                 self._fail(record, place, now)
 
-    def _aim(self, record: Task, place: Vector, now: Moment) -> None:
+    def _aim(self, record: Task, values: Values, place: Vector, now: Moment) -> None:
         shapes = [points([place], BLUE, [record.name])]
-        turn = numbers(values_of(record.parameters).get("orientation"), 4)
+        turn = numbers(values.get("orientation"), 4)
         start = eye(self._scene, record.world) if record.name == "looking" else None
         if start is not None:
             x, y, z = (end - begin for begin, end in zip(start, place, strict=True))
@@ -79,8 +81,7 @@ class Targets:
     def _name(self, record: Task) -> str:
         """A name that no other running motion's mark has; short ones come again, so that entities stay few."""
         taken = self._names.values()
-        numbers = range(2, len(taken) + 2)
-        names = (record.name, *(f"{record.name} {number}" for number in numbers))
+        names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = self._names[record.task] = next(name for name in names if name not in taken)
         return name
 

@@ -80,11 +80,10 @@ class Translator:
             self._frames.learn(asset.sha256, asset.content)
         self._scene.attach(asset)
 
-    def show(self, topic: str, record: Record) -> None:  # noqa: ARG002  records know their type
+    def show(self, record: Record) -> None:
         """Takes a record; what it changes is sent in batches, at the latest by :meth:`flush`.
 
         Args:
-            topic: its topic.
             record: the next one.
         """
         if record.world:
