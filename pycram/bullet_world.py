@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram import attachments, cargo, checks, worlds
 from pycram.cancellation import whole
-from pycram.engine import STEPS_PER_SECOND, Engine
+from pycram.engine import Engine
 from pycram.event import Event
 from pycram.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.funnel import Funnel, Reading, read
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BulletWorld", "Object"]
 
-_SAMPLE_STEPS: Final = STEPS_PER_SECOND // 30
+_SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
 _LONGEST: Final = 366 * 86400.0  # s; what is longer is a mistake
 _MOVED: Final = 1e-4  # rad or m by which a joint of the environment has to move in a simulated stretch to be news
 
@@ -287,7 +287,7 @@ class BulletWorld(metaclass=CurrentWorld):
         duration = checks.number("seconds", seconds)
         if not 0 <= duration <= _LONGEST:
             raise BadArgument("seconds", seconds, f"a number from 0 to {_LONGEST:g}")
-        self.simulate_steps(round(duration * STEPS_PER_SECOND))
+        self.simulate_steps(round(duration * records.STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
         """Lets time run.

@@ -19,6 +19,7 @@ from pycram.body import Body, Joint
 from pycram.quiet import quiet
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
+from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 with quiet(1, 2):  # it announces its build time
     import pybullet as bullet
 
-STEPS_PER_SECOND: Final = 240
 _UPWARD: Final = 0.5  # of a normal's length
 
 # Groups of the collision filter. PyBullet lets a pair collide if either side wants to, so both have to refuse.

@@ -17,12 +17,11 @@ from pycram.checks import number
 from pycram.failures import BadArgument, NoWorld, PlanFailure
 from pycram.nesting import stretch
 from pycram.open_block import alone
+from recorder.records import STEPS_PER_SECOND
 from recorder.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-
-_STEPS_PER_SECOND = 240
 
 
 class TimedOut(PlanFailure):
@@ -87,7 +86,7 @@ def _watch(seconds: float) -> Iterator[Scope]:
     world = BulletWorld.current_bullet_world
     if world is None:
         raise NoWorld
-    end = world.sim_step + round(seconds * _STEPS_PER_SECOND)
+    end = world.sim_step + round(seconds * STEPS_PER_SECOND)
     remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
     scope = Scope(current_scope(), remaining)
     world.alarms.add(scope.wake)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Keyframe, LoadBody, Mutation
+from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from recorder.records import BodyState, Record
 
 ROOT: Final = "world"
-_STEPS: Final = 240  # a simulated second
 _NS: Final = 1_000_000_000
 
 
@@ -155,8 +154,8 @@ class FrameTree:
 
 def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:
     message = FrameTransforms()
-    seconds, steps = divmod(step, _STEPS)
-    nanos = steps * _NS // _STEPS
+    seconds, steps = divmod(step, STEPS_PER_SECOND)
+    nanos = steps * _NS // STEPS_PER_SECOND
     for told in frames:
         frame = message.transforms.add(parent_frame_id=told.parent, child_frame_id=told.child)
         frame.timestamp.seconds, frame.timestamp.nanos = seconds, nanos

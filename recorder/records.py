@@ -12,7 +12,7 @@ import math
 import traceback
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, runtime_checkable
 
 from recorder.proto import log_pb2
 from recorder.proto.log_pb2 import (
@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 __all__ = [
+    "STEPS_PER_SECOND",
     "TOPICS",
     "Argument",
     "Asset",
@@ -103,6 +104,9 @@ TOPICS: Mapping[type[Record], str] = {
     Keyframe: "/keyframe",
 }
 """The MCAP topic of each record type; one type each."""
+
+STEPS_PER_SECOND: Final = 240
+"""Of simulated time, which a record's ``sim_step`` counts; every world is simulated at this pace."""
 
 FILE_DESCRIPTOR = log_pb2.DESCRIPTOR
 

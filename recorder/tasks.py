@@ -16,14 +16,13 @@ from enum import IntEnum
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
-from recorder.records import Task
+from recorder.records import STEPS_PER_SECOND, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.records import Failure
 
-_STEPS_PER_SECOND: Final = 240
 _BY_ID: Final = attrgetter("id")
 _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
@@ -60,7 +59,7 @@ class Moment:
     @property
     def sim_seconds(self) -> float:
         """Simulated time in s."""
-        return self.sim_step / _STEPS_PER_SECOND
+        return self.sim_step / STEPS_PER_SECOND
 
 
 def _moment(record: Task) -> Moment:

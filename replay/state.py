@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from recorder.records import STEPS_PER_SECOND
 from replay.errors import NoSuchName
 from replay.lives import title
 
@@ -127,7 +128,7 @@ class World:
     @property
     def seconds(self) -> float:
         """Simulated time, s."""
-        return self.sim_step / 240
+        return self.sim_step / STEPS_PER_SECOND
 
     def body(self, name: str) -> Body:
         """A body by name.

@@ -7,7 +7,7 @@ import math
 import re
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Keyframe, Mutation, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from replay.errors import NoSuchStep
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from replay.lives import Life
     from replay.log import Log
 
-STEPS_PER_SECOND: Final = 240
 HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
 _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Run
+from recorder.records import STEPS_PER_SECOND, Run
 from replay.plain import told_failure
-from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

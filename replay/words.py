@@ -7,9 +7,8 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from recorder.log_lines import text_of
-from recorder.records import Event, Query, Task
+from recorder.records import STEPS_PER_SECOND, Event, Query, Task
 from replay.plain import plain_arguments, plain_json, told_failure
-from replay.steps import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

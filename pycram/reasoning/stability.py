@@ -17,10 +17,10 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.engine import STEPS_PER_SECOND
 from pycram.reasoning.footing import Thing, firm
 from pycram.reasoning.twin import twin
 from recorder import geometry
+from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder.frames import FrameTree
 from recorder.log_lines import text_of
-from recorder.records import Keyframe, Mutation, Query, Run, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Query, Run, Task
 from recorder.viewer.answers import Answers
 from recorder.viewer.blueprint import blueprint
 from recorder.viewer.columns import Columns, Moment
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.records import Record
 
-_STEP_NS: Final = 1_000_000_000 / 240  # of a simulated step
+_STEP_NS: Final = 1_000_000_000 / STEPS_PER_SECOND  # of a simulated step
 _BUILDING: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
 _BATCH: Final = 10_000  # records
 

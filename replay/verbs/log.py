@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
+from recorder.records import STEPS_PER_SECOND
 from replay.chunks import KINDS
 from replay.outlet import remark, tell, tell_json
 from replay.plain import kind_of, plain_record
@@ -43,7 +44,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
         if options.json:
             tell_json(plain_record(record) | {"text": line}, flush=options.follow)
         else:
-            clock = f"{record.sim_step / 240:.3f}s" if record.world else ""
+            clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
             tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)
     return 0
 

@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder.records import STEPS_PER_SECOND
 from replay.cli import FINE
 from replay.errors import ReplayError
 from replay.outlet import remark, results_only, tell_json, visible
@@ -70,7 +71,8 @@ def _do(log: Log, step: int, world: BulletWorld, script: Path | None, options: a
         watch(world)
     else:
         told = ", ".join(name for name in given if name not in ("log", "step", "btr"))
-        banner = f"{world.name}, {world.sim_step / 240:.3f} s simulated. There are {told}; log, step and btr."
+        clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"
+        banner = f"{world.name}, {clock}. There are {told}; log, step and btr."
         shell(given, visible(banner))
     return FINE
 
