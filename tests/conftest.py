@@ -39,6 +39,25 @@ class MemorySink:
         return [record for record in self.records if isinstance(record, kind)]
 
 
+def furnish(world: BulletWorld) -> None:
+    """Fills a world with the thesis' scene: a PR2 with parked arms before the counter, food, a spoon in its drawer."""
+    Object("floor", "environment", "plane.urdf", world=world)
+    robot = Object("pr2", "robot", "pr2.urdf", world=world)
+    Object("kitchen", "environment", "kitchen.urdf", world=world)
+    Object("milk", "milk", "milk.stl", [1.3, 1, 0.95], world=world)
+    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 0.886], world=world)
+    Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 0.965], world=world)
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.716], world=world)
+    world.set_robot(robot)
+    description = robot.description
+    assert description is not None
+    for arm in description.arms.values():
+        robot.set_joint_positions(arm.posture("park"))
+    robot.set_joint_position("torso_lift_joint", 0.2)
+    robot.set_position([0.65, 0.7, 0])
+    world.simulate(0.25)
+
+
 @pytest.fixture
 def sink() -> Iterator[MemorySink]:
     """Everything that happens in the test is recorded into it."""
@@ -59,22 +78,8 @@ def world() -> Iterator[BulletWorld]:
 
 @pytest.fixture
 def scene(world: BulletWorld) -> BulletWorld:
-    """The thesis' scene: floor, PR2 before the counter with parked arms, kitchen, milk, bowl, cereal, spoon in its drawer."""
-    Object("floor", "environment", "plane.urdf")
-    robot = Object("pr2", "robot", "pr2.urdf")
-    Object("kitchen", "environment", "kitchen.urdf")
-    Object("milk", "milk", "milk.stl", [1.3, 1, 0.95])
-    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 0.886])
-    Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 0.965])
-    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.716])
-    BulletWorld.robot = robot
-    description = robot.description
-    assert description is not None
-    for arm in description.arms.values():
-        robot.set_joint_positions(arm.posture("park"))
-    robot.set_joint_position("torso_lift_joint", 0.2)
-    robot.set_position([0.65, 0.7, 0])
-    world.simulate(0.25)
+    """The scene of :func:`furnish`, for one test."""
+    furnish(world)
     return world
 
 

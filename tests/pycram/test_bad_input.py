@@ -15,9 +15,10 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import AssetError, BadArgument, DisplayError, JointLimitError, UnknownName, UsageError
 from pycram.process_module import ProcessModule
+from tests.conftest import furnish
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from tests.conftest import MemorySink
@@ -143,6 +144,15 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
 
 def perform(**slots: object) -> object:
     return ProcessModule.perform(MotionDesignator(list(slots.items())))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Iterator[BulletWorld]:
+    """One scene for all calls, since none of them changes it."""
+    with BulletWorld() as made:
+        made.set_gravity([0, 0, -9.8])
+        furnish(made)
+        yield made
 
 
 @pytest.mark.parametrize("name", CALLS)
