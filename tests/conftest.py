@@ -44,10 +44,10 @@ def furnish(world: BulletWorld) -> None:
     Object("floor", "environment", "plane.urdf", world=world)
     robot = Object("pr2", "robot", "pr2.urdf", world=world)
     Object("kitchen", "environment", "kitchen.urdf", world=world)
-    Object("milk", "milk", "milk.stl", [1.3, 1, 0.95], world=world)
-    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 0.886], world=world)
-    Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 0.965], world=world)
-    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.716], world=world)
+    Object("milk", "milk", "milk.stl", [1.3, 1, 0.947], world=world)
+    Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 0.8835], world=world)
+    Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 0.962], world=world)
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.7136], world=world)
     world.set_robot(robot)
     description = robot.description
     assert description is not None
@@ -55,7 +55,7 @@ def furnish(world: BulletWorld) -> None:
         robot.set_joint_positions(arm.posture("park"))
     robot.set_joint_position("torso_lift_joint", 0.2)
     robot.set_position([0.65, 0.7, 0])
-    world.simulate(0.25)
+    world.simulate(0.05)  # they stand already
 
 
 @pytest.fixture
