@@ -15,9 +15,9 @@ import tempfile
 import threading
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram import links, mesh
 from pycram.failures import AssetError, BadArgument
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _MESH_TYPE, _URDF_TYPE = "model/mesh", "application/xml"
+_MODELS_KEPT: Final = 128
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,17 +184,46 @@ def _decompose(content: bytes) -> bytes:
 
 
 def _canonical(source: Path, text: str, stem: str) -> Model:
+    return _made(source, text, stem, tuple(_version(source, name) for name in _mesh_names(source, text)))
+
+
+@lru_cache(maxsize=_MODELS_KEPT)
+def _mesh_names(source: Path, text: str) -> tuple[str, ...]:
+    """The meshes that a URDF whose links make sense refers to."""
+    root = _parsed(source, text)
+    _check_links(source, root)
+    return tuple(dict.fromkeys(element.get("filename", "") for element in root.iter("mesh")))
+
+
+def _parsed(source: Path, text: str) -> ET.Element:
     try:
-        root = ET.fromstring(text)  # noqa: S314  a model of the user's own, and expat limits entity expansion
+        return ET.fromstring(text)  # noqa: S314  a model of the user's own, and expat limits entity expansion
     except ET.ParseError as error:
         raise AssetError(source, f"is not well-formed XML: {error}") from error
-    _check_links(source, root)
-    meshes: dict[str, AssetFile] = {}
+
+
+class _Version(NamedTuple):
+    """A mesh's file as a URDF names it, and what changes when the file does."""
+
+    name: str
+    file: Path
+    modified: int
+    size: int
+
+
+def _version(source: Path, name: str) -> _Version:
+    found = _find_mesh(source, name)
+    about = found.stat()
+    return _Version(name, found, about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(maxsize=_MODELS_KEPT)
+def _made(source: Path, text: str, stem: str, versions: tuple[_Version, ...]) -> Model:
+    """The model of a URDF with these meshes; made once, since most of a world's loading would be this."""
+    root = _parsed(source, text)
+    meshes = {version.name: _checked_mesh(*version[1:]) for version in versions}
     for element in root.iter("mesh"):
-        found = _find_mesh(source, element.get("filename", ""))
-        asset = _checked_mesh(found, found.stat().st_mtime_ns, found.stat().st_size)
-        element.set("filename", asset.key)
-        meshes[asset.key] = asset
+        element.set("filename", meshes[element.get("filename", "")].key)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
             material.remove(texture)  # the software renderer shows plain colours
@@ -208,7 +238,7 @@ def _canonical(source: Path, text: str, stem: str) -> Model:
     itself = AssetFile(f"{stem}.urdf", content.encode(), _URDF_TYPE)
     # PyBullet looks for meshes from the URDF's folder: URDFs lie flat in the store, beside the folders of the meshes.
     path = _keep(f"{itself.sha256}.urdf", itself.content)
-    return Model(path, tree, (itself, *meshes.values()))
+    return Model(path, tree, (itself, *{mesh.key: mesh for mesh in meshes.values()}.values()))
 
 
 def _check_links(source: Path, root: ET.Element) -> None:
@@ -231,9 +261,9 @@ def _find_mesh(source: Path, name: str) -> Path:
     if name.startswith("package://"):
         relative = name.removeprefix("package://")
         without_package = relative.partition("/")[2]
-        candidates = [folder / part for folder in source.parents for part in (relative, without_package)]
+        candidates = (folder / part for folder in source.parents for part in (relative, without_package))
     else:
-        candidates = [source.parent / relative, _store() / relative]
+        candidates = (folder / relative for folder in (source.parent, _store()))
     for candidate in candidates:
         if candidate.is_file():
             return candidate

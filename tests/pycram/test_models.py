@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+import trimesh
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
@@ -94,3 +95,30 @@ def test_a_robot_has_a_name(tmp_path: Path, world: BulletWorld) -> None:
         Object("r", "r", file)
     file.write_text(f'<robot name="r"><link name="a"><collision>{BOX}</collision></link></robot>')
     assert Object("r", "r", file).get_AABB()[1][0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_model_is_of_its_files_as_they_are_now(tmp_path: Path, world: BulletWorld) -> None:
+    file, mesh = tmp_path / "crate.urdf", tmp_path / "crate.obj"
+    shape = '<geometry><mesh filename="crate.obj"/></geometry>'
+    collides = f'<robot name="crate"><link name="crate"><collision>{shape}</collision></link></robot>'
+
+    def height(name: str) -> float:
+        body = Object(name, "crate", file)
+        lowest, highest = body.get_AABB()
+        body.remove()
+        return highest[2] - lowest[2]
+
+    def make(size: float) -> None:
+        content = trimesh.creation.box((1, 1, size)).export(file_type="obj")
+        mesh.write_text(content, encoding="utf-8")
+
+    file.write_text(collides, encoding="utf-8")
+    make(1.0)
+    assert height("first") == height("again") == pytest.approx(1.0, abs=0.01)
+    make(2.0)
+    assert height("with another mesh") == pytest.approx(2.0, abs=0.01)
+    file.write_text(collides.replace("<mesh", '<mesh scale="1 1 3"'), encoding="utf-8")
+    assert height("scaled") == pytest.approx(6.0, abs=0.01)
+    mesh.unlink()
+    with pytest.raises(AssetError, match=r"its mesh crate\.obj doesn't exist"):
+        height("without its mesh")
