@@ -7,6 +7,7 @@ middle between its fingers. Of the candidates that the arm reaches, the one that
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning import reach
-from pycram.reasoning.outline import Outline, middle
+from pycram.reasoning.outline import Outline, Scan, middle
 from pycram.reasoning.reach import Solver
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
@@ -34,6 +35,7 @@ _SPARE: Final = 0.004  # m of the aperture that has to stay free
 _CLEAR: Final = 0.002  # m that the finger tips keep from what the object stands on
 _PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's surface is looked for
 _STEP: Final = 0.004  # m between such places along the fingers
+_LEVELS: Final = 6  # at which the wall below a rim is looked for
 _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
 _FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
@@ -95,26 +97,29 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         names: the sides that are allowed; all by default.
     """
     outline = Outline(body)
-    found: list[Grasp] = []
+    heading, lying = reach.heading(robot), body.get_orientation()
+    asked: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
-        if names is not None and name not in names:
-            continue
-        turn = geometry.product(reach.approach(name, robot), geometry.from_rpy(roll, 0.0, 0.0))
-        options = [_between_fingers(outline, name, other, arm) for other in (turn, *_along(turn, body))]
-        fitting = [grasp for grasp in options if grasp is not None]
-        if fitting:  # as the robot stands, unless the object lies across
-            found.append(min(fitting, key=lambda grasp: grasp.width + (grasp.orientation != turn) * _SPARE))
+        if names is None or name in names:
+            turn = geometry.product(geometry.product(heading, reach.GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
+            asked.append([(name, other) for other in (turn, *_along(turn, lying))])
+    fitting = iter(_between_fingers(outline, [way for ways in asked for way in ways], arm))
+    found: list[Grasp] = []
+    for ways in asked:
+        (_, turn), *_ = ways
+        fit = [grasp for grasp in itertools.islice(fitting, len(ways)) if grasp is not None]
+        if fit:  # as the robot stands, unless the object lies across
+            found.append(min(fit, key=lambda grasp, turn=turn: grasp.width + (grasp.orientation != turn) * _SPARE))  # type: ignore[misc]
     if all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
         found.extend(_rims(outline, robot, arm))
     return found
 
 
-def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
+def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
     """The same orientation turned about the vertical so that the fingers close along one of the object's axes."""
     x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
-    heading = body.get_orientation()
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
-        along = geometry.rotate(heading, axis)
+        along = geometry.rotate(lying, axis)
         if abs(along[2]) > _UPRIGHT:
             continue
         skew = math.atan2(along[1], along[0]) - math.atan2(y, x)
@@ -124,29 +129,41 @@ def _along(turn: Quaternion, body: Object) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(outline: Outline, name: str, turn: Quaternion, arm: Arm) -> Grasp | None:
-    """The grasp from one side, with the object in the middle between the fingers; None if it doesn't fit."""
+def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
+    """For each side and orientation the grasp with the object in the middle between the fingers; None if too wide."""
+    if not ways:
+        return
     gripper = arm.gripper
-    x, y, z = outline.middle
-    if name != "top":
-        z = max(z, outline.low[2] + gripper.underside)
-    half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
-    count = max(4, math.ceil((half + gripper.tips) / _STEP))
-    places = np.linspace(-half, min(half, gripper.tips), 2 * count + 1)[1::2]
-    surface = outline.across(((x, y, z), turn), places.tolist(), _PADS)
-    solid = ~np.isnan(surface[:, 0])
-    if not solid.any():
-        return None
-    deep = min(float(places[solid][0]) + gripper.depth, 0.0)
-    if name == "top":
-        deep = min(deep, z - outline.low[2] - gripper.tips - _CLEAR)
-    held = surface[solid & (places <= deep + gripper.tips)]
-    if not len(held):
-        return None
-    low, high = float(held[:, 0].min()), float(held[:, 1].max())
-    if high - low > gripper.aperture - _SPARE:
-        return None
-    return Grasp(name, geometry.transform(((x, y, z), turn), (deep, (low + high) / 2, 0.0)), turn, high - low)
+    scans, counts = [], []
+    for name, turn in ways:
+        x, y, z = outline.middle
+        if name != "top":
+            z = max(z, outline.low[2] + gripper.underside)
+        half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
+        counts.append(max(4, math.ceil((half + gripper.tips) / _STEP)))
+        step = (min(half, gripper.tips) + half) / counts[-1]
+        scans.append(Scan(((x, y, z), turn), step / 2 - half, step))
+    surfaces = outline.across(scans, max(counts), _PADS).tolist()
+    for (name, turn), scan, count, surface in zip(ways, scans, counts, surfaces, strict=True):
+        solid = [
+            (scan.first + number * scan.step, low, high)
+            for number, (low, high) in enumerate(surface[:count])
+            if not math.isnan(low)
+        ]
+        if not solid:
+            yield None
+            continue
+        deep = min(solid[0][0] + gripper.depth, 0.0)
+        if name == "top":
+            deep = min(deep, scan.frame[0][2] - outline.low[2] - gripper.tips - _CLEAR)
+        held = [(low, high) for place, low, high in solid if place <= deep + gripper.tips]
+        low = min((low for low, _ in held), default=-math.inf)
+        high = max((high for _, high in held), default=math.inf)
+        if high - low > gripper.aperture - _SPARE:
+            yield None
+        else:
+            at = geometry.transform(scan.frame, (deep, (low + high) / 2, 0.0))
+            yield Grasp(name, at, turn, high - low)
 
 
 def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
@@ -156,25 +173,29 @@ def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
     side = 1.0 if shoulder[1] >= 0 else -1.0
     x, y, _ = outline.middle
     top, bottom = outline.high[2], outline.low[2]
-    for direction, roll in (((0.0, side, 0.0), 0.0), ((-1.0, 0.0, 0.0), math.pi / 2), ((0.0, -side, 0.0), 0.0)):
-        away = geometry.rotate(reach.approach("front", robot), direction)
-        frame = ((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0])))
-        height = max(top - gripper.depth, bottom + gripper.tips + _CLEAR)
-        levels = np.linspace(top - _EDGE, max(height - gripper.tips, bottom + _CLEAR), 6)
-        wall = outline.wall(frame, _PADS, levels.tolist())
-        solid = [bool(np.isnan(level).any()) for level in wall]
-        if solid[0]:
+    height = max(top - gripper.depth, bottom + gripper.tips + _CLEAR)
+    first = top - _EDGE
+    step = (max(height - gripper.tips, bottom + _CLEAR) - first) / (_LEVELS - 1)
+    heading = reach.heading(robot)
+    frames = []
+    for direction in ((0.0, side, 0.0), (-1.0, 0.0, 0.0), (0.0, -side, 0.0)):
+        away = geometry.rotate(heading, direction)
+        frames.append(((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0]))))
+    walls = outline.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
+    for frame, roll, wall in zip(frames, (0.0, math.pi / 2, 0.0), walls, strict=True):
+        floors = np.flatnonzero(np.isnan(wall).any(axis=1)).tolist()
+        floor = floors[0] if floors else _LEVELS
+        if not floor:
             continue
-        if any(solid):  # the floor of the hollow: tips stay above it
-            floor = solid.index(True)
-            height = max(height, float(levels[floor]) + gripper.tips + _CLEAR)
-            wall = wall[:floor]
-        inside, outside = float(wall[:, 0].min()), float(wall[:, 1].max())
+        tips = height
+        if floor < _LEVELS:  # tips stay above the floor of the hollow
+            tips = max(tips, first + floor * step + gripper.tips + _CLEAR)
+        inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
         if outside - inside > gripper.aperture - _SPARE:
             continue
-        turn = geometry.product(reach.approach("top", robot), geometry.from_rpy(roll, 0.0, 0.0))
+        turn = geometry.product(geometry.product(heading, reach.GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
         middle_x, middle_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
-        yield Grasp("top", (middle_x, middle_y, height), turn, outside - inside)
+        yield Grasp("top", (middle_x, middle_y, tips), turn, outside - inside)
 
 
 def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = None) -> GraspPlan:

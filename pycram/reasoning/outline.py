@@ -7,6 +7,7 @@ engine is asked, hence nothing can be stale and nothing is put anywhere.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -49,6 +50,21 @@ def half(low: Sequence[float], high: Sequence[float], direction: Sequence[float]
     return sum(abs(d) * (b - a) for d, a, b in zip(direction, low, high, strict=True)) / 2
 
 
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Where lines are drawn, side by side.
+
+    Attributes:
+        frame: in the world; lines go along one of its axes.
+        first: of the places along another of its axes where there is a line, m.
+        step: from one place to the next, m.
+    """
+
+    frame: Pose
+    first: float
+    step: float
+
+
 class Outline:
     """The surface of one object, as it stands.
 
@@ -72,7 +88,7 @@ class Outline:
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
         self._centers = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
-        self._radii = np.linalg.norm(solids.high - solids.low, axis=1) / 2 + 2 * _PADDED
+        self._edges = turns * ((solids.high - solids.low) / 2 + 2 * _PADDED)[:, None]
         self._normals = np.einsum("mij,mj->mi", turns[solids.pieces], solids.normals)
         self._offsets = solids.offsets + (self._normals * positions[solids.pieces]).sum(axis=1) + _PADDED
 
@@ -84,76 +100,93 @@ class Outline:
         """
         return half(self.low, self.high, direction)
 
-    def across(self, frame: Pose, xs: Sequence[float], zs: Sequence[float]) -> Array:
-        """How far it extends along the y axis of a frame.
+    def across(self, scans: Sequence[Scan], count: int, zs: Sequence[float]) -> Array:
+        """How far it extends along the y axes of frames.
 
         Args:
-            frame: in the world.
-            xs: places along the frame's x axis, m.
-            zs: places along the frame's z axis, m; of all of them together the farthest count.
+            scans: where lines are drawn along the y axes, at places along the x axes.
+            count: of places in each.
+            zs: places along the frames' z axes, m; of all of them together the farthest count.
 
         Returns:
-            (len(xs), 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
+            (len(scans), count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
-        enter, leave = self._met(frame, (0, 2, 1), xs, zs)
-        found = np.stack([enter.min(axis=(1, 2), initial=np.inf), leave.max(axis=(1, 2), initial=-np.inf)], axis=1)
-        found[~np.isfinite(found)] = np.nan
-        return found
+        where, enter, leave = self._met(scans, (0, 2, 1), count, zs)
+        low = _each(np.minimum, where, enter.min(axis=2), len(scans), np.inf)
+        high = _each(np.maximum, where, leave.max(axis=2), len(scans), -np.inf)
+        return np.where((low <= high)[:, :, None], np.stack([low, high], axis=2), np.nan)
 
-    def wall(self, frame: Pose, ys: Sequence[float], zs: Sequence[float]) -> Array:
-        """Where the wall of something hollow is, looked for from the origin of a frame along its x axis.
+    def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
+        """Where the walls of something hollow are, looked for from the z axes of frames along their x axes.
 
         Args:
-            frame: in the world; its origin lies inside of the hollow.
-            ys: places along the frame's y axis, m; of all of them together the farthest count.
-            zs: places along the frame's z axis, m.
+            scans: where lines are drawn along the x axes, at places along the z axes; those lie inside of the hollow.
+            count: of these places in each.
+            ys: places along the frames' y axes, m; of all of them together the farthest count.
 
         Returns:
-            (len(zs), 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters no piece,
-            as where it begins within the solid, both where there is nothing.
+            (len(scans), count, 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters
+            no piece, as where it begins within the solid, both where there is nothing.
         """
-        enter, leave = self._met(frame, (2, 1, 0), zs, ys)
-        first = np.where(enter > 0.0, enter, np.inf).min(axis=2, initial=np.inf)
-        inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
-        outside = np.where(leave > 0.0, leave, -np.inf).max(axis=(1, 2), initial=-np.inf)
-        found = np.stack([inside, outside], axis=1)
-        found[~np.isfinite(found)] = np.nan
-        return found
+        where, enter, leave = self._met(scans, (2, 1, 0), count, ys)
+        first = _each(np.minimum, where, np.where(enter > 0.0, enter, np.inf), len(scans), np.inf)
+        last = _each(np.maximum, where, np.where(leave > 0.0, leave, -np.inf), len(scans), -np.inf).max(axis=2)
+        inside = np.where(np.isfinite(first).all(axis=2), first.min(axis=2), np.nan)
+        return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
     def _met(
-        self, frame: Pose, order: tuple[int, int, int], us: Sequence[float], vs: Sequence[float]
-    ) -> tuple[Array, Array]:
-        """Where parallel lines pass through its pieces.
+        self, scans: Sequence[Scan], order: tuple[int, int, int], count: int, vs: Sequence[float]
+    ) -> tuple[NDArray[np.intp], Array, Array]:
+        """Where parallel lines pass through its pieces: all in one go, as what takes time is numpy's being called.
 
         Args:
-            frame: in the world.
-            order: of the frame's axes: u and v across the lines, w along them.
-            us: places of lines along u, m.
+            scans: where lines are drawn.
+            order: of the frames' axes: u and v across the lines, w along them.
+            count: of places along u.
             vs: places of lines along v, m.
 
         Returns:
-            (len(us), len(vs), pieces), m: w at which each line enters and leaves each piece that is near; inf and -inf
-            where it misses it.
+            For each of n scans with a piece that is near: the number of the scan (n,), those of one side by side, and
+            (n, count, len(vs)), m: w at which each line enters and leaves the piece; inf and -inf where it misses it.
         """
-        position, turn = frame
-        axes = geometry.to_matrix(turn)[:, order]
-        at = (self._centers - position) @ axes[:, :2]
-        low, high = np.array([min(us), min(vs)]), np.array([max(us), max(vs)])
-        reach = self._radii[:, None]
-        near = ((at >= low - reach) & (at <= high + reach)).all(axis=1)
-        chosen = near[self._solids.pieces]
-        pieces, normals = self._solids.pieces[chosen], self._normals[chosen]
-        u, v, along = (normals @ axes).T
+        firsts = np.array([scan.first for scan in scans])
+        steps = np.array([scan.step for scan in scans])
+        world_T_frame = np.array([geometry.pose_matrix(scan.frame) for scan in scans])
+        axes, origins = world_T_frame[:, :3, order], world_T_frame[:, :3, 3]
+        at = (self._centers - origins[:, None]) @ axes[:, :, :2]
+        ends = np.stack([firsts, firsts + (count - 1) * steps], axis=1)
+        low = np.stack([ends.min(axis=1), np.full(len(scans), min(vs))], axis=1)[:, None]
+        high = np.stack([ends.max(axis=1), np.full(len(scans), max(vs))], axis=1)[:, None]
+        reach = np.abs(np.einsum("fxu,kxe->fkue", axes[:, :, :2], self._edges)).sum(axis=3)
+        near = ((at >= low - reach) & (at <= high + reach)).all(axis=2)
+        where, _ = np.nonzero(near)
+        pieces = self._solids.pieces
+        scan, plane = np.nonzero(near[:, pieces])
+        number = (np.cumsum(near) - 1).reshape(near.shape)[scan, pieces[plane]]
+        u, v, along = (self._normals @ axes)[scan, plane].T
         # a plane that lines go along is left far away by those within, and was left long ago by those without
         along = np.where(np.abs(along) < _ALONG, _ALONG, along)
-        room = (self._offsets[chosen] - normals @ np.asarray(position)) / along
-        u, v = u / along, v / along
-        ends = []
-        for side, nearest in ((along < 0.0, np.maximum), (along > 0.0, np.minimum)):  # each piece has planes of both
-            meets = room[side] - np.multiply.outer(us, u[side])[:, None] - np.multiply.outer(vs, v[side])
-            firsts = np.flatnonzero(np.diff(pieces[side], prepend=-1))
-            ends.append(nearest.reduceat(meets, firsts, axis=2) if len(firsts) else meets)
-        enter, leave = ends
+        room = (self._offsets - origins @ self._normals.T)[scan, plane]
+        factors = np.stack([room - u * firsts[scan], -u * steps[scan], -v], axis=1) / along[:, None]
+        lines = np.empty((3, count, len(vs)))
+        lines[0], lines[1], lines[2] = 1.0, np.arange(count)[:, None], vs
+        found = []
+        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both
+            counts = np.bincount(number[side], minlength=len(where))
+            most = int(counts.max(initial=1))
+            rows = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
+            meets = factors[side][rows] @ lines.reshape(3, -1)
+            found.append(nearest(meets, axis=1).reshape(-1, count, len(vs)))
+        enter, leave = found
         missed = enter > leave
         enter[missed], leave[missed] = np.inf, -np.inf
-        return enter, leave
+        return where, enter, leave
+
+
+def _each(nearest: np.ufunc, where: NDArray[np.intp], values: Array, count: int, nothing: float) -> Array:
+    """The nearest or farthest of each scan's values (n, ...), those of one side by side: (count, ...)."""
+    found = np.full((count, *values.shape[1:]), nothing)
+    scanned, firsts = np.unique(where, return_index=True)
+    if len(scanned):
+        found[scanned] = nearest.reduceat(values, firsts)
+    return found

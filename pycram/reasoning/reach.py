@@ -43,9 +43,17 @@ def approach(grasp: str, robot: Object) -> Quaternion:
     """
     if checks.text("grasp", grasp) not in GRASPS:
         raise UnknownName("grasp", grasp, "a gripper", GRASPS)
+    return geometry.product(heading(robot), GRASPS[grasp])
+
+
+def heading(robot: Object) -> Quaternion:
+    """Where a robot looks: its orientation about the vertical.
+
+    Args:
+        robot: the robot, as it stands.
+    """
     x, y, _ = geometry.rotate(robot.get_orientation(), (1.0, 0.0, 0.0))
-    heading = geometry.from_rpy(0.0, 0.0, math.atan2(y, x))
-    return geometry.product(heading, GRASPS[grasp])
+    return geometry.from_rpy(0.0, 0.0, math.atan2(y, x))
 
 
 GRASPS: Final[Mapping[str, Quaternion]] = {

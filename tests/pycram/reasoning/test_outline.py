@@ -10,7 +10,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.engine import bullet
-from pycram.reasoning.outline import Outline
+from pycram.reasoning.outline import Outline, Scan
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def test_widths_are_those_that_rays_feel(world: BulletWorld, name: str) -> None:
         frame = (outline.middle, turn)
         xs = np.linspace(-0.1, 0.1, 41).tolist()
         low, high = felt(body, frame, xs, PADS, 1.0), felt(body, frame, xs, PADS, -1.0)
-        found = outline.across(frame, xs, PADS)
+        (found,) = outline.across([Scan(frame, -0.1, 0.005)], 41, PADS)
         there = ~np.isnan(found[:, 0])
         felt_there = ~np.isnan(low).all(axis=1) & ~np.isnan(high).all(axis=1)
         assert (there == felt_there).mean() > 0.85, "they differ where a ray grazes an edge"
@@ -54,9 +54,9 @@ def test_walls_of_what_is_hollow(world: BulletWorld, name: str, inside: float) -
     body = Object(name, name, f"{name}.stl", [1, 2, 1])
     outline = Outline(body)
     x, y, _ = outline.middle
-    heights = [outline.high[2] - 0.012, outline.low[2] - 0.01]
-    for yaw in (0.0, 1.0, 2.0):
-        rim, below = outline.wall(((x, y, 0.0), geometry.from_rpy(0, 0, yaw)), PADS, heights)
+    high, low = outline.high[2] - 0.012, outline.low[2] - 0.01
+    frames = [((x, y, 0.0), geometry.from_rpy(0, 0, yaw)) for yaw in (0.0, 1.0, 2.0)]
+    for rim, below in outline.walls([Scan(frame, high, low - high) for frame in frames], 2, PADS):
         assert rim[0] == pytest.approx(inside, abs=0.002)
         assert rim[0] + 0.003 < rim[1]
         assert np.isnan(below).all()
@@ -65,11 +65,13 @@ def test_walls_of_what_is_hollow(world: BulletWorld, name: str, inside: float) -
 def test_what_is_solid_or_not_there_has_no_inside(world: BulletWorld) -> None:
     outline = Outline(Object("apple", "apple", "apple.stl", [1, 2, 1]))
     x, y, z = outline.middle
-    within, above = outline.wall(((x, y, 0.0), (0, 0, 0, 1)), (0.0,), [z, z + 1])
+    ((within, above),) = outline.walls([Scan(((x, y, 0.0), (0, 0, 0, 1)), z, 1.0)], 2, (0.0,))
     assert math.isnan(within[0])
     assert within[1] == pytest.approx(0.04, abs=0.01)
     assert np.isnan(above).all()
-    assert np.isnan(outline.across(((x, y, z + 1), (0, 0, 0, 1)), [0.0], PADS)).all()
+    beside, through = outline.across([Scan(((x, y, at), (0, 0, 0, 1)), 0.0, 0.0) for at in (z + 1, z)], 1, PADS)
+    assert np.isnan(beside).all()
+    assert through[0, 0] == pytest.approx(-through[0, 1])
 
 
 def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -> None:
@@ -89,11 +91,12 @@ def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -
     two = Object("two", "two", file, [0, 0, 1])
     for value, far in ((0.0, 0.1), (0.4, 0.45)):
         two.set_joint_position("slide", value)
-        ((low, high),) = Outline(two).across(((0, 0, 1), (0, 0, 0, 1)), [0.0], (0.0,))
+        (((low, high),),) = Outline(two).across([Scan(((0, 0, 1), (0, 0, 0, 1)), 0.0, 0.0)], 1, (0.0,))
         assert low == pytest.approx(-0.1, abs=0.002)
         assert high == pytest.approx(far, abs=0.002)
     bare = tmp_path / "frame.urdf"
     bare.write_text('<robot name="frame"><link name="nothing"/></robot>')
     frame = Outline(Object("frame", "frame", bare))
-    assert np.isnan(frame.across(((0, 0, 0), (0, 0, 0, 1)), [0.0], (0.0,))).all()
-    assert np.isnan(frame.wall(((0, 0, 0), (0, 0, 0, 1)), (0.0,), [0.0])).all()
+    scan = Scan(((0, 0, 0), (0, 0, 0, 1)), 0.0, 0.0)
+    assert np.isnan(frame.across([scan], 1, (0.0,))).all()
+    assert np.isnan(frame.walls([scan], 1, (0.0,))).all()
