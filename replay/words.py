@@ -172,17 +172,6 @@ def place(line: Line) -> str:
     return f"{line.file}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
 
 
-def around(after: Line | None, before: Line | None) -> str:
-    """Between which lines the plan did something that no task was part of.
-
-    Args:
-        after: the last line before it that is known.
-        before: the first one behind it.
-    """
-    told = [f"{word} {line.file}:{line.number}" for word, line in (("after", after), ("before", before)) if line]
-    return ", " + " and ".join(told) if told else ""
-
-
 def line(record: Record) -> str:
     """What a record tells, in one line.
 

@@ -89,8 +89,8 @@ def _causes(why: Causes) -> dict[str, object]:
             }
             for cause in why.tasks
         ],
-        "after": _place(why.after),
-        "before": _place(why.before),
+        "line": _place(why.line),
+        "callers": [_place(line) for line in why.way[:-1]],
     }
 
 
@@ -165,11 +165,11 @@ def _because(why: Causes, indent: str) -> Iterator[str]:
         kind = "" if cause.kind in ("motion", "process-module") else f" {cause.kind}"
         called = cause.name if cause.kind == "process-module" else words.call(cause.name, cause.parameters)
         yield f"{indent}in {called}{kind}  [step {cause.step}]"
+    if not why.tasks:
+        yield f"{indent}by the plan itself"
     if why.way:
         for word, line in zip(("from", *["called from"] * len(why.way)), reversed(why.way), strict=False):
             yield f"{indent}{word} {words.place(line)}"
-    elif not why.tasks:
-        yield f"{indent}by the plan itself" + words.around(why.after, why.before)
 
 
 def _held(carried: Carried) -> Iterator[str]:

@@ -189,40 +189,64 @@ def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Log) -> N
         assert blame(small, "cereal", step).record.seq == max(seq for seq in changes if seq <= step)
 
 
-def test_blame_knows_lines_around_what_no_task_did(small: Log) -> None:
-    found = blame(small, "cereal")
-    assert not found.causes.tasks
-    assert found.causes.after.text == "with par as block:"
-    assert found.causes.before.text == "put(milk, height)"
+def test_blame_tells_the_line_of_what_no_task_did(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    found = blame(small, "cereal").causes
+    assert not found.tasks
+    assert [line.text for line in found.way][-2:] == ["main()", "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])"]
+    assert found.line.function == "main"
+    assert main(["blame", str(small.path), "cereal"]) == 0
+    said = capsys.readouterr().out
+    assert "  by the plan itself\n  from " in said
+    assert "in main:  cereal.set_position(" in said
 
 
 IN_A_MODULE = """
-from recorder.span import span
+from pycram.language import seq
 
-def say(what):
-    with span("motion", what):
-        pass
+def lift(ball):
+    ball.set_position([0, 0, 1])
+
+def shove(ball):
+    with seq:
+        ball.set_position([1, 0, 0])
 """
 OF_A_PLAN = """
+import threading
 from pycram.bullet_world import BulletWorld, Object
-from speech_of_robots import say
+from moves_of_robots import lift, shove
 
 with BulletWorld():
     ball = Object("ball", "ball", "apple.stl")
-    say("now")
-    ball.set_position([1, 0, 0])
-    say("done")
+    lift(ball)
+    shove(ball)
+    helper = threading.Thread(target=lambda: lift(ball))
+    helper.start()
+    helper.join()
 """
 
 
-def test_lines_around_are_the_plan_s_not_those_of_a_module_that_it_calls(tmp_path: Path) -> None:
-    (tmp_path / "speech_of_robots.py").write_text(IN_A_MODULE)
+def test_lines_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
+    (tmp_path / "moves_of_robots.py").write_text(IN_A_MODULE)
     (tmp_path / "plan.py").write_text(OF_A_PLAN)
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
-        moved, loaded = blame(log, "ball").causes, blame(log, "ball", 2).causes
-    assert (moved.after.text, moved.before.text) == ('say("now")', 'say("done")')
-    assert (loaded.after, loaded.before.text) == (None, 'say("now")')
+        moves = [mutation(log, "move_body", number) for number in range(3)]
+        loaded, *told = [blame(log, "ball", step).causes for step in (mutation(log, "load_body"), *moves)]
+    assert [line.text for line in loaded.way] == ['ball = Object("ball", "ball", "apple.stl")']
+    assert [[line.text for line in each.way] for each in told] == [
+        ["lift(ball)", "ball.set_position([0, 0, 1])"],
+        ["shove(ball)", "ball.set_position([1, 0, 0])"],
+        ["helper = threading.Thread(target=lambda: lift(ball))", "ball.set_position([0, 0, 1])"],
+    ]
+    assert [[task.name for task in each.tasks] for each in told] == [[], ["seq"], []]
+    assert told[1].tasks[0].line.text == "with seq:"
+
+
+@pytest.mark.slow
+def test_a_motion_s_changes_are_told_by_its_tasks_only(failed_log: Path) -> None:
+    with replay.open(failed_log) as log:
+        told = {bool(record.task): record.source_line > 0 for record in log.records(Mutation)}
+    assert told == {False: True, True: False}
 
 
 def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
