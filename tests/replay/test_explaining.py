@@ -515,6 +515,30 @@ def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
     assert "ball is in lab too" in said
 
 
+def test_blame_names_the_world_where_the_one_opened_last_has_no_such_body(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.mcap"
+    with BulletWorld(name="a") as a:
+        Object("cup", "cup", "cup.stl")
+        with recorder.record(file), BulletWorld(name="b") as b:
+            gone = Object("cup", "cup", "cup.stl")
+            gone.remove()
+            ball = Object("ball", "ball", "apple.stl", world=a)
+            ball.remove()
+            b.simulate(0.1)
+    assert main(["blame", str(file), "cup"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
+    assert "(b, the world opened last, has no cup: --world tells which one is meant)" in said
+    assert main(["blame", str(file), "ball"]) == 0
+    assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")
+    assert main(["blame", str(file), "cup", "--world", "b"]) == 0
+    assert capsys.readouterr().out.startswith("cup in b was removed from [0, 0, 0]\n")
+    assert main(["blame", str(file), "cup", "--world", "a"]) == 0
+    assert "opened last" not in capsys.readouterr().out
+
+
 def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file), BulletWorld(name="lab"):
