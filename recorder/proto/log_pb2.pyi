@@ -470,9 +470,11 @@ class Run(_message.Message):
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
         STARTED: _ClassVar[Run.Phase]
         FINISHED: _ClassVar[Run.Phase]
+        THREAD_FAILED: _ClassVar[Run.Phase]
     PHASE_UNSPECIFIED: Run.Phase
     STARTED: Run.Phase
     FINISHED: Run.Phase
+    THREAD_FAILED: Run.Phase
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
