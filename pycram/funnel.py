@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from pycram.cancellation import before_change
 from pycram.failures import ChangeRefused, WorldClosed
 from pycram.world_lock import WorldLock
-from recorder import journal, records
+from recorder import journal, records, span
 from recorder.interrupts import Uninterrupted
+from recorder.way import callers, way_here
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 CHANGES_PER_KEYFRAME: Final = 100
 
 _AT_REST: Final = (0.0,) * 6
+#: What these do is on record as theirs; in all other tasks, and outside of any, it is the plan's own code that acts.
+_MOTIONS: Final = frozenset({"motion", "process-module"})
 
 
 class Reading(NamedTuple):
@@ -114,6 +117,16 @@ def told(body: Object, now: Reading, before: Reading | None, tolerance: float = 
 
 def _differs(a: Iterable[float], b: Iterable[float], tolerance: float) -> bool:
     return any(abs(x - y) > tolerance for x, y in zip(a, b, strict=True))
+
+
+def _sign(record: records.Mutation) -> None:
+    """Writes into a change that the plan's own code makes where in the plan that is."""
+    task = span.current()
+    if journal.is_aside() or (task is not None and task.kind in _MOTIONS):
+        return
+    way = way_here(task.source if task is not None else None)
+    record.source_file, record.source_line = way.line
+    record.callers.extend(callers(way.lines))
 
 
 @dataclass(slots=True)
@@ -245,6 +258,7 @@ class Funnel:
         effect.attached.extend(attachment.record() for attachment in change.attached.values())
         effect.detached.extend(attachment.record() for attachment in change.detached)
         effect.samples.extend(change.samples)
+        _sign(record)
         journal.emit(record, world=world.name, sim_step=world.sim_step)
         self._since_keyframe += 1
         if self._since_keyframe >= CHANGES_PER_KEYFRAME and not world.closed:

@@ -166,6 +166,11 @@ def recording() -> bool:
     return bool(_listening())
 
 
+def is_aside() -> bool:
+    """Whether what happens in this context is none of a plan's doing; see :func:`aside`."""
+    return _aside.get() is not None
+
+
 @contextmanager
 def aside(*journals: Journal) -> Iterator[None]:
     """What its block does is told to these journals and no others; without any it is on no record.

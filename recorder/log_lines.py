@@ -64,6 +64,8 @@ def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911
 def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Run.STARTED:
         return f"{record.name} started", Log.INFO
+    if record.phase == Run.THREAD_FAILED:
+        return f"thread {record.thread} failed: {record.failure.type}: {record.failure.message}", Log.ERROR
     if record.succeeded:
         return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", Log.INFO
     return f"{record.name} failed: {record.failure.type}: {record.failure.message}", Log.ERROR

@@ -271,7 +271,7 @@ def _is_end(record: Record) -> bool:
     """Whether a record must not get lost: a failure, or the end of the run."""
     if isinstance(record, Task):
         return record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
-    return isinstance(record, Run) and record.phase == Run.FINISHED
+    return isinstance(record, Run) and record.phase != Run.STARTED
 
 
 def _descriptors(message: type[Message]) -> bytes:

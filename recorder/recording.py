@@ -19,6 +19,7 @@ from recorder.journal import Journal
 from recorder.mcap_sink import McapSink
 from recorder.records import Run, failure
 from recorder.rerun_sink import RerunSink
+from recorder.uncaught import uncaught_noted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -82,7 +83,8 @@ def record(
     log, viewer = _begin(file, live, title, arguments, program)
     owner = os.getpid()
     try:
-        yield Recording(file, log, viewer)
+        with uncaught_noted(log, title):
+            yield Recording(file, log, viewer)
     except BaseException as error:
         try:
             if os.getpid() == owner:

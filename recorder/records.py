@@ -12,6 +12,7 @@ import math
 import traceback
 from collections.abc import Callable, Mapping
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, runtime_checkable
 
 from recorder.proto import log_pb2
@@ -89,6 +90,7 @@ __all__ = [
     "Task",
     "arguments",
     "failure",
+    "message",
     "to_json",
 ]
 
@@ -202,6 +204,18 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
 
 
+def message(error: BaseException) -> str:
+    """What an exception says, whatever its own ``__str__`` does.
+
+    Args:
+        error: the exception.
+    """
+    try:
+        return str(error)
+    except Exception as untold:  # noqa: BLE001  the error's own __str__
+        return f"<it can't be told: {type(untold).__qualname__}>"
+
+
 def failure(error: BaseException, *, trace: bool = True) -> Failure:
     """An exception as a record carries it.
 
@@ -213,14 +227,13 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
         Type, message, data and traceback.
     """
     data = getattr(error, "data", None)
-    try:
-        message = str(error)
-        lines = traceback.format_exception(error) if trace else []
-    except Exception as untold:  # noqa: BLE001  the error's own __str__
-        message, lines = f"<it can't be told: {type(untold).__qualname__}>", []
+    lines: list[str] = []
+    if trace:
+        with suppress(Exception):  # of the error's own methods
+            lines = traceback.format_exception(error)
     return Failure(
         type=type(error).__qualname__,
-        message=_sound(message),
+        message=_sound(message(error)),
         data=arguments(data) if isinstance(data, Mapping) else [],
         traceback=_sound("".join(lines)),
     )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.records import Keyframe, Mutation
 from replay.causes import Causes, causes
@@ -51,6 +51,7 @@ class Blame:
     Attributes:
         world: name of the world.
         others: names of other open worlds that have a body of that name.
+        without: name of the world that is meant where none is named, if that is another one: it has no such body.
         body: name of the body.
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
@@ -68,6 +69,7 @@ class Blame:
 
     world: str
     others: tuple[str, ...]
+    without: str
     body: str
     joint: str
     record: Mutation | Keyframe
@@ -102,23 +104,41 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
         gone = _removal(log, state, target, world)
         if gone is None:
             raise
-        return _removed(log, gone, blame(log, target, gone.seq - 1, gone.world))
+        until = blame(log, target, gone.seq - 1, gone.world)
+        return replace(_removed(log, gone, until), without=_without(state, gone.world, world))
     others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
-    return _Search(log, place.name, others, body, joint).run(step)
+    about = _About(place.name, others, _without(state, place.name, world), body, joint)
+    return _Search(log, about).run(step)
+
+
+def _without(state: State, found: str, named: str | None) -> str:
+    """The world that one would think of, if it isn't the one that has the body."""
+    default = state.world().name
+    return default if named is None and default != found else ""
 
 
 def _removal(log: Log, state: State, target: str, world: str | None) -> Mutation | None:
     """The record that removed a body, or the one with that joint, from a world that is still open."""
     lives = {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
-    for record in log.backwards(state.step, Mutation) if world is None or world in lives else ():
-        if (
-            isinstance(record, Mutation)
-            and any(target == name or target.startswith(f"{name}.") for name in record.effect.removed)
-            and record.world in ((world,) if world is not None else lives)
-            and log.life_at(record.world, record.seq) == lives[record.world]
-        ):
-            return record
-    return None
+    if world is not None and world not in lives:
+        return None
+    found = []
+    for body in _bodies(target):
+        for record in log.backwards(state.step, Mutation, naming=body):
+            if (
+                isinstance(record, Mutation)
+                and body in record.effect.removed
+                and record.world in ((world,) if world is not None else lives)
+                and log.life_at(record.world, record.seq) == lives[record.world]
+            ):
+                found.append(record)
+                break
+    return max(found, key=lambda record: record.seq, default=None)
+
+
+def _bodies(target: str) -> list[str]:
+    """The names that a target can begin with, the longest first: names may have dots in them."""
+    return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
 def _removed(log: Log, record: Mutation, until: Blame) -> Blame:
@@ -138,9 +158,8 @@ def _removed(log: Log, record: Mutation, until: Blame) -> Blame:
 
 def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
     worlds = [state.world(name)] if name is not None else list(state.worlds.values())
-    cuts = [len(target), *(at for at, letter in enumerate(target) if letter == ".")]
-    for cut in cuts:
-        body, joint = target[:cut], target[cut + 1 :]
+    for body in _bodies(target):
+        joint = target[len(body) + 1 :]
         for world in reversed(worlds):
             if body in world.bodies:
                 if joint:
@@ -149,15 +168,25 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
     raise state.no_body(target.partition(".")[0], worlds)
 
 
+class _About(NamedTuple):
+    """What is looked for, as :class:`Blame` tells it."""
+
+    world: str
+    others: tuple[str, ...]
+    without: str
+    body: str
+    joint: str
+
+
 class _Search:
     """Goes back through a world's changes."""
 
-    def __init__(self, log: Log, world: str, others: tuple[str, ...], body: str, joint: str) -> None:
+    def __init__(self, log: Log, about: _About) -> None:
         self._log = log
-        self._world = world
-        self._others = others
-        self._body = body
-        self._joint = joint
+        self._about = about
+        self._world = about.world
+        self._body = about.body
+        self._joint = about.joint
 
     def run(self, step: int) -> Blame:
         """The last change; and if that was physics, what happened to it before."""
@@ -204,24 +233,30 @@ class _Search:
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
         """Records that changed it, the last one first, down to its loading or the first record that knows it."""
-        oldest: Keyframe | None = None
-        for record in self._log.backwards(step, (Mutation, Keyframe)):
-            if record.world != self._world:
+        life = self._log.life_at(self._world, step)
+        if life is None:
+            return
+        start = life.start
+        for record in self._log.backwards(step, Mutation, naming=self._body):
+            if not life.has(record.seq):  # what was before is another world's
+                break
+            if not isinstance(record, Mutation) or record.world != self._world:
                 continue
-            if isinstance(record, Keyframe):
-                if all(loaded.body != self._body for loaded in record.loaded):
-                    break
-                oldest = record
-            elif isinstance(record, Mutation):
-                if record.HasField("open_world"):  # what was before is another world's
-                    return
-                if self._is_loading(record):
-                    yield record
-                    return
-                if self._is_change(record):
-                    yield record
-        if oldest is not None:
-            yield oldest
+            if self._body in record.effect.removed:  # how it came back is lost
+                start = record.seq
+                break
+            if self._is_loading(record):
+                yield record
+                return
+            if self._is_change(record):
+                yield record
+        for frame in self._log.records_of(life, Keyframe, life.keyframes):
+            if frame.seq >= start and isinstance(frame, Keyframe) and self._is_in(frame):
+                yield frame
+                return
+
+    def _is_in(self, frame: Keyframe) -> bool:
+        return any(loaded.body == self._body for loaded in frame.loaded)
 
     def _is_loading(self, record: Mutation) -> bool:
         return record.HasField("load_body") and record.load_body.body == self._body
@@ -255,7 +290,7 @@ class _Search:
         carried: tuple[Carried, ...],
         why: Causes,
     ) -> Blame:
-        return Blame(self._world, self._others, self._body, self._joint, record, how, *values, *size, carried, why)
+        return Blame(*self._about, record, how, *values, *size, carried, why)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)
@@ -265,7 +300,7 @@ class _Search:
         return body.joints.get(self._joint) if self._joint else body.pose
 
     def _carried(self, held: Attachment, step: int) -> Carried:
-        for record in self._log.backwards(step, Mutation):
+        for record in self._log.backwards(step, Mutation, naming=held.body):
             if isinstance(record, Mutation) and record.world == self._world and record.HasField("attach_body"):
                 command = record.attach_body
                 if (command.carrier, command.body) == (held.carrier, held.body):

@@ -1,8 +1,8 @@
 """Where a plan broke: the one failure that explains how it ended. ``why``, the step ``failure`` and trees go by it.
 
 A plan that failed did so with an exception: it began in the task that raised it, or that raised the nearest of its
-causes; else in the plan's own code. Of a plan that didn't fail, or whose recording was cut, it is the last failure that
-no task around it dealt with, else the last one.
+causes; else in the plan's own code. So did a thread of the plan's own that nobody caught, if the plan went on. Else, or
+where the recording was cut, it is the last failure that no task around it dealt with, or the last one.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from replay.failures import failures
 from replay.raised import Raised, raised
 from replay.source import Source
 from replay.steps import final_of
+from replay.summary import failed_threads
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,15 +32,17 @@ class Breakdown:
 
     Attributes:
         step: the moment of it: the end of the task in which it began; of a failure of the plan's own code the last step
-            before worlds were closed.
+            before worlds were closed, or that in which its thread ended.
         task: the task in which it began; None if the plan's own code did it.
-        failure: what the plan failed with; None if it didn't fail.
+        failure: what the plan, or a thread of it, failed with; None if neither did.
+        thread: name of that thread; "" if the plan failed.
         chain: the exceptions from that task on that led to the plan's failure, causes first.
     """
 
     step: int
     task: Attempt | None
     failure: Failure | None = None
+    thread: str = ""
     chain: tuple[Raised, ...] = ()
 
 
@@ -51,16 +54,29 @@ def breakdown(log: Log, found: Failures | None = None) -> Breakdown | None:
         found: its failures, where they are known already.
     """
     failed = found if found is not None else failures(log)
-    end = log[-1]
-    if not isinstance(end, Run) or not end.HasField("failure"):
+    end = uncaught(log)
+    if end is None:
         task = decisive(failed.origins)
         return Breakdown(task.end, task) if task is not None else None
+    thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     chain = _chain(end.failure, Source(log))
     began = _began(failed, chain)
     if began is None:
-        return Breakdown(final_of(log), None, end.failure, chain)
+        return Breakdown(end.seq if thread else final_of(log), None, end.failure, thread, chain)
     task, first = began
-    return Breakdown(task.end, task, end.failure, chain[first:])
+    return Breakdown(task.end, task, end.failure, thread, chain[first:])
+
+
+def uncaught(log: Log) -> Run | None:
+    """The record of what nobody caught: of the plan's end, else of the last thread that failed; None if all is well.
+
+    Args:
+        log: the recording.
+    """
+    end = log[-1]
+    if isinstance(end, Run) and end.HasField("failure"):
+        return end
+    return next(reversed(failed_threads(log)), None)
 
 
 def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:

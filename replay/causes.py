@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from recorder.records import Task
+from recorder.records import Mutation, Task
 from replay.plain import plain_arguments
 from replay.source import Source
 
@@ -17,8 +16,6 @@ if TYPE_CHECKING:
     from replay.log import Log
     from replay.plain import Plain
     from replay.source import Line
-
-_NEAR: Final = 1000  # tasks' records that are looked at for the lines around a record
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +65,22 @@ class Causes:
 
     Attributes:
         tasks: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task.
-        after: the last line before it at which the plan started something in the same thread, if that is known.
-        before: the first line behind it at which it did.
+        own: the lines that led to it, outermost first, where the plan's own code made it and the record tells that.
     """
 
     tasks: tuple[Cause, ...]
-    after: Line | None
-    before: Line | None
+    own: tuple[Line, ...]
 
     @property
     def line(self) -> Line | None:
         """The plan's line that led to the record, if it is known."""
-        return next((cause.line for cause in self.tasks if cause.line is not None), None)
+        return self.way[-1] if self.way else None
 
     @property
     def way(self) -> tuple[Line, ...]:
         """The plan's lines that led to the record, outermost first and that line last."""
-        return next(((*cause.callers, cause.line) for cause in self.tasks if cause.line is not None), ())
+        of_tasks = ((*cause.callers, cause.line) for cause in self.tasks if cause.line is not None)
+        return self.own or next(of_tasks, ())
 
 
 def causes(log: Log, record: Record) -> Causes:
@@ -103,34 +99,10 @@ def causes(log: Log, record: Record) -> Causes:
             wanted = started.parent
             if not wanted:
                 break
-    if found:
-        return Causes(tuple(found), None, None)
-    after = _way(source, record, log.backwards(record.seq, Task))
-    before = _way(source, record, log.records(Task, record.seq))
-    return Causes((), *_between(after, before))
+    return Causes(tuple(found), source.way(record) if isinstance(record, Mutation) else ())
 
 
 def _starts(records: Iterator[Record]) -> Iterator[Task]:
     for record in records:
         if isinstance(record, Task) and record.phase == Task.STARTED:
             yield record
-
-
-def _way(source: Source, record: Record, records: Iterator[Record]) -> tuple[Line, ...]:
-    """The plan's lines that led to the first task in the same thread."""
-    for started in _starts(islice(records, _NEAR)):
-        if started.thread == record.thread and started.source_line:
-            return source.way(started)
-    return ()
-
-
-def _between(after: tuple[Line, ...], before: tuple[Line, ...]) -> tuple[Line | None, Line | None]:
-    """Of two ways the lines where they part; else the innermost that are in the plan's own file, not in its modules."""
-    for one, other in zip(after, before, strict=False):
-        if one != other:
-            return one, other
-    return _own(after), _own(before)
-
-
-def _own(way: tuple[Line, ...]) -> Line | None:
-    return next((line for line in reversed(way) if line.file == way[0].file), None)

@@ -102,7 +102,13 @@ class Chunks:
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
 
     def records(
-        self, number: int, kinds: Kinds | None = None, world: str | None = None, *, backwards: bool = False
+        self,
+        number: int,
+        kinds: Kinds | None = None,
+        world: str | None = None,
+        *,
+        backwards: bool = False,
+        naming: str = "",
     ) -> Iterator[Record]:
         """The records of a chunk; nothing but what is asked for is decoded.
 
@@ -111,17 +117,21 @@ class Chunks:
             kinds: only those of this type, or of one of these.
             world: only those of this world.
             backwards: the last one first.
+            naming: only those that have this text in one of their fields.
         """
         wanted = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if wanted is not None and not any(kind in wanted for kind, _ in self.channels(number)):
             return
-        entries = self._load(number)
+        text = naming.encode(errors="replace")
+        entries = self._load(number, text)
         places = range(len(entries.channels))
         for at in reversed(places) if backwards else places:
             channel = entries.channels[at]
             if wanted is not None and self._kinds[channel] not in wanted:
                 continue
             if world is not None and self._worlds[channel] not in (None, world):
+                continue
+            if text not in entries.payloads[at]:
                 continue
             record = self._decode(number, entries, at)
             if record is not None and (world is None or record.world == world):
@@ -204,13 +214,17 @@ class Chunks:
 
     # --- decoding --------------------------------------------------------------------------------------------------
 
-    def _load(self, number: int) -> _Entries:
+    def _load(self, number: int, text: bytes = b"") -> _Entries:
+        """What a chunk has; nothing if a text isn't anywhere in it."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
         entries = _Entries()
         try:
-            self._divide(self._index.contents(number), entries)
+            contents = self._index.contents(number)
+            if text not in contents:
+                return entries
+            self._divide(contents, entries)
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base

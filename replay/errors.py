@@ -84,7 +84,7 @@ class NoSuchName(ReplayError, LookupError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         self.name = name
-        self.known = sorted(known)
+        self.known = sorted(set(known))
         near = difflib.get_close_matches(name, self.known, 3)
         told = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.known) or 'none'}"
         super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or told}")

@@ -27,9 +27,10 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
+from mcap.stream_reader import breakup_chunk
 
 from replay.errors import LogClosed
+from replay.packed import CHUNK_HEAD, Unpacking
 from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
 
 if TYPE_CHECKING:
@@ -40,7 +41,6 @@ _FOOTER: Final = HEADER + 20
 _LIMIT: Final = 1 << 32  # no honest record is longer
 _LENGTH: Final = struct.Struct("<BQ")
 _DATA_END: Final = HEADER + 4
-_CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
 _BLOCK: Final = 1 << 20
 #: Stands in the head of each compressed chunk: by this the next one is found behind a damaged part.
 _MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
@@ -73,6 +73,7 @@ class Index:
             file: opened for reading.
         """
         self._file = file
+        self._unpacking = Unpacking()
         self._next = len(MAGIC)
         self.closed = False
         self.whole = False
@@ -122,9 +123,7 @@ class Index:
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
-        chunk = Chunk.read(ReadDataStream(io.BytesIO(self.read(self.chunks[number]))))
-        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(length)
+        return self._unpacking.contents(self.read(self.chunks[number]))
 
     def check(self) -> None:
         """Compares the sum of all bytes with that which the file tells, and notes in ``damage`` if it is another.
@@ -297,25 +296,25 @@ class Index:
         """Whether a record that reaches beyond the end has a wrong head, rather than being cut."""
         if not Opcode.HEADER <= opcode <= Opcode.DATA_END or place.length > _LIMIT:
             return True
-        if opcode == Opcode.CHUNK and place.offset + _CHUNK_HEAD.size + 32 <= size:
+        if opcode == Opcode.CHUNK and place.offset + CHUNK_HEAD.size + 32 <= size:
             return not self._is_chunk(place)
         # with whole chunks behind it, it isn't the end that is torn
         return self._next_chunk(place.offset, size) is not None
 
     def _is_chunk(self, place: Place) -> bool:
         self._file.seek(place.offset)
-        head = self._file.read(_CHUNK_HEAD.size + 32)
-        if len(head) < _CHUNK_HEAD.size + 8:
+        head = self._file.read(CHUNK_HEAD.size + 32)
+        if len(head) < CHUNK_HEAD.size + 8:
             return False
-        name = _CHUNK_HEAD.unpack_from(head)[4]
-        at = _CHUNK_HEAD.size + name
+        name = CHUNK_HEAD.unpack_from(head)[4]
+        at = CHUNK_HEAD.size + name
         return bool(name <= 16 and place.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
 
     def _take(self, opcode: int, place: Place) -> bool:
         """Takes a whole record; False if it can't be what it says."""
         try:
             if opcode == Opcode.CHUNK:
-                if place.length < _CHUNK_HEAD.size + 8 or not self._is_chunk(place):
+                if place.length < CHUNK_HEAD.size + 8 or not self._is_chunk(place):
                     return False
                 if self.chunks and self.chunks[-1].channels is None:
                     self._count_last()
@@ -396,7 +395,7 @@ class Index:
             block = self._file.read(_BLOCK + 64)
             found = sorted(i for mark in _MARKS for i in _all(block, mark))
             for i in found:
-                offset = at + i - _CHUNK_HEAD.size + 4 - HEADER
+                offset = at + i - CHUNK_HEAD.size + 4 - HEADER
                 if offset >= start and self._chunk_at(offset, size):
                     return offset
             at += _BLOCK

@@ -186,16 +186,17 @@ class Log:
                 if start <= record.seq < end:
                     yield record
 
-    def backwards(self, start: int = -1, kind: Kinds | None = None) -> Iterator[Record]:
+    def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]:
         """Streams records from a step down to the first.
 
         Args:
             start: the step to begin with; negative ones count from the end.
             kind: only those of this type, or of one of these.
+            naming: only those that have this text in one of their fields; the others cost next to nothing.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
-            for record in self._chunks.records(number, kind, backwards=True):
+            for record in self._chunks.records(number, kind, backwards=True, naming=naming):
                 if record.seq <= first:
                     yield record
 

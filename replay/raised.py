@@ -17,8 +17,11 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The executor's folder, told by frames that are in every traceback of a recording.
-_ROOT: Final = re.compile(r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|span)|pycram[/\\]process_module)\.py$")
+#: The executor's folder, told by the frames by which plans come into it.
+_ROOT: Final = re.compile(
+    r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|span)|pycram[/\\](?:process_module|designator|blocks|fluent|objects"
+    r"|bullet_world|bullet_world_reasoning|funnel))\.py$"
+)
 #: Where nobody keeps plans.
 _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
 

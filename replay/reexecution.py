@@ -121,6 +121,8 @@ class Reexecution:
         if now is not None:
             now.seq, now.wall_time_ns, now.thread = record.seq, record.wall_time_ns, record.thread
             now.world, now.task = record.world, record.task
+            now.source_file, now.source_line = record.source_file, record.source_line
+            now.callers.extend(record.callers)
             if command == "open_world":
                 now.open_world.mode = record.open_world.mode  # a window changes nothing
         return now

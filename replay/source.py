@@ -13,7 +13,7 @@ from replay.errors import Damaged
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.records import Task
+    from recorder.records import Mutation, Task
     from replay.log import Log
 
 
@@ -67,22 +67,22 @@ class Source:
             return Line(file, number)
         return Line(file, number, _function(text, number), lines[number - 1].strip())
 
-    def way(self, task: Task) -> tuple[Line, ...]:
-        """The plan's lines that led to a task, outermost first; none if it isn't known what asked for it.
+    def way(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """The plan's lines that led to a task or a change, outermost first; none if the record doesn't tell.
 
         Args:
-            task: the record of its start.
+            record: of the task's start, or of the change.
         """
-        line = self.line(task.source_file, task.source_line)
-        return (*self.callers(task), line) if line is not None else ()
+        line = self.line(record.source_file, record.source_line)
+        return (*self.callers(record), line) if line is not None else ()
 
-    def callers(self, task: Task) -> tuple[Line, ...]:
-        """The lines that led to the one that asked for a task, outermost first.
+    def callers(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """The lines that led to the one that asked for a task, or made a change, outermost first.
 
         Args:
-            task: the record of its start.
+            record: of the task's start, or of the change.
         """
-        told = (self.line(caller.file or task.source_file, caller.line) for caller in task.callers)
+        told = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
         return tuple(line for line in told if line is not None)
 
     def text(self, file: str) -> str:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 #: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
 CHECKED: Final = 16 << 20
+_ENDS: Final = 2  # records of the run itself: that it started, that it finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,7 @@ class Summary:
         worlds: with the simulated time that each reached, in the order of their opening.
         outcome: "succeeded", "failed", "running" or "cut off".
         failure: what the plan failed with, as "Type: message"; or "".
+        threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
         records: number of steps.
         counts: number of records of each kind.
         attachments: number of attached files.
@@ -60,6 +62,7 @@ class Summary:
     worlds: tuple[Simulated, ...]
     outcome: str
     failure: str
+    threads: tuple[tuple[str, str], ...]
     records: int
     counts: Mapping[str, int]
     attachments: int
@@ -95,6 +98,7 @@ def summary(log: Log) -> Summary:
         worlds=tuple(_simulated(log, life) for life in log.lives),
         outcome=outcome,
         failure=told_failure(end.failure) if end is not None and end.HasField("failure") else "",
+        threads=tuple((record.thread, told_failure(record.failure)) for record in failed_threads(log)),
         records=len(log),
         counts=log.counts(),
         attachments=len(log.assets),
@@ -103,3 +107,15 @@ def summary(log: Log) -> Summary:
         checked=checked,
         metadata=log.metadata,
     )
+
+
+def failed_threads(log: Log) -> tuple[Run, ...]:
+    """The records of threads of the plan's own that ended with a failure while it went on.
+
+    Args:
+        log: the recording.
+    """
+    if log.counts().get("run", 0) <= _ENDS:
+        return ()
+    runs = (record for record in log.records(Run) if isinstance(record, Run))
+    return tuple(record for record in runs if record.phase == Run.THREAD_FAILED)

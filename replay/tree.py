@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.records import Run, Task
+from recorder.records import Task
 from recorder.tasks import Node, State, Tree
-from replay.breakdown import breakdown
+from replay.breakdown import breakdown, uncaught
 
 if TYPE_CHECKING:
     from replay.log import Log
@@ -25,7 +25,7 @@ def tree(log: Log, stop: int | None = None) -> Tree:
     for record in log.records(Task, stop=stop):
         if isinstance(record, Task):
             found.apply(record)
-    if stop is None and isinstance(end := log[-1], Run) and end.HasField("failure"):
+    if stop is None and uncaught(log) is not None:
         broken = breakdown(log)  # what the plan failed with tells more than its tasks do
         found.began = broken.task.started.task if broken is not None and broken.task is not None else 0
     return found

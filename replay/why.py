@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import builtins
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query
@@ -19,12 +19,12 @@ from replay.failures import failures
 from replay.plain import mentions, plain_arguments
 from replay.source import Source
 from replay.steps import final_of
-from replay.summary import Summary, summary
+from replay.summary import Summary, failed_threads, summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from recorder.records import Failure
+    from recorder.records import Failure, Run
     from replay.breakdown import Breakdown
     from replay.failures import Attempt, Failures
     from replay.log import Log
@@ -115,6 +115,7 @@ class Why:
         run: how the whole run ended.
         step: the moment that is explained: that in which it failed.
         failure: what the plan failed with, or the task; None if nothing failed.
+        thread: name of the plan's own thread that failed with it while the plan went on; "" if the plan did.
         raised: the exceptions that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code did it.
         way: the plan's lines that led to that task, outermost first.
@@ -129,11 +130,13 @@ class Why:
         same: since the same kind of task went well for the last time; None if it never did.
         last: since anything went well for the last time.
         running: the innermost tasks that have not ended, of a recording that was cut.
+        threads: the records of other threads of the plan's own that failed.
     """
 
     run: Summary
     step: int
     failure: Failure | None
+    thread: str = ""
     raised: tuple[Raised, ...] = ()
     task: Attempt | None = None
     way: tuple[Line, ...] = ()
@@ -148,6 +151,7 @@ class Why:
     same: Since | None = None
     last: Since | None = None
     running: tuple[Attempt, ...] = ()
+    threads: tuple[Run, ...] = ()
 
     @property
     def is_of_python(self) -> bool:
@@ -181,8 +185,10 @@ def why(log: Log, step: int | str | None = None) -> Why:
     if broken is None:
         return Why(run, final_of(log), None, running=running)
     if broken.task is None:
-        return _of_plan(log, run, found, broken)
-    return _of_task(log, run, broken.task, broken, running)
+        told = _of_plan(log, run, failures(log, broken.step) if broken.thread else found, broken)
+    else:
+        told = _of_task(log, run, broken.task, broken, running)
+    return replace(told, threads=tuple(each for each in failed_threads(log) if each.failure != broken.failure))
 
 
 def _chosen(log: Log, found: Failures, step: int) -> Attempt:
@@ -217,6 +223,7 @@ def _of_task(
         run,
         ended,
         (broken.failure if broken is not None else None) or task.failure,
+        broken.thread if broken is not None else "",
         broken.chain if broken is not None else (),
         task,
         next(filter(None, (source.way(each.started) for each in task.around())), ()),
@@ -239,13 +246,14 @@ def _of_plan(log: Log, run: Summary, found: Failures, broken: Breakdown) -> Why:
     state = log.state_at(broken.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
-    asked, earlier = _asked(log, window, len(log), (), ())
+    asked, earlier = _asked(log, window, broken.step if broken.thread else len(log), (), ())
     objects = list(dict.fromkeys(each for query in asked for each in _objects(plain_arguments(query.arguments))))
     world = _world(state, objects, asked)
     return Why(
         run,
         broken.step,
         broken.failure,
+        broken.thread,
         broken.chain,
         world=world,
         is_default=world is None or world is state.world(),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
 from recorder.log_lines import text_of
@@ -162,6 +164,17 @@ def degrees(angle: float) -> str:
     return f"{told:.1f} degrees" if told >= 0.05 else f"{told:.1g} degrees"
 
 
+def path(file: str) -> str:
+    """A file's path: from the folder that one is in, if it is below that.
+
+    Args:
+        file: as the recording has it.
+    """
+    with suppress(ValueError, OSError):  # it is elsewhere; the folder is gone
+        return str(PurePath(file).relative_to(Path.cwd()))
+    return file
+
+
 def place(line: Line) -> str:
     """A line of the plan: where it is and what it says.
 
@@ -169,18 +182,7 @@ def place(line: Line) -> str:
         line: the line.
     """
     function = f" in {line.function}" if line.function else ""
-    return f"{line.file}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
-
-
-def around(after: Line | None, before: Line | None) -> str:
-    """Between which lines the plan did something that no task was part of.
-
-    Args:
-        after: the last line before it that is known.
-        before: the first one behind it.
-    """
-    told = [f"{word} {line.file}:{line.number}" for word, line in (("after", after), ("before", before)) if line]
-    return ", " + " and ".join(told) if told else ""
+    return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
 
 
 def line(record: Record) -> str:

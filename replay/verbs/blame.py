@@ -52,6 +52,7 @@ def facts(found: Blame) -> dict[str, object]:
     return {
         "world": found.world,
         "other_worlds": found.others,
+        "without": found.without,
         "object": found.body,
         "joint": found.joint,
         "how": found.how,
@@ -89,8 +90,8 @@ def _causes(why: Causes) -> dict[str, object]:
             }
             for cause in why.tasks
         ],
-        "after": _place(why.after),
-        "before": _place(why.before),
+        "line": _place(why.line),
+        "callers": [_place(line) for line in why.way[:-1]],
     }
 
 
@@ -114,6 +115,8 @@ def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
         yield from _held(carried)
     if found.others and not is_earlier:
         yield f"  ({found.body} is in {words.names(found.others)} too: --world tells which one is meant)"
+    if found.without and not is_earlier:
+        yield f"  ({found.without}, the world opened last, has no {found.body}: --world tells which one is meant)"
     if found.earlier is not None:
         yield ""
         yield "Before that:"
@@ -122,7 +125,7 @@ def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
 
 def _headline(found: Blame) -> str:
     name = f"{found.body}.{found.joint}" if found.joint else found.body
-    name += f" in {found.world}" if found.others else ""
+    name += f" in {found.world}" if found.others or found.without else ""
     if found.after is None:
         return f"{name} was removed" + (f" from {_value(found.before)}" if found.before is not None else "")
     where = _value(found.after)
@@ -165,11 +168,11 @@ def _because(why: Causes, indent: str) -> Iterator[str]:
         kind = "" if cause.kind in ("motion", "process-module") else f" {cause.kind}"
         called = cause.name if cause.kind == "process-module" else words.call(cause.name, cause.parameters)
         yield f"{indent}in {called}{kind}  [step {cause.step}]"
+    if not why.tasks:
+        yield f"{indent}by the plan itself"
     if why.way:
         for word, line in zip(("from", *["called from"] * len(why.way)), reversed(why.way), strict=False):
             yield f"{indent}{word} {words.place(line)}"
-    elif not why.tasks:
-        yield f"{indent}by the plan itself" + words.around(why.after, why.before)
 
 
 def _held(carried: Carried) -> Iterator[str]:

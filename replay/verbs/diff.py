@@ -32,6 +32,7 @@ _FINE, _PARTED, _INCOMPLETE = 0, 1, 3
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Takes two steps, or another recording."""
+    parser.epilog = "Exit code 0: fine. 1: the two recordings differ. 3: one of them is incomplete."
     parser.add_argument("first", metavar="STEP|LOG", help=f"{HINT}; or the other recording")
     parser.add_argument("second", metavar="STEP", nargs="?", help="the step to compare it with")
     parser.add_argument("--all", action="store_true", help="also what only came to rest, and every joint")
@@ -41,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Log, options: argparse.Namespace) -> int:
-    """Prints the difference; of two recordings that part, the exit code is 1."""
+    """Prints the difference; of two whole recordings that part, the exit code is 1."""
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
@@ -53,15 +54,16 @@ def run(log: Log, options: argparse.Namespace) -> int:
         raise NoSuchStep(options.first, len(log), "give two steps of this recording, or the path of another one")
     with open_log(options.first) as other:
         compared = compare(log, other, options.tolerance)
-        missing = other.missing
+        missing = other.missing  # read to its end
     if options.json:
         tell_json(_run_facts(compared))
     else:
         tell("\n".join(_run_lines(compared, whole=options.all)))
-    code = _PARTED if compared.parting is not None or compared.world else _FINE
     if missing:
         remark(f"{other.path} is incomplete: {missing}")
-    return code or (_INCOMPLETE if missing else _FINE)
+    if missing or log.missing:  # what differs may be what is lost
+        return _INCOMPLETE
+    return _PARTED if compared.parting is not None or compared.world else _FINE
 
 
 # --- two steps -------------------------------------------------------------------------------------------------------

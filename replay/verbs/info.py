@@ -44,6 +44,7 @@ def _lines(log: Log, facts: Summary) -> list[tuple[str, str]]:
         ("took", f"{facts.seconds:.3f} s"),
         ("outcome", facts.outcome),
         ("failure", facts.failure),
+        *(("", f"thread {thread} failed: {failure}") for thread, failure in facts.threads),
         ("steps", f"0 to {facts.records - 1}: {counts}"),
         ("worlds", _worlds(facts)),
         ("files", f"{facts.attachments} attached"),

@@ -82,6 +82,7 @@ def facts(found: Why) -> dict[str, object]:
     return {
         "plan": found.run.plan,
         "outcome": found.run.outcome,
+        "thread": found.thread,
         "step": found.step,
         "failure": found.failure and {"type": found.failure.type, "message": found.failure.message},
         "raised": [
@@ -111,6 +112,7 @@ def facts(found: Why) -> dict[str, object]:
             for each in found.tries
         ],
         "others": found.others,
+        "threads": [plain_record(each) for each in found.threads],
         "asked": [
             plain_record(asked.query)
             | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
@@ -181,9 +183,7 @@ def _headline(found: Why) -> Iterator[str]:
             message = found.failure.message
         yield f"{name} failed after {run.seconds:.1f} s: {words.one_line(message)}"
     elif run.outcome == "succeeded":
-        yield (
-            f"{name} succeeded." if found.failure is None else f"{name} succeeded, though something failed on its way."
-        )
+        yield f"{name} succeeded{_though(found)}"
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if found.failure else " Until then nothing failed.")
@@ -192,6 +192,12 @@ def _headline(found: Why) -> Iterator[str]:
     warning = found.warning
     if warning is not None and not found.is_of_python:
         yield f"The robot had been told: {_again(warning)} said no at step {warning.seq}."
+
+
+def _though(found: Why) -> str:
+    if found.thread and found.failure is not None:
+        return f", though its thread {found.thread} failed: {words.one_line(told_failure(found.failure))}"
+    return ", though something failed on its way." if found.failure is not None else "."
 
 
 def _says_it(failure: Failure) -> bool:
@@ -246,15 +252,21 @@ def _leads_there(found: Why) -> bool:
 
 
 def _line(line: Line) -> Iterator[str]:
-    yield f"{line.file}:{line.number}" + (f" in {line.function}" if line.function else "")
+    yield f"{words.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
     if line.text:
         yield f"    {line.text}"
 
 
 def _what(found: Why) -> Iterator[str]:
+    yield from _tasks(found)
+    for each in found.threads:
+        yield f"also failed: thread {each.thread}, at step {each.seq}: {words.one_line(told_failure(each.failure))}"
+
+
+def _tasks(found: Why) -> Iterator[str]:
     if found.task is None:
         if found.failure is not None:
-            yield "no task: the plan's own code raised"
+            yield f"no task: the plan's own code raised{f', in thread {found.thread}' if found.thread else ''}"
             yield from (f"  {line}" for line in told_failure(found.failure).splitlines())
         return
     path = list(found.task.around())

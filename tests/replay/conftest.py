@@ -6,12 +6,19 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 import recorder
+import replay
 from pycram.bullet_world import BulletWorld
 from pycram.bullet_world_reasoning import ReasoningError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from replay.log import Log
 
 GOLDEN = Path(__file__).parent / "golden"
 DEMOS = Path(__file__).parents[2] / "demos"
@@ -42,3 +49,15 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         runpy.run_path(str(GOLDEN / "plan.py"), run_name="__main__")
     BulletWorld.current_bullet_world.exit()  # after the recording: the plan left it open
     return file
+
+
+@pytest.fixture
+def small(small_log: Path) -> Iterator[Log]:
+    with replay.open(small_log) as log:
+        yield log
+
+
+@pytest.fixture
+def failed(failed_log: Path) -> Iterator[Log]:
+    with replay.open(failed_log) as log:
+        yield log

@@ -1,0 +1,144 @@
+"""What the robot had been told: whether it still held when the plan failed, and in which world."""
+
+from __future__ import annotations
+
+import io
+import shlex
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram import bullet_world_reasoning as btr
+from pycram import worlds
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlanFailure
+from recorder.span import span
+from replay.blame import blame
+from replay.cli import main
+from replay.why import why
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from replay.log import Log
+
+
+def take_what_is_gone(file: Path) -> None:
+    with recorder.record(file), BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
+        btr.stable(ball)
+        ball.set_position([1, 0, 1])
+        with span("motion", "take", {"object": ball}):
+            raise PlanFailure("it isn't there")
+
+
+def test_an_answer_that_is_out_of_date_says_so(tmp_path: Path) -> None:
+    with pytest.raises(PlanFailure):
+        take_what_is_gone(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        (asked,) = found.asked
+        assert asked.query.answer_json == "false"
+        assert asked.moved == ("ball",)
+        assert found.warning is None
+        assert main(["why", str(log.path)]) == 0
+
+
+def take_after(file: Path, change: str) -> None:
+    """A ball is asked about; then something becomes of it, or of its world; then it can't be taken."""
+    with recorder.record(file):
+        lab = BulletWorld(name="lab")
+        Object("floor", "environment", "plane.urdf")
+        ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
+        lab.set_gravity([0, 0, -9.8])
+        btr.stable(ball)
+        if change == "removed":
+            ball.remove()
+        elif change == "another lab":
+            lab.exit()
+            BulletWorld(name="lab")
+            ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
+        elif change == "another world":
+            BulletWorld(name="hall")
+            Object("ball", "ball", "apple.stl", [7, 7, 7])
+        with span("motion", "take", {"object": ball}):
+            raise PlanFailure("it can't be taken")
+
+
+@pytest.fixture
+def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Log]:
+    with pytest.raises(PlanFailure):
+        take_after(tmp_path / "x.mcap", request.param)
+    while worlds.opened():
+        worlds.opened()[-1].exit()
+    with replay.open(tmp_path / "x.mcap") as log:
+        yield log
+
+
+@pytest.mark.parametrize("taken", ["nothing"], indirect=True)
+def test_an_answer_that_holds_is_a_warning(taken: Log) -> None:
+    found = why(taken)
+    assert found.warning is not None
+    assert found.warning.name == "stable"
+
+
+@pytest.mark.parametrize("taken", ["removed"], indirect=True)
+def test_what_was_removed_is_not_told_to_have_moved(taken: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    found = why(taken)
+    assert (found.asked[0].gone, found.asked[0].moved, found.absent) == (("ball",), (), ("ball",))
+    assert found.warning is None
+    assert main(["why", str(taken.path)]) == 0
+    said = capsys.readouterr().out
+    assert "since then ball was removed" in said
+    assert "ball isn't there any more" in said
+
+
+@pytest.mark.parametrize("taken", ["another lab"], indirect=True)
+def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
+    taken: Log, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = why(taken)
+    assert [asked.world for asked in found.asked] == ["lab"]
+    assert found.world.title == "lab (2nd of that name)"
+    assert found.warning is None
+    assert main(["why", str(taken.path)]) == 0
+    assert "asked in another world: lab" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("taken", ["another world"], indirect=True)
+@pytest.mark.slow
+def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
+    taken: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert main(["why", str(taken.path)]) == 0
+    said = capsys.readouterr().out.partition("Look closer\n")[2]
+    commands = [shlex.split(line)[1:] for line in said.splitlines()]
+    assert {command[0] for command in commands} == {"show", "state", "blame", "ask", "render", "restore"}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", io.StringIO("print(world.name, objects['ball'].get_position())"))
+    for command in commands:
+        assert command[0] == "show" or command[-2:] == ["--world", "lab"]
+        assert main(command) == 0
+    said = capsys.readouterr().out
+    assert "[7" not in said
+    assert "stable(ball): no" in said
+    assert "lab@" in said
+
+
+@pytest.mark.parametrize("taken", ["another world"], indirect=True)
+def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
+    taken: Log, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (blame(taken, "ball").world, blame(taken, "ball").others) == ("hall", ("lab",))
+    assert blame(taken, "ball", world="lab").world == "lab"
+    assert blame(taken, "floor").world == "lab"
+    assert taken.state_at("failure").body("ball").position == (7, 7, 7)
+    assert main(["blame", str(taken.path), "ball"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("ball in hall has been at [7, 7, 7]")
+    assert "ball is in lab too" in said

@@ -1,0 +1,198 @@
+"""Who did it: the record that last changed a body, up to the line of the plan."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.cli import run
+from recorder.records import Mutation
+from recorder.span import span
+from replay.blame import blame
+from replay.cli import main
+from tests.replay.commands import mutation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from replay.log import Log
+
+
+def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
+    carried = small.step("task:carry@end")
+    found = blame(small, "milk", carried)
+    assert found.how == "carried"
+    assert found.record.move_body.body == "cereal"
+    (held,) = found.carried
+    assert held.step == mutation(small, "attach_body")
+    assert [task.name for task in held.causes.tasks] == ["carry"]
+    assert found.causes.line.text == 'with span("motion", "carry", {"object": milk}):'
+    assert found.causes.line.function == "main"
+    assert found.distance == pytest.approx(0.283, abs=5e-3)
+    assert blame(small, "cereal", carried).how == "command"
+    assert blame(small, "cereal", carried).record == found.record
+
+
+def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log) -> None:
+    found = blame(small, "milk", mutation(small, "simulate"))
+    assert found.how == "physics"
+    assert found.distance < 5e-3
+    assert found.earlier.how == "load"
+    assert found.earlier.record.seq == mutation(small, "load_body", 1)
+
+
+def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Log) -> None:
+    changes = [r.seq for r in small.records(Mutation) if any(state.body == "cereal" for state in r.effect.bodies)]
+    for step in range(changes[0], len(small), 7):
+        assert blame(small, "cereal", step).record.seq == max(seq for seq in changes if seq <= step)
+
+
+def test_blame_tells_the_line_of_what_no_task_did(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    found = blame(small, "cereal").causes
+    assert not found.tasks
+    assert [line.text for line in found.way][-2:] == ["main()", "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])"]
+    assert found.line.function == "main"
+    assert main(["blame", str(small.path), "cereal"]) == 0
+    said = capsys.readouterr().out
+    assert "  by the plan itself\n  from " in said
+    assert "in main:  cereal.set_position(" in said
+
+
+IN_A_MODULE = """
+from pycram.language import seq
+
+def lift(ball):
+    ball.set_position([0, 0, 1])
+
+def shove(ball):
+    with seq:
+        ball.set_position([1, 0, 0])
+"""
+
+
+OF_A_PLAN = """
+import threading
+from pycram.bullet_world import BulletWorld, Object
+from moves_of_robots import lift, shove
+
+with BulletWorld():
+    ball = Object("ball", "ball", "apple.stl")
+    lift(ball)
+    shove(ball)
+    helper = threading.Thread(target=lambda: lift(ball))
+    helper.start()
+    helper.join()
+"""
+
+
+def test_lines_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
+    (tmp_path / "moves_of_robots.py").write_text(IN_A_MODULE)
+    (tmp_path / "plan.py").write_text(OF_A_PLAN)
+    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    with replay.open(tmp_path / "x.mcap") as log:
+        moves = [mutation(log, "move_body", number) for number in range(3)]
+        loaded, *told = [blame(log, "ball", step).causes for step in (mutation(log, "load_body"), *moves)]
+    assert [line.text for line in loaded.way] == ['ball = Object("ball", "ball", "apple.stl")']
+    assert [[line.text for line in each.way] for each in told] == [
+        ["lift(ball)", "ball.set_position([0, 0, 1])"],
+        ["shove(ball)", "ball.set_position([1, 0, 0])"],
+        ["helper = threading.Thread(target=lambda: lift(ball))", "ball.set_position([0, 0, 1])"],
+    ]
+    assert [[task.name for task in each.tasks] for each in told] == [[], ["seq"], []]
+    assert told[1].tasks[0].line.text == "with seq:"
+
+
+@pytest.mark.slow
+def test_a_motion_s_changes_are_told_by_its_tasks_only(failed_log: Path) -> None:
+    with replay.open(failed_log) as log:
+        told = {bool(record.task): record.source_line > 0 for record in log.records(Mutation)}
+    assert told == {False: True, True: False}
+
+
+def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab") as world:
+        ball = Object("ball", "ball", "apple.stl")
+        ball.set_position([1, 0, 0])
+        with span("motion", "clear"):
+            ball.remove()
+        world.simulate(0.1)
+        Object("ball", "ball", "apple.stl", [0, 0, 3])
+    with replay.open(tmp_path / "x.mcap") as log:
+        removal, again = mutation(log, "remove_body"), mutation(log, "load_body", 1)
+        gone = blame(log, "ball", again - 1)
+        assert (gone.how, gone.record.seq, gone.after) == ("removed", removal, None)
+        assert gone.causes.tasks[0].name == "clear"
+        assert (gone.earlier.how, gone.earlier.record.seq) == ("command", mutation(log, "move_body"))
+        assert blame(log, "ball").how == "load"
+        with pytest.raises(replay.NoSuchName):
+            blame(log, "ball", mutation(log, "load_body") - 1)
+        with pytest.raises(replay.NoSuchName, match="no world is open"):
+            blame(log, "ball", "last")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1)]) == 0
+    assert capsys.readouterr().out.startswith("ball was removed from [1, 0, 0]\n")
+    assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["earlier"]["how"] == "command"
+
+
+def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld() as world:
+        world.robot = robot = Object("pr2", "robot", "pr2.urdf", [0.123, 0.456, 0], [0, 0, 0.3, 0.9])
+        milk = Object("milk", "milk", "milk.stl", [0.777, 0.333, 1.1], [0.1, 0.2, 0.3, 0.7])
+        robot.attach(milk, "l_gripper_tool_frame")
+        milk.set_position([0.7, 0.3, 1.1])
+        robot.set_joint_position("head_pan_joint", 0.5)
+    with replay.open(tmp_path / "x.mcap") as log:
+        moved, turned = mutation(log, "move_body"), mutation(log, "move_joints")
+        assert "milk" in [state.body for state in log[turned].effect.bodies]  # in its last digits
+        assert blame(log, "milk").record.seq == moved
+
+
+@pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
+def test_blame_of_what_isn_t_there_says_what_is(small: Log, target: str, hint: str) -> None:
+    with pytest.raises(replay.NoSuchName, match=hint):
+        blame(small, target)
+
+
+@pytest.mark.slow
+def test_blame_in_the_kitchen(demo_log: Path) -> None:
+    with replay.open(demo_log) as log:
+        joint = "sink_area_left_upper_drawer_main_joint"
+        opened = blame(log, f"kitchen.{joint}")
+        assert opened.how == "command"
+        assert [task.name for task in opened.causes.tasks] == ["Accessing", "accessing"]
+        spoon = blame(log, "spoon", opened.record.seq)
+        assert spoon.how == "along"
+        assert spoon.record == opened.record
+        milk = blame(log, "milk", "task:move-arm-joints#-1@end")
+        placed = milk.earlier or milk
+        assert "place" in [task.name for task in placed.causes.tasks]
+        assert placed.carried[0].held.carrier == "pr2"
+
+
+def test_blame_names_the_world_where_the_one_opened_last_has_no_such_body(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.mcap"
+    with BulletWorld(name="a") as a:
+        Object("cup", "cup", "cup.stl")
+        with recorder.record(file), BulletWorld(name="b") as b:
+            gone = Object("cup", "cup", "cup.stl")
+            gone.remove()
+            ball = Object("ball", "ball", "apple.stl", world=a)
+            ball.remove()
+            b.simulate(0.1)
+    assert main(["blame", str(file), "cup"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
+    assert "(b, the world opened last, has no cup: --world tells which one is meant)" in said
+    assert main(["blame", str(file), "ball"]) == 0
+    assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")
+    assert main(["blame", str(file), "cup", "--world", "b"]) == 0
+    assert capsys.readouterr().out.startswith("cup in b was removed from [0, 0, 0]\n")
+    assert main(["blame", str(file), "cup", "--world", "a"]) == 0
+    assert "opened last" not in capsys.readouterr().out

@@ -1,0 +1,169 @@
+"""What is different: between two steps, and between two runs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from recorder.records import Task
+from recorder.span import span
+from replay import words
+from replay.cli import main
+from replay.diff import difference
+from replay.runs import compare
+from tests.replay.commands import mutation
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from replay.log import Log
+
+
+def test_a_step_differs_from_itself_in_nothing(small: Log) -> None:
+    for step in (0, 5, 60, len(small) - 1):
+        assert not difference(small.state_at(step), small.state_at(step))
+
+
+def test_a_difference_names_what_came_moved_and_changed_hands(small: Log) -> None:
+    loaded, attached = mutation(small, "load_body", 1), mutation(small, "attach_body")
+    came = difference(small.state_at(loaded - 1), small.state_at(loaded))
+    assert came.came == (("table", "milk"),)
+    assert not came.changed
+    held = difference(small.state_at(attached - 1), small.state_at(attached))
+    (change,) = [change for change in held.changed if change.body == "milk"]
+    assert change.changed_hands
+    assert not change.moved
+    assert change.carrier[1].carrier == "cereal"
+    moved = difference(small.state_at(attached), small.state_at(attached + 2))
+    assert {change.body for change in moved.notable} == {"milk", "cereal"}
+    for change in moved.notable:
+        assert change.distance == pytest.approx((0.2**2 + 0.2**2) ** 0.5, abs=5e-3)
+
+
+def test_two_runs_of_the_same_plan_are_the_same(small_log: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again.mcap"
+    again.write_bytes(small_log.read_bytes())
+    with replay.open(small_log) as first, replay.open(again) as second:
+        compared = compare(first, second)
+        assert compared.parting is None
+        assert compared.alike == len(first)
+        assert not compared.world
+
+
+def drop(file: Path, heights: list[float], *, extra: bool = False) -> None:
+    with recorder.record(file, name=file.stem), BulletWorld(name="lab") as world:
+        ball = Object("ball", "ball", "apple.stl")
+        for height in heights:
+            with span("motion", "drop", {"height": height}):
+                ball.set_position([0, 0, height])
+        if extra:
+            with span("motion", "look"):
+                ball.set_position([0, 0, 9])
+        world.simulate(0.1)
+
+
+def test_runs_part_at_the_first_record_that_differs(tmp_path: Path) -> None:
+    drop(tmp_path / "a.mcap", [1, 2, 3])
+    drop(tmp_path / "b.mcap", [1, 2.5, 3])
+    with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
+        parting = compare(first, second).parting
+        assert parting.task == "drop"
+        assert parting.first.seq == parting.second.seq == first.step("task:drop#2@start")
+        assert parting.fields == {"parameters.height": (2, 2.5)}
+        assert compare(first, second, tolerance=1.0).parting is None
+
+
+def test_what_only_one_run_did_is_found(tmp_path: Path) -> None:
+    drop(tmp_path / "a.mcap", [1, 2])
+    drop(tmp_path / "b.mcap", [1, 2], extra=True)
+    with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
+        for one, other, side in ((first, second, "second"), (second, first, "first")):
+            parting = compare(one, other).parting
+            alone = getattr(parting, side)
+            assert isinstance(alone, Task)
+            assert alone.name == "look"
+            assert alone.phase == Task.STARTED
+        compared = compare(first, second)
+        (change,) = compared.world.changed
+        assert change.body == "ball"
+        assert change.after[0][2] > 8
+
+
+def test_what_only_one_run_did_comes_before_what_it_led_to(tmp_path: Path) -> None:
+    """Records are numbered differently from there on, and still compared with their like."""
+
+    def run(file: Path, *, looks: bool, height: float) -> None:
+        with recorder.record(file), BulletWorld(name="lab"):
+            ball = Object("ball", "ball", "apple.stl")
+            if looks:
+                with span("motion", "look"):
+                    pass
+            for place in (1.0, height, 3.0):
+                with span("motion", "drop", {"height": place}):
+                    ball.set_position([0, 0, place])
+
+    run(tmp_path / "a.mcap", looks=False, height=2.0)
+    run(tmp_path / "b.mcap", looks=True, height=2.5)
+    run(tmp_path / "c.mcap", looks=True, height=2.0)
+    with (
+        replay.open(tmp_path / "a.mcap") as first,
+        replay.open(tmp_path / "b.mcap") as second,
+        replay.open(tmp_path / "c.mcap") as third,
+    ):
+        assert compare(first, second).parting.second.name == "look"
+        assert compare(first, third).parting.second.name == "look"
+        assert compare(second, third).parting.fields == {"parameters.height": (2.5, 2.0)}
+
+
+def test_diff_of_runs_that_part_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drop(tmp_path / "a.mcap", [1])
+    drop(tmp_path / "b.mcap", [2])
+    assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "a.mcap")]) == 0
+    assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")]) == 1
+    assert "part in drop" in capsys.readouterr().out
+
+
+def test_of_a_recording_that_was_cut_nobody_can_tell_that_it_differs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, cut = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    drop(whole, [1])
+    cut.write_bytes(whole.read_bytes()[:-50_000])
+    for pair in ((whole, cut), (cut, whole)):
+        assert main(["diff", *map(str, pair)]) == 3
+        said = capsys.readouterr()
+        assert "has no such record" in said.out or "they part" in said.out
+        assert "incomplete" in said.err
+
+
+def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "x.mcap"
+    with recorder.record(file), BulletWorld(name="lab"):
+        ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
+        ball.set_position([0, 0, 1 + 2e-8])
+    assert main(["blame", str(file), "ball"]) == 0
+    assert "ball was moved: by 2e-05 mm to" in capsys.readouterr().out
+    with replay.open(file) as log:
+        step = mutation(log, "move_body")
+    assert main(["diff", str(file), str(step - 1), str(step), "--all"]) == 0
+    assert "[0, 0, 1] -> [0, 0, 1.00000002]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (0.25, 0.25, ("0.25", "0.25")),
+        (0.25, 0.5, ("0.25", "0.5")),
+        (0.25, 0.24999993, ("0.25", "0.2499999")),
+        (0.0, -4.8e-9, ("0", "-4.8e-09")),
+        (1.0, 1.0 + 2**-52, ("1.0", "1.0000000000000002")),
+    ],
+)
+def test_numbers_are_told_with_the_digits_that_tell_them_apart(
+    before: float, after: float, told: tuple[str, str]
+) -> None:
+    assert words.apart(before, after) == told

@@ -1,0 +1,291 @@
+"""Why a plan failed, for people who were not there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from PIL import Image
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.cli import run
+from pycram.failures import PlanFailure
+from pycram.language import par
+from recorder.records import Query, Run
+from recorder.span import span
+from replay.cli import main
+from replay.why import why
+
+if TYPE_CHECKING:
+    from replay.log import Log
+
+
+def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Log) -> None:
+    found = why(small)
+    assert found.failure.message == "the milk can't be put anywhere"
+    assert [(error.type, error.message) for error in found.raised] == [
+        ("ReasoningError", "milk would fall from 0.5 m"),
+        ("ReasoningError", "the milk can't be put anywhere"),
+    ]
+    assert [line.text for line in found.raised[0].lines] == [
+        "put(milk, height)",
+        'raise btr.ReasoningError(f"{body.name} would fall from {height} m")',
+    ]
+    assert found.raised[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
+    assert found.task.parameters["height"] == 0.5
+    assert [each.task.parameters["height"] for each in found.tries] == [1.0, 0.5]
+    assert found.step == small.step("task:put#2@end")
+
+
+def test_why_tells_what_the_robot_was_told(small: Log) -> None:
+    found = why(small)
+    (asked,) = found.asked
+    assert asked.query.name == "stable"
+    assert asked.query.task == found.task.started.task
+    assert not asked.moved
+    assert found.warning == asked.query
+
+
+def test_why_tells_what_changed_since_something_went_well(small: Log) -> None:
+    found = why(small)
+    assert found.same is None
+    assert found.last.task.started.name == "carry"
+    assert {change.body for change in found.last.difference.notable} == {"milk", "cereal"}
+
+
+def test_why_of_another_failure(small: Log) -> None:
+    first = small.step("task:put@end")
+    for step in (first, first - 1, "failure", "task:put#2@start"):
+        found = why(small, step)
+        assert found.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
+    with pytest.raises(replay.NoSuchStep, match="no task failed"):
+        why(small, 5)
+
+
+def drop_in_branch(ball: Object) -> None:
+    with span("motion", "drop", {"object": ball}):
+        raise PlanFailure("it is stuck")
+
+
+def drop_in_block(file: Path) -> None:
+    with recorder.record(file, source=__file__), BulletWorld(name="lab"):
+        ball = Object("ball", "ball", "apple.stl")
+        with par as block:
+            block(drop_in_branch, ball)
+
+
+def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(PlanFailure):
+        drop_in_block(tmp_path / "x.mcap")
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    where = capsys.readouterr().out.partition("Where in the plan\n")[2].partition("\n\n")[0]
+    told = [line.strip() for line in where.splitlines()]
+    assert told.index("block(drop_in_branch, ball)") < told.index('with span("motion", "drop", {"object": ball}):')
+    assert "which became BranchesFailed:" in told
+    assert "with par as block:" in told
+
+
+def test_another_failure_isn_t_told_to_be_the_plan_s(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(small.path), "task:put@end"]) == 0
+    first, second = capsys.readouterr().out.splitlines()[:2]
+    assert "the milk can't be put anywhere" in first
+    assert second.startswith("Before that, put(object=milk, height=1) failed")
+
+
+def test_after_the_end_of_all_worlds_it_is_said_that_they_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab"):
+        Object("ball", "ball", "apple.stl")
+    for verb in ("state", "render", "ask"):
+        more = {"state": "ball", "ask": "stable(ball)"}.get(verb)
+        assert main([verb, str(tmp_path / "x.mcap"), "last", *([more] if more else [])]) == 2
+        said = capsys.readouterr().err
+        assert "no world is open" in said
+        assert "lab" in said
+
+
+def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyError), recorder.record(tmp_path / "x.mcap", source=__file__), BulletWorld():
+        {}["spoon"]
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        assert found.task is None
+        assert found.is_of_python
+        assert '{}["spoon"]' in found.raised[0].lines[-1].text
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_files_are_told_from_the_folder_that_one_is_in(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "plans").mkdir()
+    (tmp_path / "plans" / "broken_part.py").write_text("def fail():\n    raise ValueError\n")
+    (tmp_path / "plans" / "plan.py").write_text("from broken_part import fail\nfail()\n")
+    monkeypatch.chdir(tmp_path)
+    assert run(Path("plans/plan.py"), Path("x.mcap")) == 1
+    assert main(["why", "x.mcap"]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in told if ".py:" in line] == ["plans/plan.py:2", "plans/broken_part.py:2"]
+    monkeypatch.chdir("plans")
+    assert main(["why", "../x.mcap"]) == 0
+    assert "\n  plan.py:2 in <module>\n" in capsys.readouterr().out
+    monkeypatch.chdir(Path(__file__).parent)
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    assert f"\n  {tmp_path}/plans/plan.py:2 in <module>\n" in capsys.readouterr().out
+
+
+def gives_up(error: BaseException) -> None:
+    with pytest.raises(PlanFailure) as failed, span("motion", "fetch"):
+        raise PlanFailure("it is out of reach")
+    raise error from failed.value
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (KeyError("left"), "KeyError: 'left'"),
+        (SystemExit(3), "SystemExit: 3"),
+        (KeyboardInterrupt(), "KeyboardInterrupt"),
+        (PlanFailure("milk"), "PlanFailure: milk"),
+        (PlanFailure("no milk is left"), "no milk is left"),
+    ],
+)
+def test_the_first_line_says_what_went_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, told: str
+) -> None:
+    with pytest.raises(type(error)), recorder.record(tmp_path / "x.mcap", name="plan", source=__file__):
+        gives_up(error)
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].partition(" s: ")[2] == told
+    assert said[1].startswith("It began when fetch failed")
+
+
+def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"):
+        pass
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    assert capsys.readouterr().out == "walk succeeded.\n"
+
+
+def test_pictures_of_no_failure_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"):
+        pass
+    assert main(["why", str(tmp_path / "x.mcap"), "--pictures", str(tmp_path / "pictures")]) == 0
+    assert "nothing failed" in capsys.readouterr().err
+    assert not (tmp_path / "pictures").exists()
+
+
+def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with recorder.record(tmp_path / "x.mcap", name="walk"), span("plan", "walk"):
+        for number in range(12):
+            with pytest.raises(PlanFailure), span("motion", "step", {"foot": number}):
+                raise PlanFailure(f"stumbled {number}")
+        with span("motion", "step", {"foot": 99}):
+            pass
+    assert main(["why", str(tmp_path / "x.mcap")]) == 0
+    said = capsys.readouterr().out
+    assert "walk succeeded" in said
+    assert "step was tried 12 times" in said
+    assert "... 5 more ..." in said
+    assert "stumbled 11" in said
+
+
+def test_why_of_a_plan_that_was_cut_off(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with replay.open(small_log) as log:
+        last = log.step("task:put#2@start")
+        places = [log._index.chunks[number] for number in range(len(log._index.chunks))]
+        end = next(place.offset for place in places[log.chunk_of(last) + 1 :])
+    cut = tmp_path / "x.mcap"
+    cut.write_bytes(small_log.read_bytes()[: end - 9])
+    code = main(["why", str(cut)])
+    said = capsys.readouterr()
+    assert code == 3
+    assert "was cut off at step" in said.out
+    assert "height=1" in said.out
+
+
+@pytest.mark.slow
+def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed_log)]) == 0
+    said = capsys.readouterr().out
+    first, second, third, fourth = said.splitlines()[:4]
+    assert first.startswith("fails_to_reach failed after")
+    assert "right arm can't reach" in first
+    assert "pick-up was tried 4 times" in second
+    assert "right arm can't reach" in third
+    assert "reachable_object(milk, pr2, r_gripper_tool_frame) said no" in fourth
+    for told in (
+        " in try_to_take",
+        'ProcessModule.perform(MotionDesignator([("type", "pick-up")',
+        "failure-handling(retries=3)",
+        "milk at [1.72, 0.85,",
+        "arm=left, pr2 at [0.65, 0.9]",
+        "arm=right, pr2 at [0.65, 0.6]",
+        "all of it is seen",
+        "No pick-up succeeded before.",
+        "detecting(object-type=milk) succeeded",
+        "pycram-replay blame",
+    ):
+        assert told in said
+
+
+@pytest.mark.slow
+def test_why_gives_machines_the_same(failed: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed.path), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["failure"]["type"] == "Unreachable"
+    assert [each["parameters"]["arm"] for each in told["tries"]] == ["left", "right", "left", "right"]
+    assert [asked["name"] for asked in told["asked"]] == ["visible", "reachable_object", "blocking"]
+    queries = [query.seq for query in failed.records(Query)]
+    assert [asked["step"] for asked in told["asked"]] == queries[-3:]
+    assert isinstance(failed[-1], Run)
+
+
+@pytest.mark.slow
+def test_why_shows_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["why", str(failed_log), "--pictures", str(tmp_path / "pictures"), "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["pictures"]
+    assert len(files) == 2
+    for file in files:
+        with Image.open(file) as picture:
+            assert picture.size == (640, 480)
+            assert len(picture.getcolors(1 << 20)) > 50
+
+
+def try_another_way(file: Path) -> None:
+    with recorder.record(file):
+        try:
+            with span("motion", "take", {"arm": "left"}):
+                raise PlanFailure("too far")  # noqa: TRY301  as plans do
+        except PlanFailure:
+            with span("motion", "take", {"arm": "right"}):
+                raise PlanFailure("too high")  # noqa: B904  as plans do
+
+
+def test_what_was_dealt_with_is_no_cause(tmp_path: Path) -> None:
+    with pytest.raises(PlanFailure):
+        try_another_way(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        found = why(log)
+        assert found.task.parameters == {"arm": "right"}
+        assert [error.message for error in found.raised] == ["too high"]
+        assert len(found.tries) == 2
+
+
+@pytest.mark.slow
+def test_why_makes_the_best_of_a_damaged_recording(failed_log: Path, tmp_path: Path) -> None:
+    content = failed_log.read_bytes()
+    copy = tmp_path / "damaged.mcap"
+    for number in range(30):
+        damaged = bytearray(content)
+        for place in range(number, len(damaged), len(damaged) // (2 + number % 7)):
+            damaged[place] ^= 0xFF
+        copy.write_bytes(damaged)
+        assert main(["why", str(copy)]) in (1, 2, 3), number
