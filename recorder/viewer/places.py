@@ -13,7 +13,7 @@ else:
     import tomli as tomllib
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping, Sequence
 
     from recorder.geometry import Vector
     from recorder.records import Argument, LoadBody
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 Values: TypeAlias = "dict[str, Any]"
 
 
-def values_of(arguments: Iterable[Argument]) -> Values:
+def values_of(arguments: Sequence[Argument]) -> Values:
     """Named values as plain data.
 
     Args:
         arguments: as records carry them.
     """
-    return {argument.name: json.loads(argument.json) for argument in arguments}
+    return {argument.name: json.loads(argument.json) for argument in arguments[:]}
 
 
 def name_of(value: object) -> str:
