@@ -70,6 +70,10 @@ class Scene:
         columns: where it goes.
         frames: what is known of bodies' links.
         prefix: before the names of all frames.
+
+    Attributes:
+        bodies: by world, then name.
+        robots: names of those that plans control, by world.
     """
 
     def __init__(self, columns: Columns, frames: FrameTree, prefix: str = "") -> None:
@@ -79,7 +83,8 @@ class Scene:
         self._files: dict[str, bytes] = {}
         self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame; of all that ever were
         self._begin: Moment | None = None
-        self.bodies: dict[str, dict[str, Body]] = {}  # by world, then name
+        self.bodies: dict[str, dict[str, Body]] = {}
+        self.robots: dict[str, str] = {}
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a model or mesh."""
@@ -168,7 +173,11 @@ class Scene:
             self._remove(there.pop(name), now)
         for loaded in _came(record, there):
             there[loaded.body] = self._load(record.world, loaded, now)
-        if not isinstance(record, Keyframe) and command == "set_color":
+        if isinstance(record, Keyframe):
+            self.robots[record.world] = record.robot
+        elif command == "set_robot":
+            self.robots[record.world] = record.set_robot.body
+        elif command == "set_color":
             self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
 
     def move(self, world: str, state: BodyState, frames: Iterable[Frame], now: Moment) -> Body | None:

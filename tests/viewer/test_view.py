@@ -25,6 +25,7 @@ from recorder.asset import AssetFile
 from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Argument, Failure, Mutation, Picture, Query, Record, Task
 from recorder.span import Span
+from replay import ask
 from replay.cli import main
 from tests.viewer.shown import Shown, in_world
 
@@ -247,6 +248,43 @@ def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
     assert shown.at("/w/answers/visible/hidden_by", asked)["Points3D:labels"] == ["milk hides it"]
     assert not shown.at("/w/answers/visible/target", later), "marks stand until the next query"
     assert "visible(object=cup" in shown.at("/queries/page", asked)["TextDocument:text"][0]
+
+
+STICK = """<robot name="stick"><link name="foot"/><link name="eye"/><joint name="neck" type="fixed">
+<parent link="foot"/><child link="eye"/><origin xyz="0 0 1" rpy="-1.5708 0 -1.5708"/></joint></robot>"""
+
+
+def test_a_sight_begins_at_the_robot_that_was_asked_about(tmp_path: Path) -> None:
+    log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
+    model.write_text(STICK)
+    with recorder.record(log), BulletWorld(name="w") as world:
+        one, two = (Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5))
+        cup = Object("cup", "cup", "cup.stl", [7, 0, 1])
+        world.robot = two
+        assert btr.visible(cup, "eye").evidence == btr.visible(cup, "eye", robot=two).evidence
+        btr.visible(cup, "eye", robot=one)
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        asked = [record.seq for record in recording.records(Query)]
+        for step in asked:
+            assert ask.again(recording, step).answer == json.loads(recording[step].answer_json)
+    places = [shown.at("/w/answers/visible/sight", step)["LineStrips3D:strips"][0][0] for step in asked]
+    assert [place[0] for place in places] == [5, 5, 0]
+
+
+def test_a_failure_is_told_at_the_robot_that_failed(tmp_path: Path) -> None:
+    log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
+    model.write_text(STICK)
+    with recorder.record(log), BulletWorld(name="w") as world:
+        robots = [Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5)]
+        for robot in reversed(robots):
+            world.robot = robot
+            with pytest.raises(PlanFailure), Span("motion", "lift"):
+                fail()
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        ends = [record.seq for record in recording.records(Task) if record.phase == record.FINISHED]
+    assert [shown.at("/w/failures", step)["Points3D:positions"][0][0] for step in ends] == [5, 0]
 
 
 def test_names_do_not_break_the_table_of_a_query(tmp_path: Path) -> None:
