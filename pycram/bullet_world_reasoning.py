@@ -114,9 +114,9 @@ def visible(
     machine = None if robot is None else robot_of(robot)
     place = world_of(*(other for other in (body, machine) if other is not None), world=world)
     share = checks.at_least("threshold", threshold, 0.0)
-    told = {"object": body, "camera": camera, "threshold": share}
-    with asking("visible", place, told) as asked:
-        view = _visibility.view(body, _visibility.camera_at(camera, body, machine))
+    looks = _whose(camera, place, machine)
+    with asking("visible", place, {"object": body, "camera": camera, **looks, "threshold": share}) as asked:
+        view = _visibility.view(body, _visibility.camera_at(camera, body, **looks))
         asked.picture = view.picture()
         asked.evidence = view.evidence()
         asked.answer = verdict = Verdict(view.share > share, asked.evidence)
@@ -144,13 +144,20 @@ def occluding(
     body: Object = unwrap(object)
     machine = None if robot is None else robot_of(robot)
     place = world_of(*(other for other in (body, machine) if other is not None), world=world)
-    with asking("occluding", place, {"object": body, "camera": camera}) as asked:
-        view = _visibility.view(body, _visibility.camera_at(camera, body, machine))
+    looks = _whose(camera, place, machine)
+    with asking("occluding", place, {"object": body, "camera": camera, **looks}) as asked:
+        view = _visibility.view(body, _visibility.camera_at(camera, body, **looks))
         asked.picture = view.picture()
         asked.evidence = view.evidence()
         found = Found((place.get_object(name) for name in view.hiding), asked.evidence)
         asked.answer = found
     return found
+
+
+def _whose(camera: object, world: BulletWorld, robot: Object | None) -> dict[str, Object]:
+    """The robot whose camera a frame's name means; nothing where no frame is named, or there is no robot."""
+    machine = robot or world.robot
+    return {"robot": machine} if isinstance(camera, str) and machine is not None else {}
 
 
 def reachable_object(

@@ -1,8 +1,12 @@
 """Coordinate frames of bodies and links: those that a record changed, and as ``foxglove.FrameTransforms`` on /tf.
 
-Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD/`` before them in all
-worlds but the first. The root is ``world``. A transform's timestamp is simulated time, so that a simulated stretch can
-be watched although it is one record.
+Frames are named ``BODY`` for a body's base and ``BODY/LINK`` for its other links, with ``WORLD//`` before them in all
+worlds but the first. The root is ``world``. No two frames share a name, however worlds, bodies and links are called:
+what would be mistaken stands as in URLs (``/`` as ``%2F``). A transform's timestamp is simulated time, so that a
+simulated stretch can be watched although it is one record.
+
+All this is done for every change while a plan runs. So lists of records are copied (``[:]``) to go through them:
+protobuf's own iterators take three times as long.
 """
 
 from __future__ import annotations
@@ -20,9 +24,13 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
+    from recorder.geometry import Pose
     from recorder.records import BodyState, Record
+    from recorder.urdf_joint import Joint
 
 ROOT: Final = "world"
+_FIRST: Final = "world_1"
+_VIEWERS: Final = "tf#/"  # so begin the names that Rerun gives frames itself
 _NS: Final = 1_000_000_000
 
 
@@ -32,16 +40,14 @@ class Frame(NamedTuple):
     Attributes:
         parent: name of the frame that it is told in.
         child: its own name.
-        position: xyz in m.
-        orientation: xyzw.
+        pose: in that frame.
         body: the body.
         link: its link; "" for the base.
     """
 
     parent: str
     child: str
-    position: tuple[float, ...]
-    orientation: tuple[float, ...]
+    pose: Pose
     body: str
     link: str
 
@@ -54,8 +60,47 @@ def frame_name(world: str, body: str, link: str = "") -> str:
         body: name of the body.
         link: name of the link; "" for the body's base.
     """
-    name = body if world == "world_1" else f"{world}/{body}"
-    return f"{name}/{link}" if link else name
+    name = _escaped(body) if world == _FIRST else f"{_escaped(world)}//{_escaped(body)}"
+    if link:
+        return _free(f"{name}/{_escaped(link)}")
+    return _free(name)
+
+
+def _escaped(name: str) -> str:
+    return name.replace("%", "%25").replace("/", "%2F")
+
+
+def _free(name: str) -> str:
+    taken = name == ROOT or name.startswith(_VIEWERS)
+    return f"%{ord(name[0]):X}{name[1:]}" if taken else name
+
+
+class _Link(NamedTuple):
+    """A link with its frame's name, and that of its joint's parent."""
+
+    joint: Joint
+    parent: str
+    frame: str
+
+
+class _Body:
+    """A body that was told of: names of its frames, and its model, if that is known."""
+
+    def __init__(self, world: str, name: str, model: Urdf | None) -> None:
+        self.model = model
+        self.frame = frame_name(world, name)
+        self._names = world, name
+        self._links: dict[str, _Link] = {}  # by joint; as far as they were asked for
+
+    def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[_Link]:
+        """The links that hang on joints."""
+        for name in joints:
+            link = self._links.get(name)
+            if link is None:
+                joint = model.joint(name)
+                parent = self.frame if joint.parent == model.root else frame_name(*self._names, joint.parent)
+                link = self._links[name] = _Link(joint, parent, frame_name(*self._names, joint.child))
+            yield link
 
 
 class FrameTree:
@@ -63,7 +108,7 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._models: dict[str, Urdf] = {}
-        self._bodies: dict[tuple[str, str], Urdf] = {}
+        self._bodies: dict[tuple[str, str], _Body] = {}
 
     @staticmethod
     def channels() -> list[tuple[str, type[Message]]]:
@@ -86,7 +131,8 @@ class FrameTree:
             world: name of the world.
             body: name of the body.
         """
-        return self._bodies.get((world, body))
+        known = self._bodies.get((world, body))
+        return known.model if known is not None else None
 
     def moved(self, record: Record) -> Iterator[tuple[int, BodyState, list[Frame]]]:
         """The bodies that a record moved, and their frames that changed.
@@ -118,37 +164,39 @@ class FrameTree:
     def _moments(self, record: Record) -> Iterator[tuple[int, Iterable[BodyState], bool]]:
         """The moments of a record: simulated step, the bodies, and whether they are told whole."""
         if isinstance(record, Keyframe):
-            for loaded in record.loaded:
+            for loaded in record.loaded[:]:
                 self._load(record.world, loaded)
-            yield record.sim_step, record.bodies, True
+            yield record.sim_step, record.bodies[:], True
         elif isinstance(record, Mutation):
             loading = record.WhichOneof("command") == "load_body"
             if loading:
                 self._load(record.world, record.load_body)
             effect = record.effect
-            for sample in effect.samples:
-                yield sample.sim_step, sample.bodies, False
-            yield record.sim_step, effect.bodies, loading
+            for sample in effect.samples[:]:
+                yield sample.sim_step, sample.bodies[:], False
+            yield record.sim_step, effect.bodies[:], loading
 
     def _load(self, world: str, loaded: LoadBody) -> None:
         model = self._models.get(loaded.assets[0].sha256) if loaded.assets else None
-        if model is not None:
-            self._bodies[world, loaded.body] = model
+        known = self._bodies.get((world, loaded.body))
+        if known is None or known.model is not model:
+            self._bodies[world, loaded.body] = _Body(world, loaded.body, model)
 
     def _frames(self, world: str, state: BodyState, *, whole: bool) -> list[Frame]:
         body = state.body
-        name = frame_name(world, body)
-        position = state.position
-        frames = [Frame(ROOT, name, tuple(position), tuple(state.orientation), body, "")] if position else []
-        model = self._bodies.get((world, body))
-        if model is None:
-            return frames
-        values = dict(zip(state.joints, state.joint_positions, strict=True))
-        joints = model.joints.values() if whole else [model.joint(joint) for joint in values]
-        for joint in joints:
-            parent = name if joint.parent == model.root else f"{name}/{joint.parent}"
-            at, turn = joint.pose(values.get(joint.name, 0.0))
-            frames.append(Frame(parent, f"{name}/{joint.child}", at, turn, body, joint.child))
+        known = self._bodies.get((world, body))
+        if known is None:
+            known = self._bodies[world, body] = _Body(world, body, None)
+        frames = []
+        if state.position:
+            x, y, z = state.position[:]
+            i, j, k, w = state.orientation[:]
+            frames.append(Frame(ROOT, known.frame, ((x, y, z), (i, j, k, w)), body, ""))
+        model = known.model
+        if model is not None and (whole or state.joints):
+            values = dict(zip(state.joints[:], state.joint_positions[:], strict=True))
+            for joint, parent, frame in known.links(model, model.joints if whole else values):
+                frames.append(Frame(parent, frame, joint.pose(values.get(joint.name, 0.0)), body, joint.child))
         return frames
 
 
@@ -160,6 +208,5 @@ def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:
         frame = message.transforms.add(parent_frame_id=told.parent, child_frame_id=told.child)
         frame.timestamp.seconds, frame.timestamp.nanos = seconds, nanos
         at, turn = frame.translation, frame.rotation
-        at.x, at.y, at.z = told.position
-        turn.x, turn.y, turn.z, turn.w = told.orientation
+        (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w) = told.pose
     return message

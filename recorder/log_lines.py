@@ -1,4 +1,7 @@
-"""What happened in one line each, for people who look at a recording with other tools (``foxglove.Log`` on /log)."""
+"""What happened in one line each, for people who look at a recording with other tools (``foxglove.Log`` on /log).
+
+Lists of records are copied (``[:]``) to go through them: protobuf's own iterators take three times as long.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,13 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from recorder.records import Argument, MoveJoints, Record
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # of most values, and faster than what fits any number of them
 
 
 def line_of(record: Record, time_ns: int) -> Log | None:
@@ -76,8 +80,8 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     phase = record.phase
     if phase == Task.ASKED:
         return f"{name} asked for", Log.DEBUG
-    if phase == Task.STARTED:  # to go through protobuf's empty lists takes its time
-        return f"{name}({values(record.parameters) if record.parameters else ''})", Log.INFO
+    if phase == Task.STARTED:
+        return f"{name}({values(record.parameters)})", Log.INFO
     took = f"{record.duration_ns / _MS:.1f} ms"
     if record.status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}", Log.INFO
@@ -98,12 +102,13 @@ def mutation_text(record: Mutation) -> str:
     text = which.replace("_", " ") + (f" {tell(command)}" if tell else "")
     if which == "simulate":
         return text
-    along = [state.body for state in record.effect.bodies if state.body != getattr(command, "body", "")]
+    body = getattr(command, "body", "")
+    along = [name for state in record.effect.bodies[:] if (name := state.body) != body]
     return f"{text}, along with {', '.join(along)}" if along else text
 
 
-def _numbers(values: Iterable[float]) -> str:
-    return "[" + ", ".join([f"{value:.3f}" for value in values]) + "]"
+def _numbers(values: Sequence[float]) -> str:
+    return _THREE % (*values[:],) if len(values) == 3 else f"[{', '.join([f'{value:.3f}' for value in values])}]"
 
 
 def _joints(command: MoveJoints) -> str:
@@ -138,13 +143,13 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn'
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 
 
-def values(arguments: Iterable[Argument]) -> str:
+def values(arguments: Sequence[Argument]) -> str:
     """Named values in a line; objects go by their names.
 
     Args:
         arguments: as records carry them.
     """
-    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments])
+    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]])
 
 
 def by_name(text: str) -> str:

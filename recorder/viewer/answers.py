@@ -70,7 +70,8 @@ class Answers:
             places = dict(self._places(world, found.get(evidence)))
             if places:
                 yield evidence, points(list(places.values()), RED, [f"{name} {verb}" for name in places])
-        start = eye(self._scene, world, values["camera"]) if "camera" in values else None
+        whose = name_of(values.get("robot"))
+        start = eye(self._scene, world, values["camera"], whose) if "camera" in values else None
         if start is not None and thing is not None:
             yield "sight", line([start, thing], color)
         touches = [place for one in found.get("points") or () if (place := position(one)) is not None]
@@ -78,7 +79,7 @@ class Answers:
             yield "contacts", points(touches, color)
         joints, link = found.get("joints"), values.get("gripper")
         if isinstance(joints, dict) and isinstance(link, str):
-            posture = self._scene.posture(world, name_of(values.get("robot")), link, joints)
+            posture = self._scene.posture(world, whose, link, joints)
             if posture:
                 yield "posture", line(posture, color, _LIMB)
 

@@ -6,6 +6,7 @@ Rows of one moment replace one another in the order in which they were added.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -13,6 +14,8 @@ import rerun as rr
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
+
+    from numpy.typing import NDArray
 
     Maker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
@@ -158,13 +161,24 @@ class Columns:
                 series.rows.clear()
 
     def _send(self, path: str, moments: Sequence[Moment], columns: Iterable[rr.ComponentColumn]) -> None:
-        times = np.array(moments, dtype=np.int64)
+        times = table(moments, np.int64)
         lines = (
             rr.TimeColumn(_STEP, sequence=times[:, 0]),
             rr.TimeColumn(_SIM, duration=times[:, 1].astype("timedelta64[ns]")),
             rr.TimeColumn(_WALL, timestamp=times[:, 2].astype("datetime64[ns]")),
         )
         self._stream.send_columns(path, lines, columns)
+
+
+def table(rows: Sequence[tuple[float, ...]], kind: type[np.number]) -> NDArray[Any]:
+    """Rows of numbers as an array, several times faster than numpy's own way.
+
+    Args:
+        rows: at least one, all of one length.
+        kind: of the numbers.
+    """
+    width = len(rows[0])
+    return np.fromiter(chain.from_iterable(rows), kind, len(rows) * width).reshape(-1, width)
 
 
 def _single(archetypes: Iterable[rr.AsComponents]) -> list[rr.ComponentColumn]:

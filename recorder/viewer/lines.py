@@ -38,9 +38,10 @@ class Lines:
             level: how grave that is.
             now: when.
         """
-        if isinstance(record, Keyframe) or (isinstance(record, Task) and record.phase == Task.ASKED):
+        kind = type(record)
+        if kind is Keyframe or (isinstance(record, Task) and record.phase == Task.ASKED):
             return
-        self._lines[type(record)].add(now, (text, _LEVELS[level]))
+        self._lines[kind].add(now, (text, _LEVELS[level]))
 
 
 def _texts(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

@@ -13,7 +13,7 @@ else:
     import tomli as tomllib
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping, Sequence
 
     from recorder.geometry import Vector
     from recorder.records import Argument, LoadBody
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 Values: TypeAlias = "dict[str, Any]"
 
 
-def values_of(arguments: Iterable[Argument]) -> Values:
+def values_of(arguments: Sequence[Argument]) -> Values:
     """Named values as plain data.
 
     Args:
         arguments: as records carry them.
     """
-    return {argument.name: json.loads(argument.json) for argument in arguments}
+    return {argument.name: json.loads(argument.json) for argument in arguments[:]}
 
 
 def name_of(value: object) -> str:
@@ -98,28 +98,34 @@ def target(scene: Scene, world: str, values: Values) -> Vector | None:
     return None
 
 
-def robot(scene: Scene, world: str) -> tuple[str, Body] | None:
+def robot(scene: Scene, world: str, name: str = "") -> tuple[str, Body] | None:
     """A world's robot; None if it has none.
 
     Args:
         scene: whose bodies are looked at.
         world: name of the world.
+        name: of the robot; by default the one that plans control, or any.
     """
-    there = scene.bodies.get(world, {}).items()
-    return next(((name, body) for name, body in there if body.loaded.robot_description), None)
+    there = scene.bodies.get(world, {})
+    for wanted in (name, scene.robots.get(world, "")):
+        if wanted in there:
+            return wanted, there[wanted]
+    return next(((name, body) for name, body in there.items() if body.loaded.robot_description), None)
 
 
-def eye(scene: Scene, world: str, camera: object = None) -> Vector | None:
+def eye(scene: Scene, world: str, camera: object = None, whose: str = "") -> Vector | None:
     """Where a camera is; None if that isn't known.
 
     Args:
         scene: whose robot it is.
         world: name of the world.
         camera: a position, a pose, or the name of a frame; the robot's camera by default.
+        whose: name of the robot; by default the world's.
     """
-    found = robot(scene, world)
+    found = robot(scene, world, whose)
     if isinstance(camera, list) or found is None:
         return position(camera)
     name, body = found
-    pose = scene.pose(world, name, str(camera or camera_of(body.loaded).get("frame", "")))
+    frame = str(camera or camera_of(body.loaded).get("frame", ""))
+    pose = scene.pose(world, name, frame) if frame else None
     return pose[0] if pose is not None else None

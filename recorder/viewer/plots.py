@@ -40,7 +40,7 @@ class Plots:
             now: when.
         """
         if state.joints:
-            for joint, value in zip(state.joints, state.joint_positions, strict=True):
+            for joint, value in zip(state.joints[:], state.joint_positions[:], strict=True):
                 self._add(world, state.body, joint, value, now)
         if not body.loaded.fixed_base:
             self._add(world, state.body, "", body.pose[0][2], now)

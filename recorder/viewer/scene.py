@@ -16,7 +16,8 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.frames import ROOT, frame_name
-from recorder.records import BodyState, Keyframe
+from recorder.records import Keyframe
+from recorder.viewer.columns import table
 from recorder.viewer.shapes import drawn, shapes_of
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from recorder.asset import AssetFile
     from recorder.frames import Frame, FrameTree
     from recorder.geometry import Pose, Vector
-    from recorder.records import LoadBody, Mutation
+    from recorder.records import BodyState, LoadBody, Mutation
     from recorder.viewer.columns import Columns, Moment, Series
 
 BODIES: Final = "bodies"
@@ -33,6 +34,14 @@ COLLISION: Final = "collision"
 _MOVES: Final = ("move_body", "move_joints", "simulate", "attach_body", "detach_body")  # bring and take nothing
 _ROLES: Final = {BODIES: "visual", COLLISION: "collision"}
 _UNSEEN: Final = (0.9, 0.2, 0.9, 0.5)  # of collision shapes
+
+
+@dataclass(slots=True)
+class _Link:
+    """Where a link was last, and where its poses are gathered."""
+
+    moves: Series
+    pose: Pose | None = None
 
 
 @dataclass(slots=True)
@@ -44,21 +53,14 @@ class Body:
         joints: values in rad or m by name.
         pose: of its base in the world.
         shapes: paths of the entities of its shapes.
+        links: those that were told of, by name; "" is its base.
     """
 
     loaded: LoadBody
     joints: dict[str, float] = field(default_factory=dict)
     pose: Pose = geometry.IDENTITY
     shapes: set[str] = field(default_factory=set)
-
-    def change(self, state: BodyState) -> None:
-        """Makes true what was read back of it."""
-        if state.position:
-            x, y, z = state.position
-            i, j, k, w = state.orientation or self.pose[1]
-            self.pose = ((x, y, z), (i, j, k, w))
-        if state.joints:
-            self.joints.update(zip(state.joints, state.joint_positions, strict=True))
+    links: dict[str, _Link] = field(default_factory=dict)
 
 
 class Scene:
@@ -68,6 +70,10 @@ class Scene:
         columns: where it goes.
         frames: what is known of bodies' links.
         prefix: before the names of all frames.
+
+    Attributes:
+        bodies: by world, then name.
+        robots: names of those that plans control, by world.
     """
 
     def __init__(self, columns: Columns, frames: FrameTree, prefix: str = "") -> None:
@@ -75,10 +81,10 @@ class Scene:
         self._prefix = prefix
         self._frames = frames
         self._files: dict[str, bytes] = {}
-        self._last: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {}  # poses by frame
-        self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame
+        self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame; of all that ever were
         self._begin: Moment | None = None
-        self.bodies: dict[str, dict[str, Body]] = {}  # by world, then name
+        self.bodies: dict[str, dict[str, Body]] = {}
+        self.robots: dict[str, str] = {}
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a model or mesh."""
@@ -164,10 +170,14 @@ class Scene:
         if command in _MOVES:
             return  # which is most of what happens
         for name in _gone(record, there):
-            self._remove(there.pop(name), record.world, now)
+            self._remove(there.pop(name), now)
         for loaded in _came(record, there):
             there[loaded.body] = self._load(record.world, loaded, now)
-        if not isinstance(record, Keyframe) and command == "set_color":
+        if isinstance(record, Keyframe):
+            self.robots[record.world] = record.robot
+        elif command == "set_robot":
+            self.robots[record.world] = record.set_robot.body
+        elif command == "set_color":
             self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
 
     def move(self, world: str, state: BodyState, frames: Iterable[Frame], now: Moment) -> Body | None:
@@ -182,14 +192,20 @@ class Scene:
         Returns:
             The body; None if it isn't there.
         """
-        for frame in frames:
-            pose = (frame.position, frame.orientation)
-            if self._last.get(frame.child) != pose:
-                self._last[frame.child] = pose
-                self._moves_of(world, frame).add(now, pose)
         body = self.bodies[world].get(state.body)
-        if body is not None:
-            body.change(state)
+        if body is None:
+            return None
+        for frame in frames:
+            link = body.links.get(frame.link)
+            if link is None:
+                link = body.links[frame.link] = _Link(self._moves_of(world, frame))
+            if link.pose != frame.pose:
+                link.pose = frame.pose
+                link.moves.add(now, frame.pose)
+            if not frame.link:
+                body.pose = frame.pose
+        if state.joints:
+            body.joints.update(zip(state.joints[:], state.joint_positions[:], strict=True))
         return body
 
     def _moves_of(self, world: str, frame: Frame) -> Series:
@@ -200,13 +216,15 @@ class Scene:
             maker = partial(_transforms, self._prefix + frame.parent, self._prefix + frame.child)
             moves = self._moves[world, frame.child] = self._columns.series(path, maker)
             if self._begin is not None:
-                moves.add(self._begin, (frame.position, frame.orientation))
+                moves.add(self._begin, frame.pose)
         return moves
 
     def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:
         body = Body(loaded)
         if loaded.position:
-            body.change(BodyState(body=loaded.body, position=loaded.position, orientation=loaded.orientation))
+            x, y, z = loaded.position
+            i, j, k, w = loaded.orientation or geometry.IDENTITY[1]
+            body.pose = ((x, y, z), (i, j, k, w))
         self._draw(world, body, tuple(loaded.color), now)
         return body
 
@@ -234,12 +252,9 @@ class Scene:
         if body is not None:
             self._draw(world, body, color, now)
 
-    def _remove(self, body: Body, world: str, now: Moment) -> None:
+    def _remove(self, body: Body, now: Moment) -> None:
         for path in body.shapes:
             self._columns.clear(path, now)
-        name = frame_name(world, body.loaded.body)
-        for frame in [frame for frame in self._last if frame == name or frame.startswith(f"{name}/")]:
-            del self._last[frame]
 
 
 def _gone(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[str]:
@@ -271,8 +286,8 @@ def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.
     position, orientation = zip(*rows, strict=True)
     count = len(rows)
     return rr.Transform3D.columns(
-        translation=np.array(position),
-        quaternion=np.array(orientation),
+        translation=table(position, np.float64),
+        quaternion=table(orientation, np.float64),
         parent_frame=[parent] * count,
         child_frame=[child] * count,
     )

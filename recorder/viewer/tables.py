@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
@@ -14,63 +15,72 @@ from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+    from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
+
     from recorder.records import Record
     from recorder.viewer.columns import Columns, Moment
 
 RECORDS: Final = "records"
 
 
-def _task(record: Task) -> tuple[Any, ...]:
-    failure = f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else ""
-    status = Task.Status.Name(record.status) if record.status else "RUNNING"
-    return (
-        record.kind,
-        record.name,
-        status.lower(),
-        record.parent,
-        values(record.parameters),
-        failure,
-        record.duration_ns / 1e6,
-        f"{record.source_file}:{record.source_line}" if record.source_file else "",
-    )
+def _failure(record: Task | Query | Run) -> str:
+    return f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else ""
 
 
-def _query(record: Query) -> tuple[Any, ...]:
-    failure = f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else ""
-    evidence = values(record.evidence)
-    answer = by_name(record.answer_json)
-    return record.name, values(record.arguments), answer, evidence, failure, record.duration_ns / 1e6
+def _status(record: Task) -> str:
+    return _word(Task.Status, record.status) if record.status else "running"
 
 
-_TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[Any, ...]]]]] = {
-    Task: (("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "source"), _task),
-    Mutation: (
-        ("command", "bodies"),
-        lambda record: (
-            str(record.WhichOneof("command") or "change"),
-            ", ".join([state.body for state in record.effect.bodies]),
-        ),
-    ),
-    Event: (
-        ("name", "sender", "arguments", "handlers"),
-        lambda record: (record.name, record.sender, values(record.arguments), len(record.handlers)),
-    ),
-    Fluent: (
-        ("name", "before", "after"),
-        lambda record: (record.name, by_name(record.before_json), by_name(record.after_json)),
-    ),
-    Query: (("name", "arguments", "answer", "evidence", "failure", "duration_ms"), _query),
-    Run: (
-        ("phase", "name", "succeeded", "failure"),
-        lambda record: (
-            Run.Phase.Name(record.phase).lower(),
-            record.name,
-            record.succeeded,
-            f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else "",
-        ),
-    ),
+def _word(words: EnumTypeWrapper, number: int) -> str:
+    return words.Name(number).lower() if number in words.values() else str(number)
+
+
+def _source(record: Task) -> str:
+    return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+
+
+_TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
+    Task: {
+        "kind": attrgetter("kind"),
+        "name": attrgetter("name"),
+        "status": _status,
+        "parent": attrgetter("parent"),
+        "parameters": lambda record: values(record.parameters),
+        "failure": _failure,
+        "duration_ms": lambda record: record.duration_ns / 1e6,
+        "source": _source,
+    },
+    Mutation: {
+        "command": lambda record: str(record.WhichOneof("command") or "change"),
+        "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
+    },
+    Event: {
+        "name": attrgetter("name"),
+        "sender": attrgetter("sender"),
+        "arguments": lambda record: values(record.arguments),
+        "handlers": lambda record: len(record.handlers),
+    },
+    Fluent: {
+        "name": attrgetter("name"),
+        "before": lambda record: by_name(record.before_json),
+        "after": lambda record: by_name(record.after_json),
+    },
+    Query: {
+        "name": attrgetter("name"),
+        "arguments": lambda record: values(record.arguments),
+        "answer": lambda record: by_name(record.answer_json),
+        "evidence": lambda record: values(record.evidence),
+        "failure": _failure,
+        "duration_ms": lambda record: record.duration_ns / 1e6,
+    },
+    Run: {
+        "phase": lambda record: _word(Run.Phase, record.phase),
+        "name": attrgetter("name"),
+        "succeeded": attrgetter("succeeded"),
+        "failure": _failure,
+    },
 }
-
+"""Names of columns, and what they tell of a record."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _TELL)
 """Names of the tables."""
@@ -85,33 +95,31 @@ class Tables:
 
     def __init__(self, columns: Columns) -> None:
         self._series = {
-            kind: (
-                columns.series(
-                    columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind.__name__, names)
-                ),
-                tell,
-            )
-            for kind, (names, tell) in _TELL.items()
+            kind: columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind))
+            for kind in _TELL
         }
 
     def show(self, record: Record, text: str, now: Moment) -> None:
         """Shows a record.
 
         Args:
-            record: the record.
+            record: the record, which nobody changes any more.
             text: what it tells in a line.
             now: when.
         """
-        found = self._series.get(type(record))
-        if found is not None:
-            series, tell = found
-            series.add(now, (record.world, record.task, record.thread, text, *tell(record)))
+        series = self._series.get(type(record))
+        if series is not None:
+            series.add(now, (record, text))
 
 
-def _rows(kind: str, names: tuple[str, ...], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    told = zip(
-        ("world", "task", "thread", "text", *names),
-        (pa.array(column) for column in zip(*rows, strict=True)),
-        strict=True,
-    )
-    return rr.DynamicArchetype.columns(archetype=f"pycram.{kind}", components=dict(told))
+def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    records, texts = zip(*rows, strict=True)
+    told = {
+        "world": [record.world for record in records],
+        "task": [record.task for record in records],
+        "thread": [record.thread for record in records],
+        "text": texts,
+        **{name: [*map(tell, records)] for name, tell in _TELL[kind].items()},
+    }
+    components = {name: pa.array(column) for name, column in told.items()}
+    return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

@@ -25,6 +25,7 @@ from recorder.asset import AssetFile
 from recorder.mcap_sink import McapSink
 from recorder.records import TOPICS, Argument, Failure, Mutation, Picture, Query, Record, Task
 from recorder.span import Span
+from replay import ask
 from replay.cli import main
 from tests.viewer.shown import Shown, in_world
 
@@ -146,8 +147,8 @@ def test_what_comes_and_goes(tmp_path: Path) -> None:
     assert shown.at(cup_shape, first)["Asset3D:blob"]
     assert not shown.at(cup_shape, did["remove_body"])
     assert shown.at(cup_shape, did["load_body"])["Asset3D:blob"], "it was loaded again"
-    assert in_world(shown.frames(did["load_body"]), "kitchen/cup")[0] == (5, 0, 1)
-    assert math.dist(in_world(shown.frames(did["detach_body"]), "kitchen/cup")[0], (1, 0, 1)) < NEAR
+    assert in_world(shown.frames(did["load_body"]), "kitchen//cup")[0] == (5, 0, 1)
+    assert math.dist(in_world(shown.frames(did["detach_body"]), "kitchen//cup")[0], (1, 0, 1)) < NEAR
     assert shown.at(bowl_shape, did["set_color"] - 1)["Asset3D:albedo_factor"] == [0xFF0000FF]
     assert shown.at(bowl_shape, did["set_color"])["Asset3D:albedo_factor"] == [0x00FF00FF]
     assert not shown.at(hold, did["attach_body"] - 1)
@@ -249,6 +250,43 @@ def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
     assert "visible(object=cup" in shown.at("/queries/page", asked)["TextDocument:text"][0]
 
 
+STICK = """<robot name="stick"><link name="foot"/><link name="eye"/><joint name="neck" type="fixed">
+<parent link="foot"/><child link="eye"/><origin xyz="0 0 1" rpy="-1.5708 0 -1.5708"/></joint></robot>"""
+
+
+def test_a_sight_begins_at_the_robot_that_was_asked_about(tmp_path: Path) -> None:
+    log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
+    model.write_text(STICK)
+    with recorder.record(log), BulletWorld(name="w") as world:
+        one, two = (Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5))
+        cup = Object("cup", "cup", "cup.stl", [7, 0, 1])
+        world.robot = two
+        assert btr.visible(cup, "eye").evidence == btr.visible(cup, "eye", robot=two).evidence
+        btr.visible(cup, "eye", robot=one)
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        asked = [record.seq for record in recording.records(Query)]
+        for step in asked:
+            assert ask.again(recording, step).answer == json.loads(recording[step].answer_json)
+    places = [shown.at("/w/answers/visible/sight", step)["LineStrips3D:strips"][0][0] for step in asked]
+    assert [place[0] for place in places] == [5, 5, 0]
+
+
+def test_a_failure_is_told_at_the_robot_that_failed(tmp_path: Path) -> None:
+    log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
+    model.write_text(STICK)
+    with recorder.record(log), BulletWorld(name="w") as world:
+        robots = [Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5)]
+        for robot in reversed(robots):
+            world.robot = robot
+            with pytest.raises(PlanFailure), Span("motion", "lift"):
+                fail()
+    shown = view(log, tmp_path / "log.rrd")
+    with replay.open(log) as recording:
+        ends = [record.seq for record in recording.records(Task) if record.phase == record.FINISHED]
+    assert [shown.at("/w/failures", step)["Points3D:positions"][0][0] for step in ends] == [5, 0]
+
+
 def test_names_do_not_break_the_table_of_a_query(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
@@ -273,6 +311,19 @@ def test_names_that_paths_do_not_allow(tmp_path: Path) -> None:
     shown = view(log, tmp_path / "log.rrd")
     bodies = {entity for entity in shown.rows if "/bodies/" in entity and "mesh" in entity}
     assert len(bodies) == 2 * len({entity.rpartition("/")[2] for entity in bodies})
+
+
+def test_names_that_could_be_mistaken(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="world_1"):
+        Object("world", "cup", "cup.stl", [1, 0, 1])
+        Object("w", "cup", "cup.stl", [2, 0, 1])
+        with BulletWorld(name="w"):
+            Object("cup", "cup", "cup.stl", [3, 0, 1])
+            Object("w/cup", "cup", "cup.stl", [4, 0, 1])
+    frames = view(log, tmp_path / "log.rrd").frames(20)
+    assert "world" not in frames
+    assert sorted(pose[0][0] for parent, pose in frames.values() if parent == "world") == [1, 2, 3, 4]
 
 
 def small(file: Path, place: float = 0.0) -> Path:
@@ -346,8 +397,8 @@ def test_two_recordings_side_by_side(tmp_path: Path) -> None:
     file = tmp_path / "both.rrd"
     assert main(["view", str(one), str(other), "--save", str(file)]) == 0
     frames = Shown(file).frames(10)
-    assert in_world(frames, "one/w/cup", "one/world")[0] == (0, 0, 1)
-    assert in_world(frames, "other/w/cup", "other/world")[0] == (3, 0, 1)
+    assert in_world(frames, "one/w//cup", "one/world")[0] == (0, 0, 1)
+    assert in_world(frames, "other/w//cup", "other/world")[0] == (3, 0, 1)
 
 
 @pytest.mark.parametrize(
