@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING
 
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BranchesFailed, PlanFailure, leaves_uncleaned
+from pycram.failed_blocks import leaves_uncleaned
+from pycram.failures import BranchesFailed, PlanFailure
 from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
 from pycram.retries import Retry
 from recorder.interrupts import Uninterrupted

@@ -1,4 +1,4 @@
-"""What can go wrong, in two families.
+"""What can go wrong, in two families (:mod:`pycram.error_families`).
 
 A :class:`PlanFailure` says that the world refused (out of reach, not seen, in collision): a plan may catch it and try
 something else. A :class:`UsageError` says that the program is wrong (a misspelt joint, a pose with NaN): nothing
@@ -8,33 +8,43 @@ should catch it. Every error keeps its data as attributes, which the recording s
 from __future__ import annotations
 
 import difflib
-import functools
-import traceback
 from typing import TYPE_CHECKING
 
+from pycram.error_families import PlanFailure, PycramError, UsageError
+from pycram.failed_blocks import BranchesFailed, NotCleanedUp
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+__all__ = [
+    "AccessFailed",
+    "AssetError",
+    "AttachmentError",
+    "BadArgument",
+    "BranchesFailed",
+    "ChangeRefused",
+    "DisplayError",
+    "GraspFailed",
+    "InCollision",
+    "JointLimitError",
+    "LookingFailed",
+    "NoWorld",
+    "NotCleanedUp",
+    "NotDrivable",
+    "PerceptionError",
+    "PlaceFailed",
+    "PlanFailure",
+    "PostureInCollision",
+    "PycramError",
+    "ReasoningError",
+    "UnknownName",
+    "Unreachable",
+    "UsageError",
+    "WorldClosed",
+]
 
 _FEW = 10  # names that fit into a message
-
-
-class PycramError(Exception):
-    """Base of everything that PyCRAM raises on purpose."""
-
-    @property
-    def data(self) -> Mapping[str, object]:
-        """The error's fields by name."""
-        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
-
-
-class PlanFailure(PycramError):
-    """The world said no; a plan may handle it."""
-
-
-class UsageError(PycramError):
-    """The program is wrong; plans must not handle it."""
 
 
 # --- usage ---------------------------------------------------------------------------------------------------------
@@ -334,120 +344,3 @@ class AccessFailed(PlanFailure):
         super().__init__(f"{joint} can't be opened: {reason}")
         self.joint = joint
         self.reason = reason
-
-
-class BranchesFailed(PlanFailure):
-    """A block of the plan language failed: one failure that carries those of all its branches.
-
-    It can be caught as what they are: where all of them are ``Unreachable``, ``except Unreachable`` catches it, and it
-    has the fields of the first of them; where they differ, as what they have in common, ``PlanFailure`` at last. So who
-    catches it by a type has handled all that went wrong, and no failure of another type vanishes beside it.
-
-    Attributes:
-        block: what the block is: "par", "try_all", ...
-        failures: what its branches and its body raised, in order.
-    """
-
-    block: str
-    failures: tuple[PlanFailure, ...]
-
-    def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
-        """Makes an instance that is also of the types that all failures have in common."""
-        failures = tuple(failures)
-        if cls is BranchesFailed:
-            kind = _together(tuple(type(leaf) for leaf in _leaves(failures)))
-            return super().__new__(kind, block, failures)
-        return super().__new__(cls, block, failures)
-
-    def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
-        members = tuple(failures)
-        if len(type(self).__bases__) > 1:
-            self.__dict__.update(vars(next(_leaves(members))))
-        self.block = block
-        self.failures = members
-        self.__cause__ = members[0] if len(members) == 1 else Tracebacks(members)
-
-    @property
-    def leaves(self) -> tuple[PlanFailure, ...]:
-        """What went wrong in the end: its failures, and in place of failed blocks among them theirs."""
-        return tuple(_leaves(self.failures))
-
-    @property
-    def data(self) -> Mapping[str, object]:
-        """Its fields by name; of its failures type, message and fields."""
-        told = [{"type": type(one).__name__, "message": str(one), "data": one.data} for one in self.failures]
-        return {**super().data, "failures": told}
-
-    def __str__(self) -> str:
-        told = (str(failure) if isinstance(failure, BranchesFailed) else _told(failure) for failure in self.failures)
-        return f"{self.block} failed: {'; '.join(told)}"
-
-
-class NotCleanedUp(PlanFailure):
-    """Something was told to stop, by its block or a timeout, and what it does at its end (``finally_``) failed.
-
-    Attributes:
-        action: what it does at its end.
-        failure: what that failed with; the cause of this.
-    """
-
-    def __init__(self, action: str, failure: PlanFailure) -> None:
-        super().__init__(f"{action}, done as the plan was told to stop, failed: {_told(failure)}")
-        self.action = action
-        self.failure = failure
-        self.__cause__ = failure
-
-
-def leaves_uncleaned(failure: BaseException) -> bool:
-    """Whether a failure is, or holds, that of a cleaning up which nobody reckons with."""
-    leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
-    return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
-
-
-class Tracebacks(PycramError):
-    """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all.
-
-    Attributes:
-        failures: the failures.
-    """
-
-    def __init__(self, failures: Sequence[BaseException]) -> None:
-        super().__init__(failures)
-        self.failures = tuple(failures)
-
-    def __str__(self) -> str:
-        lines = []
-        for number, failure in enumerate(self.failures, 1):
-            lines.append(f"{number} of {len(self.failures)}")
-            lines += ["  | " + line for line in "".join(traceback.format_exception(failure)).splitlines()]
-        return "\n".join(lines)
-
-
-def _told(failure: PlanFailure) -> str:
-    return f"{type(failure).__name__}: {failure}"
-
-
-def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
-    for failure in failures:
-        if isinstance(failure, BranchesFailed):
-            yield from _leaves(failure.failures)
-        else:
-            yield failure
-
-
-@functools.lru_cache(maxsize=256)
-def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
-    """BranchesFailed, combined with what all of some types have in common beyond PlanFailure."""
-    common: list[type] = []
-    for kind in kinds[0].__mro__ if kinds else ():
-        shared = issubclass(kind, PlanFailure) and kind is not PlanFailure and all(issubclass(k, kind) for k in kinds)
-        if shared and not any(issubclass(known, kind) for known in common):
-            common.append(kind)
-    if not common:
-        return BranchesFailed
-    try:
-        made = type("BranchesFailed", (BranchesFailed, *common), {"__module__": __name__})
-        BaseException.__new__(made)
-    except TypeError:  # types that can't be combined
-        return BranchesFailed
-    return made

@@ -41,7 +41,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 from pycram.branch import completed
 from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BadArgument, PlanFailure, UsageError, leaves_uncleaned
+from pycram.failed_blocks import leaves_uncleaned
+from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.nesting import Nested
 from pycram.open_block import alone, name_of
 from recorder.span import Span

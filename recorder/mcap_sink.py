@@ -17,7 +17,7 @@ import stat
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
@@ -39,7 +39,12 @@ if TYPE_CHECKING:
 _HINT: Final = "free space or choose another path, and run again"
 _MOST_RECORDS: Final = 50
 _LONGEST: Final = 0.05  # s
+_Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and which one of that name; "" and 0 where shared
+#: A message that isn't in a chunk yet: its channel, the number of its record, when that was, and its bytes; of the line
+#: about a task only the task, whose line is made with all others.
+_Taken: TypeAlias = "tuple[_Key, int, int, bytes | Task]"
 _LINES: Final = ("/log", "", 0)
+_TASKS: Final = (TOPICS[Task], "", 0)
 _CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
 _OF_WORLDS: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
 _MOST_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
@@ -62,22 +67,6 @@ def versions() -> dict[str, str]:
     }
 
 
-class _Taken(NamedTuple):
-    """A message that isn't in a chunk yet.
-
-    Attributes:
-        key: of its channel: topic, world and which one of that name; "" and 0 where worlds share a channel.
-        seq: number of the record that it is or belongs to.
-        time_ns: when that was.
-        content: its bytes; of the line about a task only the task, whose line is made with all others.
-    """
-
-    key: tuple[str, str, int]
-    seq: int
-    time_ns: int
-    content: bytes | Task
-
-
 class McapSink:
     """A sink that is one MCAP file.
 
@@ -94,7 +83,7 @@ class McapSink:
         raw = _open(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
-        self._taken: list[_Taken] = []  # since the last chunk was closed
+        self._taken: list[_Taken] = []  # since the last chunk was closed; tuples, as there is one for each message
         self._size = 0
         self._pending = 0
         self._count = 0
@@ -102,7 +91,7 @@ class McapSink:
         self._failed: OSError | None = None
         self._closed = False
         self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, str, int], int] = {}  # by topic, and world and life where each has its own
+        self._channels: dict[_Key, int] = {}  # by topic, and world and life where each has its own
         self._lives: dict[str, int] = {}  # by name of the world: how many of that name there were
         self._frames = FrameTree()
         self._wake = threading.Event()
@@ -146,13 +135,15 @@ class McapSink:
         with self._lock:
             self._check()
             self._now = now
-            of_world = topic in _OF_WORLDS
-            key = (topic, record.world, self._life(record)) if of_world else (topic, "", 0)
-            self._taken.append(_Taken(key, seq, now, payload))
             self._size += len(payload)
             if isinstance(record, Task):
-                self._taken.append(_Taken(_LINES, seq, now, record))
+                self._taken.append((_TASKS, seq, now, payload))
+                if record.phase != Task.ASKED:
+                    self._taken.append((_LINES, seq, now, record))
             else:
+                of_world = topic in _OF_WORLDS
+                key = (topic, record.world, self._life(record)) if of_world else (topic, "", 0)
+                self._taken.append((key, seq, now, payload))
                 self._take_companions(record)
             self._count += 1
             self._pending += 1
@@ -172,11 +163,11 @@ class McapSink:
     def _take_companions(self, record: Record) -> None:
         """Takes what other people's tools are told of a record."""
         for topic, message in self._frames.transforms(record):
-            self._taken.append(_Taken((topic, "", 0), record.seq, self._now, message.SerializeToString()))
+            self._taken.append(((topic, "", 0), record.seq, self._now, message.SerializeToString()))
             self._size += message.ByteSize()
         line = line_of(record, self._now)
         if line is not None:
-            self._taken.append(_Taken(_LINES, record.seq, self._now, line.SerializeToString()))
+            self._taken.append((_LINES, record.seq, self._now, line.SerializeToString()))
 
     def _flush(self) -> None:
         """Packs what was taken, and hands it to the operating system: all at once, which is faster than one by one."""
@@ -189,7 +180,7 @@ class McapSink:
                 self._writer.add_message(self._channel(key), time_ns, seq, line.SerializeToString())
         self._writer.flush()
 
-    def _channel(self, key: tuple[str, str, int]) -> int:
+    def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)
         if channel is None and len(self._channels) >= _MOST_CHANNELS:
             key = (key[0], "", 0)  # all further worlds share one

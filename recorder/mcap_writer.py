@@ -59,7 +59,7 @@ class McapWriter:
         self._file = file
         self._at = 0
         self._crc = 0  # of all that was written
-        self._compressor = zstandard.ZstdCompressor()
+        self._compressor = zstandard.ZstdCompressor(level=1)  # chunks are small: higher levels only take longer
         self._chunk: list[bytes] = []
         self._chunk_size = 0
         self._entries: defaultdict[int, list[int]] = defaultdict(list)  # log time and offset of a channel's messages

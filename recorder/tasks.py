@@ -9,6 +9,7 @@ Children stand in the order in which they were asked for, which is that of their
 from __future__ import annotations
 
 import json
+import math
 import threading
 from collections import deque
 from dataclasses import dataclass, field
@@ -77,6 +78,7 @@ class Node:
         asked: the record of its being asked for; None of what starts at once.
         finished: the record of its end; None if it has not ended.
         forgotten: how many of its parts the tree of a long-running plan has let go.
+        size: bytes of its own records, where the tree has a limit for these.
     """
 
     started: Task
@@ -84,6 +86,7 @@ class Node:
     asked: Task | None = None
     finished: Task | None = None
     forgotten: int = 0
+    size: int = 0
     _parts: dict[int, Node] = field(default_factory=dict)
 
     @property
@@ -164,12 +167,6 @@ class Node:
         """The plan's line that asked for it, "file:line", "" if that isn't known."""
         record = self.asked or self.started
         return f"{record.source_file}:{record.source_line}" if record.source_file else ""
-
-    @property
-    def size(self) -> int:
-        """Bytes of its own records."""
-        records = {id(one): one for one in (self.asked, self.started, self.finished) if one is not None}
-        return sum(one.ByteSize() for one in records.values())
 
     @property
     def children(self) -> list[Node]:
@@ -271,8 +268,9 @@ class Tree:
             size: of so many bytes of records; likewise.
         """
         self.began: int | None = None
-        self._limit = limit
-        self._size_limit = size
+        self._limit = math.inf if limit is None else limit
+        self._size_limit = math.inf if size is None else size
+        self._weighs = size is not None
         self._size = 0
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
@@ -294,22 +292,21 @@ class Tree:
             The task that it is about.
         """
         number, phase = record.task, record.phase
+        size = record.ByteSize() if self._weighs else 0
         with self._lock:
             node = self.nodes.get(number)
             if node is None:
                 parent = self.nodes.get(record.parent)
-                node = self.nodes[number] = Node(record, parent)
-                (parent._parts if parent is not None else self._roots)[number] = node  # noqa: SLF001  one module
-                if phase == _ASKED:
-                    node.asked = record
+                node = self.nodes[number] = Node(record, parent, record if phase == _ASKED else None)
+                (self._roots if parent is None else parent._parts)[number] = node  # noqa: SLF001  one module
             elif phase == _STARTED:
                 node.started = record
             if phase == _FINISHED:
                 node.finished = record
                 self._ended.append(number)
-            if self._size_limit is not None:
-                self._size += record.ByteSize()
-            while self._is_too_much() and self._ended:
+            node.size += size
+            self._size += size
+            while (len(self.nodes) > self._limit or self._size > self._size_limit) and self._ended:
                 self._forget(self._ended.popleft())
             return node
 
@@ -321,16 +318,11 @@ class Tree:
             self._ended = deque(number for number in self._ended if number in self.nodes)
             self._size = sum(node.size for node in self.nodes.values())
 
-    def _is_too_much(self) -> bool:
-        tasks, size = self._limit, self._size_limit
-        return (tasks is not None and len(self.nodes) > tasks) or (size is not None and self._size > size)
-
     def _forget(self, number: int) -> None:
         node = self.nodes.pop(number, None)
         if node is None:
             return
-        if self._size_limit is not None:
-            self._size -= node.size
+        self._size -= node.size
         if node.parent is None:
             self._roots.pop(node.id, None)
         else:

@@ -87,19 +87,24 @@ def _lines(most: int) -> list[Place]:
     """The plan's innermost lines on this thread's stack, outermost first; without any, the innermost foreign one."""
     found: list[Place] = []
     last = foreign = None
+    kinds, machinery, plan = _kinds, _Kind.MACHINERY, _Kind.PLAN  # a task is looked up in as many frames as there are
     frame: FrameType | None = sys._getframe(2)  # noqa: SLF001  inspect.stack() reads source files: 100 times slower
-    while frame is not None and len(found) < most:
+    while frame is not None:
         file = frame.f_code.co_filename
-        kind = _kinds.get(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
-        if kind is _Kind.PLAN:
+        kind = kinds.get(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
+        if kind is machinery:
+            pass
+        elif kind is plan:
             place = file, frame.f_lineno
             if place != last:
                 found.append(place)
                 last = place
-        elif kind is _Kind.FOREIGN:
-            foreign = foreign or (file, frame.f_lineno)
+                if len(found) == most:
+                    break
         elif kind is _Kind.RUNNER:
             break
+        elif foreign is None:
+            foreign = file, frame.f_lineno
         frame = frame.f_back
     if not found and foreign is not None:
         return [foreign]

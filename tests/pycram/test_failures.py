@@ -1,0 +1,104 @@
+"""Failures of a user's own making rise through all of the plan language as PyCRAM's own do."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import FrozenInstanceError, dataclass
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.failures import BranchesFailed, PlanFailure, UsageError
+from pycram.language import failure_handling, finally_, par, seq, timeout
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+
+@dataclass(frozen=True)
+class Spill(PlanFailure):
+    """A failure that refuses assignments, with a field that has a name of a block's failure."""
+
+    litres: float
+    block: str = "kitchen"
+
+
+@dataclass(frozen=True)
+class BigSpill(Spill):
+    """One of the same family."""
+
+    people: int = 3
+
+
+@dataclass(frozen=True)
+class Misuse(UsageError):
+    """A frozen usage error."""
+
+    line: int
+
+
+def spill() -> None:
+    raise BigSpill(0.5)
+
+
+def misuse() -> None:
+    raise Misuse(7)
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    yield
+
+
+def in_time(action: Callable[[], None]) -> None:
+    with timeout(60):
+        action()
+
+
+def with_cleanup(action: Callable[[], None]) -> None:
+    with finally_(print):
+        action()
+
+
+def in_managers(action: Callable[[], None]) -> None:
+    with held(), held():
+        action()
+
+
+WAYS = [in_time, with_cleanup, in_managers, seq, par, failure_handling(2).run]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_frozen_failure_comes_out_as_itself(way: Callable[[Callable[[], None]], None]) -> None:
+    with pytest.raises(Spill) as raised:
+        way(spill)
+    assert raised.value.litres == 0.5
+    assert raised.value.data["people"] == 3
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_frozen_usage_error_comes_out_as_itself(way: Callable[[Callable[[], None]], None]) -> None:
+    with pytest.raises(Misuse):
+        way(misuse)
+
+
+def test_its_earlier_attempts_stand_behind_it() -> None:
+    with pytest.raises(Spill) as raised:
+        failure_handling(2).run(spill)
+    earlier = raised.value.__context__
+    assert isinstance(earlier, Spill)
+    assert isinstance(earlier.__context__, Spill)
+
+
+def test_its_fields_stay_frozen() -> None:
+    with pytest.raises(FrozenInstanceError):
+        BigSpill(0.5).litres = 1.0  # type: ignore[misc]
+
+
+def test_a_block_of_frozen_failures_is_of_their_type() -> None:
+    with pytest.raises(BranchesFailed) as raised:
+        par(spill, spill)
+    failed = raised.value
+    assert isinstance(failed, Spill)
+    assert failed.block == "par"
+    assert [type(one) for one in failed.failures] == [BigSpill, BigSpill]
