@@ -84,11 +84,13 @@ class Rehearsal:
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
         self._obstacles = [other for other in world.objects if other not in skipped]
         self._depth = _arm_depths(robot, self._joints)
-        self._articulation = Articulation(self._engine, self._body, robot.urdf, self._joints)
+        self._articulation = self._twin.known(
+            robot, self._joints, lambda copy: Articulation(self._engine, copy, robot.urdf, self._joints)
+        )
         self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
         self._stand = self._engine.pose(self._body)
         self._whole = self._twin.boxes(robot)
-        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held]
+        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in self._moving]
         carriers = self._articulation.carriers
         self._carried = np.array([carriers[link] for link in self._whole.links], dtype=np.intp)
         moving = np.array([link in self._moving for link in self._whole.links], dtype=bool)
@@ -100,7 +102,7 @@ class Rehearsal:
         around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
-        self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
+        self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(self._articulation.joints) + 1, 4, 4)))
         self._there = False
         self._seen: dict[Pair, list[Touch]] = {}
         self._own: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None
@@ -217,6 +219,10 @@ class Rehearsal:
             firsts, seconds = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
             self._own = firsts, seconds
         return self._own
+
+    def moving(self) -> set[str]:
+        """The robot's links that are looked at."""
+        return set(self._moving)
 
     def beyond(self, joints: Collection[str]) -> set[str]:
         """The robot's links that hang on all of some joints: with an arm's joints its hand.
