@@ -45,6 +45,7 @@ class ClosedForm:
         lower: lower limits, rad; -pi where there are none.
         upper: upper limits, rad; pi where there are none.
         bounded: which joints have limits.
+        span: least and greatest distance of the wrist from the shoulder, m.
     """
 
     origins: Array
@@ -55,6 +56,7 @@ class ClosedForm:
     lower: Array
     upper: Array
     bounded: Flags
+    span: tuple[float, float]
 
     @classmethod
     def of(
@@ -78,7 +80,12 @@ class ClosedForm:
             return None
         if float(np.linalg.norm(np.cross(wrist - origins[6], axes[6]))) > _MEET or _parallel(axes[5], axes[6]):
             return None
-        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded)
+        q4 = np.linspace(lower[3], upper[3], _STEPS)
+        bent = subproblems.turned(axes[3], q4, (wrist - origins[3])[:, None])
+        spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
+        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between those that are looked at
+        span = float(spans.min()) - slack, float(spans.max()) + slack
+        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded, span)
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
         """Postures for targets.
@@ -148,28 +155,32 @@ class ClosedForm:
             strain.reshape(shape).transpose(1, 0, 2).reshape(each),
         )
 
-    def miss(self, position: Array, turn: Array | None) -> float:
-        """How far the tool stays away from a target at least, whatever the posture, m; 0 where nothing is known.
+    def miss(self, positions: Array, turns: Array | None) -> Array:
+        """How far the tool stays away from targets at least, whatever the posture; 0 where nothing is known.
 
         With an orientation it is the wrist that counts, and that the orientation is exact.
+
+        Args:
+            positions: (m, 3) of the tool in the base link, m.
+            turns: (m, 3, 3) its orientations; None if any will do.
+
+        Returns:
+            (m,), m.
         """
-        rotation = np.eye(3) if turn is None else turn @ self.tool[:3, :3].T
         hand = self.wrist - self.tool[:3, 3]
-        goal = position if turn is None else position + rotation @ hand
+        goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
         q1 = np.linspace(self.lower[0], self.upper[0], _STEPS)
         centre = self.origins[0][:, None]
-        away = subproblems.turned(self.axes[0], -q1, goal[:, None] - centre) + centre - self.shoulder[:, None]
-        far = np.sqrt((away * away).sum(axis=0))
-        q4 = np.linspace(self.lower[3], self.upper[3], _STEPS)
-        bent = subproblems.turned(self.axes[3], q4, (self.wrist - self.origins[3])[:, None])
-        reach = np.linalg.norm(bent + (self.origins[3] - self.shoulder)[:, None], axis=0)
-        # between the values that are looked at, the shoulder and the wrist move by less than this
+        away = np.repeat(goals.T, len(q1), axis=1) - centre
+        away = subproblems.turned(self.axes[0], np.tile(-q1, len(goals)), away) + centre - self.shoulder[:, None]
+        far = np.sqrt((away * away).sum(axis=0)).reshape(len(goals), -1)
+        # between the values that are looked at, the shoulder moves by less than this
         slack = _radius(self.shoulder, self.origins[0], self.axes[0]) * float(q1[1] - q1[0]) / 2
-        slack += _radius(self.wrist, self.origins[3], self.axes[3]) * float(q4[1] - q4[0]) / 2
-        spare = 0.0 if turn is not None else float(np.linalg.norm(hand))
-        short = float(far.min() - reach.max())
-        long = float(reach.min() - far.max())
-        return max(0.0, max(short, long) - spare - slack)
+        if turns is None:
+            slack += float(np.linalg.norm(hand))
+        short, long = self.span
+        missed: Array = np.maximum(np.maximum(far.min(axis=1) - long, short - far.max(axis=1)) - slack, 0.0)
+        return missed
 
     def _at_poses(self, positions: Array, turns: Array, tried: Array) -> tuple[int, Array, Array]:
         """Number of ways to bend the arm, postures, and their strains, for given values of joint 1."""

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -26,10 +27,12 @@ if TYPE_CHECKING:
 
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
+    from pycram.reasoning.rehearsal import Foreseen
     from pycram.robots.description import Arm
     from recorder.geometry import Quaternion, Vector
 
     Cost = tuple[bool, float, float, float]
+    Rank = tuple[Cost, int, int]
 
 _SPARE: Final = 0.004  # m of the aperture that has to stay free
 _CLEAR: Final = 0.002  # m that the finger tips keep from what the object stands on
@@ -109,7 +112,8 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         (_, turn), *_ = ways
         fit = [grasp for grasp in itertools.islice(fitting, len(ways)) if grasp is not None]
         if fit:  # as the robot stands, unless the object lies across
-            found.append(min(fit, key=lambda grasp, turn=turn: grasp.width + (grasp.orientation != turn) * _SPARE))  # type: ignore[misc]
+            widths = [grasp.width + (grasp.orientation != turn) * _SPARE for grasp in fit]
+            found.append(fit[widths.index(min(widths))])
     if all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
         found.extend(_rims(outline, robot, arm))
     return found
@@ -214,86 +218,120 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         found = [(Grasp("any", at, IDENTITY[1], 0.0), solver.postures(at, None))]
     else:
         grasps = candidates(body, robot, arm, names)
-        ways = solver.at_once([(grasp.position, grasp.orientation, None) for grasp in grasps])
+        targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
+        ways = solver.at_once(targets)
         if not any(ways):  # what has to be searched for is at the edge of what the arm can: for need only
-            ways = [solver.postures(grasp.position, grasp.orientation) for grasp in grasps]
+            ways = solver.searched(targets)
         found = list(zip(grasps, ways, strict=True))
-    options = [(grasp, way) for grasp, ways in found for way in ways]
-    reached = [(grasp, way) for grasp, way in options if way.reached(reach.THRESHOLD)]
-    if not reached:
-        nearest = min((way for _, way in options), key=lambda way: way.posture.position_error, default=None)
-        return GraspPlan(None, nearest)
+    reaching = [(grasp, [way for way in ways if way.reached(reach.THRESHOLD)]) for grasp, ways in found]
+    reaching = [(grasp, ways) for grasp, ways in reaching if ways]
+    if not reaching:
+        missed = (way for _, ways in found for way in ways)
+        return GraspPlan(None, min(missed, key=lambda way: way.posture.position_error, default=None))
     opened = arm.gripper.positions("open") if arm else {}
     with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
-        return _least(body, rehearsal, reached, opened, rehearsal.beyond(solver.joints))
+        return _Choice(body, rehearsal, reaching, opened, rehearsal.beyond(solver.joints)).made()
 
 
-def _least(
-    body: Object,
-    rehearsal: Rehearsal,
-    options: Sequence[tuple[Grasp, Reach]],
-    opened: Mapping[str, float],
-    hand: Collection[str],
-) -> GraspPlan:
-    """The posture that touches least; of several the first.
+class _Choice:
+    """The choice of the posture that touches least; of several the first.
 
-    The hand is where it is whatever the arm does, so it is looked at first: where it alone is worse than what was found
-    already, no posture for that grasp will do.
+    The hand is where it is whatever the arm does, so it is looked at once for each grasp: if it alone is worse than
+    what was found already, no posture for that grasp will do. Grasps that are good for the hand come first.
 
     Args:
         body: the object, which the open hand shouldn't be in.
         rehearsal: of the robot.
-        options: postures, those for one grasp side by side.
+        options: grasps, each with the postures for it.
         opened: joint values of the open gripper.
         hand: links that all postures for a grasp bring to one place.
     """
-    least: GraspPlan | None = None
-    bent: GraspPlan | None = None
-    rank: Cost = (True, math.inf, math.inf, math.inf)
-    beaten: Grasp | None = None
-    foreseen = rehearsal.foresee([{**way.posture.positions, **opened} for _, way in options])
-    for (grasp, way), posture in zip(options, foreseen, strict=True):
-        if grasp is beaten:
-            continue
-        rehearsal.take(posture)
-        bound = _cost(rehearsal, body, rank, hand)
-        cost = _cost(rehearsal, body, rank) if bound < rank else bound
-        if cost < rank:
-            own = rehearsal.touches_itself()
-            if own:
-                bent = GraspPlan(None, way, own=own)
-            else:
-                obstacles = rehearsal.touched()
-                obstacles.pop(body, None)
-                least, rank = GraspPlan(grasp, way, obstacles), cost
-        if rank <= _FREE:
-            break
-        if rank <= bound:
-            beaten = grasp
-    return least or bent or GraspPlan(None, None)
 
+    def __init__(
+        self,
+        body: Object,
+        rehearsal: Rehearsal,
+        options: Sequence[tuple[Grasp, Sequence[Reach]]],
+        opened: Mapping[str, float],
+        hand: Collection[str],
+    ) -> None:
+        self._body = body
+        self._rehearsal = rehearsal
+        self._options = options
+        self._opened = opened
+        self._hand = hand
+        self._arm = rehearsal.moving() - set(hand)
+        self._least: Rank = ((True, math.inf, math.inf, math.inf), 0, 0)
+        self._chosen: tuple[Foreseen, GraspPlan] | None = None
+        self._bent: tuple[Rank, GraspPlan] | None = None
 
-def _cost(rehearsal: Rehearsal, body: Object, enough: Cost, links: Collection[str] | None = None) -> Cost:
-    """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
-
-    Args:
-        rehearsal: which has taken it.
-        body: the object that is to be taken.
-        enough: as soon as it costs as much, the rest doesn't matter.
-        links: the robot's links that count; all by default.
-
-    Returns:
-        Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
-    """
-    depths: dict[Object, float] = {}
-    cost = _FREE
-    for other, touch in rehearsal.hits(links):
-        if -touch.distance > depths.get(other, 0.0):
-            depths[other] = -touch.distance
-            counted = [hit for hit in depths if hit is not body]
-            furniture = sum(hit.fixed for hit in counted)
-            deep = sum(sorted(depths[hit] for hit in counted))
-            cost = (body in depths, furniture, len(counted) - furniture, deep)
-            if cost >= enough:
+    def made(self) -> GraspPlan:
+        """The grasp, its posture, and what is touched there."""
+        waiting: list[tuple[Cost, int, dict[Object, float]]] = []
+        for number, posture in enumerate(self._foreseen([ways[0] for _, ways in self._options])):
+            self._rehearsal.take(posture)
+            depths: dict[Object, float] = {}
+            cost = self._cost(depths, self._hand, (self._least[0], number, 0))
+            if cost <= _FREE:
+                self._look(number, depths)
+            elif (cost, number, 0) < self._least:
+                heappush(waiting, (cost, number, depths))
+            if self._least[0] <= _FREE:
+                waiting.clear()
                 break
-    return cost
+        while waiting:
+            cost, number, depths = heappop(waiting)
+            if (cost, number, 0) < self._least:
+                self._look(number, depths)
+        if self._chosen is None:
+            return self._bent[1] if self._bent else GraspPlan(None, None)
+        posture, plan = self._chosen
+        self._rehearsal.take(posture)
+        obstacles = self._rehearsal.touched()
+        obstacles.pop(self._body, None)
+        return replace(plan, obstacles=obstacles)
+
+    def _foreseen(self, ways: Sequence[Reach]) -> list[Foreseen]:
+        return self._rehearsal.foresee([{**way.posture.positions, **self._opened} for way in ways])
+
+    def _look(self, number: int, hand: Mapping[Object, float]) -> None:
+        """Looks at all postures for one grasp, of which it is known what the hand touches, and how deep, m."""
+        grasp, ways = self._options[number]
+        for place, (way, posture) in enumerate(zip(ways, self._foreseen(ways), strict=True)):
+            self._rehearsal.take(posture)
+            rank = (self._cost(dict(hand), self._arm, self._least), number, place)
+            if rank >= self._least:
+                continue
+            own = self._rehearsal.touches_itself()
+            if not own:
+                self._least, self._chosen = rank, (posture, GraspPlan(grasp, way))
+            elif self._bent is None or rank[1:] > self._bent[0][1:]:
+                self._bent = rank, GraspPlan(None, way, own=own)
+            if self._least[0] <= _FREE:
+                return
+
+    def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Rank) -> Cost:
+        """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
+
+        Args:
+            depths: of what is touched, m; what these links touch is added.
+            links: the robot's links that are looked at.
+            enough: as soon as it is as bad, the rest doesn't matter.
+
+        Returns:
+            Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
+        """
+        cost = self._told(depths)
+        for other, touch in self._rehearsal.hits(links):
+            if -touch.distance > depths.get(other, 0.0):
+                depths[other] = -touch.distance
+                cost = self._told(depths)
+                if cost > enough[0]:
+                    break
+        return cost
+
+    def _told(self, depths: Mapping[Object, float]) -> Cost:
+        counted = [hit for hit in depths if hit is not self._body]
+        furniture = sum(hit.fixed for hit in counted)
+        deep = sum(sorted(depths[hit] for hit in counted))
+        return self._body in depths, furniture, len(counted) - furniture, deep

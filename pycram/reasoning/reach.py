@@ -164,21 +164,49 @@ class Solver:
         threshold: float = THRESHOLD,
     ) -> list[Reach]:
         """See :func:`postures`; ``base`` is where the robot's base is taken to be, ``threshold`` m are near enough."""
+        (found,) = self.searched(
+            [(position, orientation, base)], thorough=thorough, quick=quick, seed=seed, threshold=threshold
+        )
+        return found
+
+    def searched(
+        self,
+        targets: Sequence[Target],
+        *,
+        thorough: bool = False,
+        quick: bool = False,
+        seed: Mapping[str, float] | None = None,
+        threshold: float = THRESHOLD,
+    ) -> list[list[Reach]]:
+        """As :meth:`postures`, for many targets.
+
+        Args:
+            targets: positions and orientations in the world, for all or for none, and where the robot's base is taken
+                to be.
+            thorough: look for several.
+            quick: don't look long; a miss then proves nothing.
+            seed: posture to start from; the present one by default.
+            threshold: m that are near enough.
+
+        Returns:
+            For each at least one; if the first doesn't reach, none does.
+        """
         if not self.joints:
-            away = math.dist(geometry.transform(self._root_T_world, position), self._root_T_link)
-            return [Reach(Posture({}, away, 0.0, away < THRESHOLD), self._link)]
+            ways = [math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, _, _ in targets]
+            return [[Reach(Posture({}, away, 0.0, away < THRESHOLD), self._link)] for away in ways]
+        if not targets:
+            return []
         start = self._now if seed is None else seed
         seeds = [start, *(self._arm.posture(name) for name in self._arm.poses)] if self._arm else [start]
-        target, turn = self._in_root(position, orientation, base)
-        found = self._kinematics.solve_all(target, turn, seeds, thorough=thorough, quick=quick, enough=threshold)
-        return [Reach(posture, self._link) for posture in found]
+        wanted = [self._in_root(*target) for target in targets]
+        found = self._kinematics.solve_all(wanted, seeds, thorough=thorough, quick=quick, enough=threshold)
+        return [[Reach(posture, self._link) for posture in each] for each in found]
 
     def at_once(self, targets: Sequence[Target]) -> list[list[Reach]]:
         """Postures for many targets that are found without searching; an empty list says nothing.
 
         Args:
-            targets: positions and orientations in the world, for all or for none, and where the robot's base is taken
-                to be.
+            targets: as for :meth:`searched`.
         """
         if not self.joints:
             return [[] for _ in targets]

@@ -6,7 +6,7 @@ touch in all of them (:mod:`pycram.reasoning.boxes`); the engine looks closely o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -46,12 +46,14 @@ class Foreseen:
         base: pose of the robot's base; None where it stands.
         pairs: links that move, with whose they are, and the others that they could touch.
         moved: (joints + 1, 4, 4) how the joints carry things there.
+        seen: touches of the pairs that have been looked at.
     """
 
     positions: Mapping[str, float]
     base: Pose | None
     pairs: tuple[Pair, ...]
     moved: NDArray[np.float64]
+    seen: dict[Pair, list[Touch]] = field(default_factory=dict)
 
 
 class Rehearsal:
@@ -84,11 +86,13 @@ class Rehearsal:
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
         self._obstacles = [other for other in world.objects if other not in skipped]
         self._depth = _arm_depths(robot, self._joints)
-        self._articulation = Articulation(self._engine, self._body, robot.urdf, self._joints)
+        self._articulation = self._twin.known(
+            robot, self._joints, lambda copy: Articulation(self._engine, copy, robot.urdf, self._joints)
+        )
         self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
         self._stand = self._engine.pose(self._body)
         self._whole = self._twin.boxes(robot)
-        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held]
+        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in self._moving]
         carriers = self._articulation.carriers
         self._carried = np.array([carriers[link] for link in self._whole.links], dtype=np.intp)
         moving = np.array([link in self._moving for link in self._whole.links], dtype=bool)
@@ -100,9 +104,8 @@ class Rehearsal:
         around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
-        self._taken = Foreseen({}, None, (), self._articulation.moved([{}])[0])
+        self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(self._articulation.joints) + 1, 4, 4)))
         self._there = False
-        self._seen: dict[Pair, list[Touch]] = {}
         self._own: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None
 
     def __enter__(self) -> Self:
@@ -145,22 +148,22 @@ class Rehearsal:
             (positions,) = self.foresee([positions], base)
         self._taken = positions
         self._there = False
-        self._seen = {}
 
     def _look(self, pair: Pair) -> list[Touch]:
         """Where two links touch; the twin's robot is put there only for this."""
         engine, taken = self._engine, self._taken
+        if pair in taken.seen:
+            return taken.seen[pair]
         if not self._there:
             engine.set_pose(self._body, taken.base or self._stand)
             engine.pose_joints(self._body, {**{name: self._now[name] for name in self._joints}, **taken.positions})
             for _, body, link, pose in self._held:
                 engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
             self._there = True
-        if pair not in self._seen:
-            mover, link, other, other_link = pair
-            bodies = self._bodies[mover.name], self._bodies[other.name]
-            self._seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
-        return self._seen[pair]
+        mover, link, other, other_link = pair
+        bodies = self._bodies[mover.name], self._bodies[other.name]
+        taken.seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
+        return taken.seen[pair]
 
     def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, Touch]]:
         """Touches in the posture that it has taken, as they are found; what was looked at once is known.
@@ -217,6 +220,10 @@ class Rehearsal:
             firsts, seconds = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
             self._own = firsts, seconds
         return self._own
+
+    def moving(self) -> set[str]:
+        """The robot's links that are looked at."""
+        return set(self._moving)
 
     def beyond(self, joints: Collection[str]) -> set[str]:
         """The robot's links that hang on all of some joints: with an arm's joints its hand.

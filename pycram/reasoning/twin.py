@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 import weakref
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 from pycram.engine import Engine
 from pycram.funnel import Reading, read
@@ -17,13 +17,16 @@ from pycram.reasoning.boxes import Boxes
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Hashable, Iterable, Mapping
 
     from pycram.attachments import Attachment
     from pycram.body import Body
     from pycram.bullet_world import BulletWorld
     from pycram.objects import Object
 
+T = TypeVar("T")
+
+_KEPT: Final = 8  # things known of a copy
 _AWAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
@@ -32,7 +35,7 @@ class _Copy:
     original: Body
     body: Body
     state: Reading | None
-    boxes: tuple[Reading, Boxes] | None = None
+    known: dict[Hashable, tuple[Reading, object]] = field(default_factory=dict)
 
 
 class Twin:
@@ -128,17 +131,31 @@ class Twin:
         return copy.body
 
     def boxes(self, body: Object) -> Boxes:
-        """Boxes around an object's pieces, as it was last synced; looked for anew when it has moved since.
+        """Boxes around an object's pieces, as it was last synced.
 
         Args:
             body: one of the objects that were wanted, and not disturbed since.
         """
+        return self.known(body, "boxes", lambda copy: Boxes.around(self.engine, copy, body))
+
+    def known(self, body: Object, what: Hashable, look: Callable[[Body], T]) -> T:
+        """What somebody has to know of an object as it was last synced; looked for anew when it has moved since.
+
+        Args:
+            body: one of the objects that were wanted, and not disturbed since.
+            what: a name for it.
+            look: finds it out of the copy.
+        """
         copy = self._copies[body.name]
         if copy.state is None:
             raise AssertionError(f"{body.name} isn't as it was synced")
-        if copy.boxes is None or copy.boxes[0] != copy.state:
-            copy.boxes = copy.state, Boxes.around(self.engine, copy.body, body)
-        return copy.boxes[1]
+        state, found = copy.known.get(what, (None, None))
+        if state != copy.state:
+            if len(copy.known) >= _KEPT:
+                copy.known.clear()
+            found = look(copy.body)
+            copy.known[what] = copy.state, found
+        return cast("T", found)
 
     def disturbed(self, *names: str) -> None:
         """Says which copies are not as they were synced: they are put back by the next sync.

@@ -57,15 +57,15 @@ def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
     solver = chain(*arm)
     limit = 1.0 if arm is SLIDING else 2.3
     posture = np.array(data.draw(st.lists(st.floats(-limit, limit), min_size=len(arm[0]), max_size=len(arm[0]))))
-    pose = solver.poses(posture[None])[0]
+    pose = solver.chain.poses(posture[None])[0]
     turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
-    found = solver.solve_all(pose[:3, 3], turn)
+    (found,) = solver.solve_all([(pose[:3, 3], turn)])
     if arm in (PR2, IIWA, SKEWED):
         assert found[0].reached
     for way in found:
-        values = np.array([[way.positions[name] for name in solver.joints]])
+        values = np.array([[way.positions[name] for name in solver.chain.joints]])
         assert (np.abs(values) <= 2.5 + 1e-9).all()
-        there = solver.poses(values)[0]
+        there = solver.chain.poses(values)[0]
         assert np.linalg.norm(there[:3, 3] - pose[:3, 3]) == pytest.approx(way.position_error, abs=1e-6)
         assert way.position_error < 1e-3 or not way.reached
 
@@ -75,7 +75,7 @@ def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> Non
         solver = chain(*arm)
         postures = np.random.default_rng(4).uniform(-1.5, 1.5, (25, len(arm[0])))
         reached = 0
-        for pose in solver.poses(postures):
+        for pose in solver.chain.poses(postures):
             turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
             reached += solver.solve(pose[:3, 3], turn).reached
         assert reached >= 23, arm
