@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _LARGE: Final = 400  # pixels from which on a triangle is worth a look of its own
+_BAND: Final = 32  # rows of such a one that are looked at together: most of what is around a slanted one is left out
 _AT_ONCE: Final = 1 << 16  # pixels of smaller ones that are looked at together; more would only take memory
 
 
@@ -61,24 +62,38 @@ def rasterize(
     planes[shown] = _planes(u[shown], v[shown], inverse[shown])
     shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # of an edge-on triangle nothing is seen
     pixels = (right - left) * (bottom - top)
-    for number in shown[pixels[shown] > _LARGE]:
-        area = slice(top[number], bottom[number]), slice(left[number], right[number])
-        a, b, c = planes[number].T[:, :, None]
-        across, down = a * np.arange(left[number], right[number]) + c, b * np.arange(top[number], bottom[number])
-        values = across[:, None, :] + down[:, :, None]
-        better = (values[:3].min(axis=0) >= 0) & (values[3] > nearness[area])
-        nearness[area][better] = values[3][better]
-        seen[area][better] = numbers[number]
+    large = shown[pixels[shown] > _LARGE]
+    for number, low, high, start, end in _bands(planes[large], left[large], right[large], top[large], bottom[large]):
+        area = slice(low, high), slice(start, end)
+        a, b, c = planes[large[number]].T[:, :, None]
+        across, down = a * np.arange(start, end) + c, b * np.arange(low, high)
+        close = across[3] + down[3][:, None]
+        better = close > nearness[area]
+        if better.any():
+            better &= (across[:3, None, :] + down[:3, :, None]).min(axis=0) >= 0
+            nearness[area][better] = close[better]
+            seen[area][better] = numbers[large[number]]
     small = shown[pixels[shown] <= _LARGE]
-    for part, columns, rows in _covered(small, left, right, top, bottom):
-        values = planes[part] @ np.stack([columns, rows, np.ones_like(rows)], axis=1)[:, :, None].astype(np.float64)
-        kept = (values[:, :3, 0] >= 0).all(axis=1)
-        owner, column, row, close = part[kept], columns[kept], rows[kept], values[kept, 3, 0]
-        before = nearness[row, column]
-        np.maximum.at(nearness, (row, column), close)
-        first = (close > before) & (nearness[row, column] == close)
-        seen[row[first], column[first]] = numbers[owner[first]]
+    for around in _covered(small, left, right, top, bottom):
+        part, columns, rows = around
+        for corner in range(3):  # one after the other: most pixels are out of the first
+            kept = _value(planes[:, corner], part, columns, rows) >= 0
+            part, columns, rows = part[kept], columns[kept], rows[kept]
+        close = _value(planes[:, 3], part, columns, rows)
+        before = nearness[rows, columns]
+        np.maximum.at(nearness, (rows, columns), close)
+        first = (close > before) & (nearness[rows, columns] == close)
+        seen[rows[first], columns[first]] = numbers[part[first]]
     return np.where(seen >= 0, 1.0 / nearness, np.inf), seen
+
+
+def _value(
+    factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Value of the planes of triangles (n, 3) at pixels, of which each is looked at for one of them."""
+    a, b, c = factors.T
+    told: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
+    return told
 
 
 def _reach(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -86,6 +101,30 @@ def _reach(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], ND
     low = np.ceil(np.clip(axis.min(axis=1), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(axis.max(axis=1), -1, limit - 1)).astype(np.int64) + 1
     return low, high
+
+
+def _bands(
+    planes: NDArray[np.float64],
+    left: NDArray[np.int64],
+    right: NDArray[np.int64],
+    top: NDArray[np.int64],
+    bottom: NDArray[np.int64],
+) -> Iterator[tuple[int, int, int, int, int]]:
+    """Rows of triangles, a few at once, and the columns that they reach: number, rows, columns, each end excluded."""
+    counts = -(-(bottom - top) // _BAND)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    low = top[owner] + _BAND * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
+    high = np.minimum(low + _BAND, bottom[owner])
+    a, b, c = planes[owner, :3].transpose(2, 0, 1)  # an edge is where a * column + b * row + c is 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([-(b * row[:, None] + c) / a for row in (low, high - 1)])
+        slack = 1 + 1e-12 * (np.abs(b) * high[:, None] + np.abs(c)) / np.abs(a)  # so much these may be wrong by
+        first = np.where(a > 0, ends.min(axis=0) - slack, -np.inf).max(axis=1, initial=-np.inf)
+        last = np.where(a < 0, ends.max(axis=0) + slack, np.inf).min(axis=1, initial=np.inf)
+    start = np.clip(np.floor(first), left[owner], right[owner]).astype(np.int64)
+    end = np.clip(np.ceil(last) + 1, left[owner], right[owner]).astype(np.int64)
+    kept = start < end
+    yield from zip(*(each[kept].tolist() for each in (owner, low, high, start, end)), strict=True)
 
 
 def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:

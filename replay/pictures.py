@@ -29,20 +29,22 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
     Raises:
         ReplayError: they can't be written.
     """
-    from replay.render import render  # noqa: PLC0415  rebuilds the world, which needs the physics engine
+    from replay.render import seen  # noqa: PLC0415  both need the physics engine
+    from replay.world import aside  # noqa: PLC0415
 
+    robot = next((thing.body for thing in found.things if thing.robot), None)
+    camera = camera_of(robot.loaded).get("frame") if robot is not None else None
+    files = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        files = []
-        world = found.world.name if found.world is not None else None
-        robot = next((thing.body for thing in found.things if thing.robot), None)
-        camera = camera_of(robot.loaded).get("frame") if robot is not None else None
-        if isinstance(camera, str):
-            files.append(folder / f"step_{found.step}_robot.png")
-            render(log, found.step, camera=camera, world=world).save(files[-1])
-        if found.things:
+        if not found.things:
+            return []
+        with aside(log, found.step, found.world.name if found.world is not None else None) as world:
+            if isinstance(camera, str):
+                files.append(folder / f"step_{found.step}_robot.png")
+                seen(world, camera=camera).save(files[-1])
             files.append(folder / f"step_{found.step}_side.png")
-            render(log, found.step, target=_middle(found), world=world).save(files[-1])
+            seen(world, target=_middle(found)).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files

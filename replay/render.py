@@ -58,16 +58,40 @@ def render(
         NoSuchName: there is no such frame.
         ReplayError: a size or a point that can't be.
     """
+    with aside(log, step, world) as restored:
+        return seen(restored, camera=camera, eye=eye, target=target, size=size)
+
+
+def seen(
+    world: BulletWorld,
+    *,
+    camera: str | None = None,
+    eye: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
+    size: tuple[int, int] = (640, 480),
+) -> Image.Image:
+    """A picture of a live world.
+
+    Args:
+        world: the world.
+        camera: as for :func:`render`, as are the others.
+        eye: where to look from.
+        target: where to look.
+        size: width and height in pixels.
+
+    Raises:
+        NoSuchName: there is no such frame.
+        ReplayError: a size or a point that can't be.
+    """
     if not all(isinstance(side, int) and 0 < side <= _LARGEST for side in size):
         raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_LARGEST} a side")
-    with aside(log, step, world) as restored:
-        if camera is not None:
-            return _picture(restored, _of_robot(restored, camera, size), size)
-        aim = _middle(restored) if target is None else _point("target", target)
-        place = _beside(restored, aim) if eye is None else _point("eye", eye)
-        if math.dist(place, aim) < 1e-6:
-            raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
-        return _picture(restored, _camera(place, geometry.look_at(place, aim), _WIDE, size), size)
+    if camera is not None:
+        return _picture(world, _of_robot(world, camera, size), size)
+    aim = _middle(world) if target is None else _point("target", target)
+    place = _beside(world, aim) if eye is None else _point("eye", eye)
+    if math.dist(place, aim) < 1e-6:
+        raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
+    return _picture(world, _camera(place, geometry.look_at(place, aim), _WIDE, size), size)
 
 
 def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pycram import raster
 from pycram.raster import Window, rasterize
 
 WINDOW = Window(-0.7, -0.5, 0.6, 0.4)
@@ -63,6 +64,21 @@ def test_the_nearest_wins_and_large_and_small_ones_agree() -> None:
     assert depth[seen < 2] == pytest.approx(5.0)
     assert depth[seen >= 2] == pytest.approx(3.0)
     assert len(np.unique(seen[seen >= 2])) > 40
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_large_ones_are_seen_whole_band_by_band(flat: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    random = np.random.default_rng(3)
+    for _ in range(12):
+        triangles = random.normal(size=(8, 3, 3)) * random.choice([0.3, 2, 20]) + [0, 0, 2]
+        if flat:
+            triangles[:, 1, 1:] = triangles[:, 0, 1:]  # an edge along the rows
+        told = []
+        for large in (-1, 1 << 30):
+            monkeypatch.setattr(raster, "_LARGE", large)
+            told.append(rasterize(triangles, WINDOW, (60, 80), NEAR, FAR))
+        assert (told[0][1] == told[1][1]).all()
+        assert told[0][0] == pytest.approx(told[1][0])
 
 
 def test_nothing_to_see() -> None:
