@@ -268,7 +268,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         said.append(line)
         if "the page stays until Ctrl-C" in line:
             break
-    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?url=(\S+)", "".join(said))
+    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
     assert address, said
     assert answers(urllib.request.unquote(address[2]))
     with urllib.request.urlopen(address[1]) as page:
