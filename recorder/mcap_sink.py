@@ -28,7 +28,7 @@ from recorder.mcap_writer import MAGIC, McapWriter
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
     from google.protobuf.message import Message
@@ -73,13 +73,17 @@ class McapSink:
     Args:
         path: the file; an MCAP file that is there is replaced, anything else is not.
         metadata: what to say of the run.
+        at_the_end: tells what to say of it then.
 
     Raises:
         RecordingError: it can't be written.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self, path: Path, metadata: Mapping[str, str], at_the_end: Callable[[], Mapping[str, str]] = dict
+    ) -> None:
         self.path = path
+        self._at_the_end = at_the_end
         raw = _open(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
@@ -209,7 +213,7 @@ class McapSink:
             try:
                 with self._guarded():
                     self._flush()
-                    self._writer.add_metadata("pycram.end", {"records": str(self._count)})
+                    self._writer.add_metadata("pycram.end", {"records": str(self._count), **self._at_the_end()})
                     self._writer.finish()
             finally:
                 self._let_go()

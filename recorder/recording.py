@@ -118,7 +118,7 @@ def _begin(
         if viewer is not None:
             undoing.callback(viewer.close)
         metadata = {"plan": title, "plan_arguments": " ".join(map(str, arguments)), "started_ns": str(time.time_ns())}
-        sink = McapSink(file, metadata)
+        sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.told)
         undoing.callback(sink.close)
         log = Journal([sink] if viewer is None else [sink, viewer])
         _leave_to_parent(sink, log)

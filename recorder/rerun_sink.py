@@ -3,7 +3,8 @@
 Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
 (:mod:`recorder.viewer.live`) that translates them, and goes on when the viewer has taken a batch. When the recording
 ends, the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand
-it over. What the viewer has not got is counted and said: the file has it all.
+it over. What the viewer has not got is counted and said: the file has it all, and says how many records there was no
+room for.
 """
 
 from __future__ import annotations
@@ -77,6 +78,10 @@ class RerunSink:
             self._process = _start(theirs, live, title)
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
+
+    def told(self) -> dict[str, str]:
+        """What the file is told of it when it ends: how many records there was no room for, whatever comes."""
+        return {"viewer_dropped": str(self._backlog.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.journal.Sink`."""

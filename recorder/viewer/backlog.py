@@ -30,6 +30,9 @@ class Backlog:
     Args:
         most_items: bound on the number of items.
         most_bytes: bound on their bytes.
+
+    Attributes:
+        dropped: how many records there was no room for.
     """
 
     def __init__(self, most_items: int = 20_000, most_bytes: int = 128 << 20) -> None:
@@ -41,6 +44,7 @@ class Backlog:
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
+        self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._items)
@@ -66,7 +70,8 @@ class Backlog:
             self._count += 1
             self._bytes += _cost(item)
             while self._items and (len(self._items) > self._most_items or self._bytes > self._most_bytes):
-                self._pop(self._passing[0] if self._passing else next(iter(self._items)))
+                lost = self._pop(self._passing[0] if self._passing else next(iter(self._items)))
+                self.dropped += isinstance(lost, tuple)
             self._changed.notify()
 
     def take(self, most_items: int, most_bytes: int) -> list[Item]:

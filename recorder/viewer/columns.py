@@ -62,6 +62,12 @@ class Series:
         self.moments.append(moment)
         self.rows.append(row)
 
+    def take(self) -> tuple[list[Moment], list[tuple[Any, ...]]]:
+        """Takes all moments and rows away."""
+        taken = self.moments, self.rows
+        self.moments, self.rows = [], []
+        return taken
+
 
 class Columns:
     """What is to be sent; for one thread.
@@ -156,9 +162,8 @@ class Columns:
     def _flush(self, path: str) -> None:
         for series in self._series.get(path, {}).values():
             if series.rows:
-                self._send(path, series.moments, series.maker(series.rows))
-                series.moments.clear()
-                series.rows.clear()
+                moments, rows = series.take()
+                self._send(path, moments, series.maker(rows))
 
     def _send(self, path: str, moments: Sequence[Moment], columns: Iterable[rr.ComponentColumn]) -> None:
         times = table(moments, np.int64)

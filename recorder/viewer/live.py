@@ -6,8 +6,8 @@ that is left, and this process has a while of its own to hand that over. Loading
 cost the plan nothing either, but for the core that they run on.
 
 On the socket between them, this side says ``Word.ABSENT`` perhaps, ``Word.READY`` when there is a viewer, and then how
-many records of each batch the viewer took. The other side sends batch after batch, lists of topics with payloads and of
-files, and an empty one at the end.
+many records of each batch the viewer took; one that can't be shown is none of them. The other side sends batch after
+batch, lists of topics with payloads and of files, and an empty one at the end.
 """
 
 from __future__ import annotations
@@ -101,10 +101,10 @@ class _Batches:
     def __iter__(self) -> Iterator[list[Item]]:
         return iter(self._queue.get, [])
 
-    def taken(self, batch: list[Item]) -> None:
+    def taken(self, records: int) -> None:
         """Says that the viewer has a batch, if the recording still wants to know."""
         with contextlib.suppress(OSError):
-            self._connection.send(sum(isinstance(item, tuple) for item in batch))
+            self._connection.send(records)
 
 
 def _serve(connection: Connection, wish: Wish, title: str, found: threading.Event) -> None:
@@ -127,39 +127,53 @@ def _serve(connection: Connection, wish: Wish, title: str, found: threading.Even
     translator = Translator(stream)
     connection.send(Word.READY)
     batches = _Batches(connection)
-    shown = True
+    showing = _Showing(translator)
     for batch in batches:
-        shown = _show(translator, batch, tell=shown) and shown
+        shown = showing.show(batch)
         _deliver(stream)
-        batches.taken(batch)
+        batches.taken(shown)
     translator.finish()
     if wish.kind is Kind.SERVE:
-        batches.taken([])
+        batches.taken(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all
-    batches.taken([])
+    batches.taken(0)
 
 
-def _show(translator: Translator, batch: list[Item], *, tell: bool) -> bool:
-    """Translates a batch; what can't be is left out, and said once.
+class _Showing:
+    """Translates batches; what can't be is left out, and said once."""
 
-    Returns:
-        Whether all of it could be.
-    """
-    whole = True
-    for item in batch:
+    def __init__(self, translator: Translator) -> None:
+        self._translator = translator
+        self._told = False
+
+    def show(self, batch: list[Item]) -> int:
+        """Translates a batch.
+
+        Returns:
+            How many records of it are shown.
+        """
+        shown = 0
+        for item in batch:
+            with self._leaving_out():
+                if isinstance(item, tuple):
+                    topic, payload = item
+                    self._translator.show(_KINDS[topic].FromString(payload))
+                    shown += 1
+                else:
+                    self._translator.attach(item)
+        with self._leaving_out():
+            self._translator.flush()
+        return shown
+
+    @contextlib.contextmanager
+    def _leaving_out(self) -> Iterator[None]:
         try:
-            if isinstance(item, tuple):
-                topic, payload = item
-                translator.show(_KINDS[topic].FromString(payload))
-            else:
-                translator.attach(item)
+            yield
         except Exception as error:  # noqa: BLE001  users' own values stand in records
-            if tell and whole:
+            if not self._told:
                 print(f"recorder: something can't be shown ({error!r}); the file has it", file=sys.stderr, flush=True)
-            whole = False
-    translator.flush()
-    return whole
+            self._told = True
 
 
 def _deliver(stream: rr.RecordingStream) -> None:

@@ -17,8 +17,9 @@ import rerun as rr
 from recorder import geometry
 from recorder.frames import ROOT, frame_name
 from recorder.records import Keyframe
+from recorder.shapes import read_shapes
 from recorder.viewer.columns import table
-from recorder.viewer.shapes import drawn, shapes_of
+from recorder.viewer.shapes import drawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -235,7 +236,7 @@ class Scene:
             return
         for place, role in _ROLES.items():
             paint: Any = _UNSEEN if place == COLLISION else (color or None)
-            for link, shapes in shapes_of(model, role).items():
+            for link, shapes in read_shapes(model, role).items():
                 frame = self.frame(world, loaded.body, link)
                 for name, archetypes in drawn(shapes, self._mesh, paint):
                     path = self._columns.path(world, place, loaded.body, link, name)

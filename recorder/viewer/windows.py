@@ -13,6 +13,7 @@ from urllib.parse import quote
 import rerun as rr
 
 from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, address, answers, free_port
+from recorder.viewer.page import Page
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,7 +31,7 @@ class ViewerGone(Exception):
 def serve_page(stream: rr.RecordingStream) -> str:
     """Serves what a stream gets, and the viewer as a page to see it with; needs no network.
 
-    Both servers live in this process. Pages that are opened late get everything from the beginning.
+    All servers live in this process. Pages that are opened late get everything from the beginning.
 
     Args:
         stream: where rows are sent to.
@@ -42,10 +43,9 @@ def serve_page(stream: rr.RecordingStream) -> str:
         ViewerGone: nothing can be served.
     """
     records = _on_free_port(RECORDS_PORT, lambda port: _serve_records(stream, port))
-    page = _on_free_port(
-        PAGE_PORT, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False, connect_to=address(records))
-    )
-    return f"http://{HOST}:{page}/?url={quote(address(records), safe='')}"
+    source = _on_free_port(0, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False))
+    page = _on_free_port(PAGE_PORT, lambda port: Page(port, source, records))
+    return f"http://{HOST}:{page}/?hide_welcome_screen&url={quote(address(records), safe='')}"
 
 
 def _serve_records(stream: rr.RecordingStream, port: int) -> None:
@@ -53,13 +53,13 @@ def _serve_records(stream: rr.RecordingStream, port: int) -> None:
     stream.flush(timeout_sec=_PATIENCE)  # only now it says whether it has the port
 
 
-def _on_free_port(wanted: int, serve: Callable[[int], None]) -> int:
+def _on_free_port(wanted: int, serve: Callable[[int], object]) -> int:
     """Serves on the wanted port, or on another where somebody was quicker."""
     for _ in range(_TRIES):
         port = free_port(wanted)
         try:
             serve(port)
-        except RuntimeError:  # the library's type for all that can be
+        except (OSError, RuntimeError):  # the latter is the library's type for all that can be
             continue
         return port
     raise ViewerGone("the page can't be served: no port is free")

@@ -56,6 +56,7 @@ def test_laws(puts: list[tuple[bool, int]], most_items: int, most_bytes: int) ->
     assert left == sorted(left), "in order"
     kept_passing = [count for count in left if puts[count][0]]
     dropped = set(range(len(puts))) - set(left)
+    assert backlog.dropped == len(dropped)
     if kept_passing[:-1]:  # passing ones are still there: what matters was not dropped since the first of them came
         assert all(puts[count][0] or count < kept_passing[0] for count in dropped)
         assert all(count < kept_passing[0] for count in dropped if puts[count][0]), "the oldest goes first"

@@ -165,10 +165,12 @@ def test_what_can_not_be_shown_is_left_out(
 ) -> None:
     server = serve()
     nonsense = "records.Query(name='visible', picture=records.Picture(width=1, height=1, pixels=b'none'))"
-    code = f"from recorder import journal, records\njournal.emit({nonsense}, world=world.name)\nmove(50)"
+    telling = f"journal.emit({nonsense}, world=world.name)"
+    code = f"from recorder import journal, records\n{telling}\n{telling}\nmove(50)"
     ended = plan(code, f"connect:{server.url}").end()
     assert ended.code == 0
     assert ended.err.count("something can't be shown") == 1
+    assert ended.missed()[0] == 2
     with replay.open(ended.log) as log:
         moves = log.counts()["mutation"]
     until(lambda: server.rows()["/records/mutation"] == moves, "all else is shown")
@@ -227,11 +229,13 @@ def test_a_flood_that_a_stopped_viewer_does_not_take_is_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
     server = serve()
-    ended = plan(f"os.kill({server.process.pid}, signal.SIGSTOP); move(20_000)", f"connect:{server.url}").end()
+    ended = plan(f"os.kill({server.process.pid}, signal.SIGSTOP); move(30_000)", f"connect:{server.url}").end()
     count = ended.check()
     missed, of = ended.missed()
     assert of == count
     assert missed > 1_000  # it is stopped, but its socket takes some
+    with replay.open(ended.log) as log:
+        assert 0 < int(log.metadata["pycram.end.viewer_dropped"]) <= missed
 
 
 def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan], headless: Headless, until) -> None:
@@ -264,7 +268,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         said.append(line)
         if "the page stays until Ctrl-C" in line:
             break
-    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?url=(\S+)", "".join(said))
+    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
     assert address, said
     assert answers(urllib.request.unquote(address[2]))
     with urllib.request.urlopen(address[1]) as page:

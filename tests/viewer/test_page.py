@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import re
+import threading
+from functools import partial
+from http.client import HTTPConnection
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
+from recorder.viewer.page import Page
+
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from http.client import HTTPResponse
 
     from conftest import Browser
     from PIL import Image
-
-pytestmark = pytest.mark.slow
 
 PLAN = """
 import sys
@@ -47,6 +53,7 @@ def shades(picture: Image.Image) -> int:
     return int((counts * 1000 > counts.sum()).sum())
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("usual_ports")
 def test_a_plan_is_seen_in_the_browser_while_it_runs(
     pycram: Callable[..., subprocess.Popen[str]], browser: Browser, tmp_path: Path, until
@@ -56,7 +63,7 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     process = pycram("run", "plan.py", "--rerun=serve", "--", str(demos))
     assert process.stderr is not None
     said = process.stderr.readline()
-    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/\?url=\S+)\n", said)
+    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/\?\S*url=\S+)\n", said)
     assert page, said
     browser.call("Page.navigate", url=page[1] + "&renderer=webgl")
     file = tmp_path / "page.png"
@@ -67,9 +74,10 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     (tmp_path / "seen again").touch()
     _, rest = process.communicate(timeout=60)
     assert process.returncode == 0, rest
-    local = {url for url in browser.asked() if url.startswith("http://127.0.0.1:")}
-    assert any(url.endswith(".wasm") for url in local), "the viewer comes from this machine"
-    assert any("ReadMessages" in url for url in local), "and so do the records"
+    asked = browser.asked()
+    assert any(url.endswith(".wasm") for url in asked), "the viewer comes from this machine"
+    assert any("ReadMessages" in url for url in asked), "and so do the records"
+    assert {urlsplit(url).hostname for url in asked} == {"127.0.0.1"}, "nobody else is asked, not even for a font"
     assert not browser.errors()
 
 
@@ -77,3 +85,57 @@ def differing(one: Image.Image, other: Image.Image) -> float:
     """Which part of two pictures differs clearly."""
     grey = [np.asarray(picture.convert("L"), dtype=int) for picture in (one, other)]
     return float((abs(grey[0] - grey[1]) > 40).mean())
+
+
+@pytest.fixture
+def library(tmp_path: Path) -> Iterator[int]:
+    """The port of a server like the one that the viewer's library has."""
+    (tmp_path / "index.html").write_text('<link\n rel="preconnect" href="https://x.org" /><link href="icon.ico" />here')
+    (tmp_path / "viewer.wasm").write_bytes(bytes(range(256)) * 1000)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=tmp_path))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.server_port
+    server.shutdown()
+    server.server_close()
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *args: object) -> None: ...  # noqa: A002  the library's name
+
+
+@pytest.fixture
+def page(library: int) -> Iterator[Callable[[str], tuple[HTTPResponse, bytes]]]:
+    """Gets files from the page's server."""
+    served = Page(0, library, 1234)
+
+    def get(path: str) -> tuple[HTTPResponse, bytes]:
+        connection = HTTPConnection("127.0.0.1", served.server_port)
+        connection.request("GET", path)
+        with connection.getresponse() as answer:
+            content = answer.read()
+        connection.close()
+        return answer, content
+
+    yield get
+    served.shutdown()
+    served.server_close()
+
+
+def test_a_page_is_told_to_ask_nobody_else(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
+    answer, content = page("/?url=x")
+    assert content == b'<link href="icon.ico" />here'
+    rules = dict(rule.split(maxsplit=1) for rule in str(answer.getheader("Content-Security-Policy")).split("; "))
+    assert rules["connect-src"] == "'self' data: blob: http://127.0.0.1:1234"
+    assert rules["default-src"] == "'self' data: blob:"
+
+
+def test_other_files_are_passed_on_as_they_are(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
+    answer, content = page("/viewer.wasm")
+    assert content == bytes(range(256)) * 1000
+    assert answer.getheader("Content-Length") == "256000"
+    assert page("/none.js")[0].status == 404
+
+
+def test_a_port_that_somebody_has_is_refused(library: int) -> None:
+    with pytest.raises(OSError, match="in use"):
+        Page(library, library, 1)
