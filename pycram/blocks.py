@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pycram.branch import Branch, Result
+    from pycram.actions import Result
+    from pycram.branch import Branch
     from pycram.open_block import Rule
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from contextvars import copy_context
-from types import AsyncGeneratorType, CoroutineType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
 from pycram.cancellation import checkpoint, wait
-from pycram.failures import BadArgument, UsageError
+from pycram.failures import UsageError
 from pycram.handle import unwrap
 from recorder.span import Span, current
 from recorder.tasks import State
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
 
-#: What an action of the plan gives: whatever its process module or function returns.
-Result: TypeAlias = Any
+    from pycram.actions import Result
 
 
 class NoResult(UsageError):
@@ -107,7 +105,7 @@ class Branch:
         """
         self._begun = True
         self._state = State.RUNNING
-        return unwrap(completed(self.name, self.action()))
+        return unwrap(self.action())
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
         """Says what came of it, once.
@@ -168,21 +166,3 @@ class Branch:
 
     def __repr__(self) -> str:
         return f"Branch({self.name!r}, {self._state.word})"
-
-
-def completed(action: str, result: Result) -> Result:
-    """What a function of the plan returned, if that function has been run.
-
-    Args:
-        action: name of the function.
-        result: what it returned.
-
-    Raises:
-        BadArgument: it is an async function: calling it has done nothing yet.
-    """
-    kind = type(result)  # isinstance() would wait for a handle
-    if kind is not CoroutineType and kind is not AsyncGeneratorType:
-        return result
-    if kind is CoroutineType:
-        result.close()  # Python warns of those that nobody awaits
-    raise BadArgument("action", action, "a plain function; `lambda: asyncio.run(...)` runs an async one to its end")

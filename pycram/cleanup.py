@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pycram.branch import completed
+from pycram.actions import name_of, run
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
 from pycram.nesting import stretch
-from pycram.open_block import alone, name_of
+from pycram.open_block import alone
 from pycram.retries import Retry
 from recorder.span import span
 
@@ -49,7 +49,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
             first = error
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
-                task.result = completed(task.name, action(*args, **kwargs))
+                task.result = run(action, *args, **kwargs)
         except BaseException as second:
             if first is None:
                 raise

@@ -13,8 +13,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from pycram.actions import Result, name_of, run
 from pycram.binding import Binding
-from pycram.branch import Branch, Result
+from pycram.branch import Branch
 from pycram.cancellation import checkpoint, enter
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.handle import Handle
@@ -126,16 +127,6 @@ def alone() -> Iterator[Callable[[], None]]:
         yield host.catch_up if host is not None else lambda: None
 
 
-def name_of(action: Callable[..., Result]) -> str:
-    """What people call a function: without its module, and without the function that it is defined in.
-
-    Args:
-        action: anything that can be called.
-    """
-    name = getattr(action, "__qualname__", None) or type(action).__qualname__
-    return str(name).rpartition("<locals>.")[2]
-
-
 class OpenBlock(ABC):
     """What the plan has of a block: ``s`` in ``with par as s``.
 
@@ -196,7 +187,7 @@ class OpenBlock(ABC):
         """
         if not callable(action):
             raise BadArgument("action", action, "a function to run as a branch")
-        return self.start(name_of(action), lambda: action(*args, **kwargs))
+        return self.start(name_of(action), lambda: run(action, *args, **kwargs))
 
     def start(
         self,

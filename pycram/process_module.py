@@ -15,8 +15,8 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram import checks
+from pycram.actions import run
 from pycram.binding import Binding
-from pycram.branch import completed
 from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.designator import Designator, DesignatorError, unfinished
@@ -166,7 +166,7 @@ class ProcessModule(ABC):
             solution = designator.reference()
             with span("process-module", type(self).__name__, solution) as task, whole():
                 task.solution = solution
-                task.result = result = completed(task.name, self._execute(designator))
+                task.result = result = run(self._execute, designator)
                 return result
 
     @staticmethod

@@ -38,13 +38,13 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.branch import completed
+from pycram.actions import run
 from pycram.cancellation import current_scope
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failed_blocks import leaves_uncleaned
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.nesting import Nested
-from pycram.open_block import alone, name_of
+from pycram.open_block import alone
 from recorder.span import Span
 from recorder.way import plan_line
 
@@ -211,7 +211,7 @@ class FailureHandling:
         result: Result = None
         for attempt in self:
             with attempt:
-                result = completed(name_of(action), action(*args, **{**kwargs, **attempt.parameters}))
+                result = run(action, *args, **{**kwargs, **attempt.parameters})
         return result
 
     def __call__(self, function: Callable[..., Result]) -> Callable[..., Result]:

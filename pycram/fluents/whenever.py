@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.branch import completed
+from pycram.actions import lazy, run
 from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument
 from pycram.fluents.pulses import Account
 from pycram.fluents.watch import first_value
 from pycram.handle import unwrap
-from pycram.open_block import await_turn, name_of
+from pycram.open_block import await_turn
 from recorder.span import span
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ def whenever(fluent: Fluent) -> Iterator[Value]: ...
 def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 
+@lazy("`s(whenever, fluent, body)`: without a body it gives an iterator, for a `for` loop to go through")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
     """Does something as often as a fluent's value is not None: again and again while it stays so.
 
@@ -66,7 +67,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         raise BadArgument("body", body, "a function without arguments")
     for _ in runs:
         with span("whenever", watched.name):
-            completed(name_of(body), body())
+            run(body)
     return None
 
 

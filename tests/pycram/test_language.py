@@ -685,24 +685,6 @@ def test_a_branch_may_ask_for_others_until_the_block_has_ended() -> None:
         s("not a function")
 
 
-@pytest.mark.parametrize("way", ["branch", "function", "attempt", "cleanup"])
-def test_async_functions_are_refused(way: str) -> None:
-    async def fetch() -> int:
-        return 1
-
-    with pytest.raises(BadArgument, match=r"fetch.*a plain function"):
-        if way == "branch":
-            with par as s:
-                s(lambda: s(fetch))
-        elif way == "function":
-            pursue(fetch)
-        elif way == "attempt":
-            failure_handling(1).run(fetch)
-        else:
-            with finally_(fetch):
-                pass
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_no_functions_give_no_results(name: str) -> None:
     functions: list[Callable[[], object]] = []

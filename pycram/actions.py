@@ -1,0 +1,93 @@
+"""Actions: functions of the plan, which are to do something when they are called.
+
+A function with ``async`` or ``yield`` in it does nothing then: it gives a coroutine or a generator. An action that is
+one would count as a success without having run, so it is refused. A plain function may well return a generator, if it
+wants to: it has been run.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from inspect import GEN_CREATED, getgeneratorstate
+from types import AsyncGeneratorType, CoroutineType, FunctionType, GeneratorType, MethodType
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+
+from pycram.failures import BadArgument
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+#: What an action gives: whatever its process module or function returns.
+Result: TypeAlias = Any
+Function = TypeVar("Function", bound="Callable[..., Result]")
+
+_LAZY: Final = "__pycram_lazy__"
+_NOT_BEGUN: Final = "a plain function; one with `yield` does nothing before its values are taken: `lambda: [*f()]` does"
+
+
+def name_of(action: Callable[..., Result]) -> str:
+    """What people call a function: without its module, and without the function that it is defined in.
+
+    Args:
+        action: anything that can be called.
+    """
+    name = getattr(action, "__qualname__", None) or type(action).__qualname__
+    return str(name).rpartition("<locals>.")[2]
+
+
+def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
+    """Calls an action.
+
+    Args:
+        action: the function.
+        args: its arguments.
+        kwargs: its named arguments.
+
+    Returns:
+        What it returned.
+
+    Raises:
+        BadArgument: calling it has done nothing.
+    """
+    result = action(*args, **kwargs)
+    kind = type(result)  # isinstance() would wait for a handle
+    if kind is CoroutineType or kind is AsyncGeneratorType:
+        if kind is CoroutineType:
+            result.close()  # Python warns of those that nobody awaits
+        expected = "a plain function; `lambda: asyncio.run(...)` runs an async one to its end"
+        raise BadArgument("action", name_of(action), expected)
+    if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:
+        function = _written(action)
+        if hasattr(function, _LAZY) or getattr(function, "__code__", None) is result.gi_code:
+            raise BadArgument("action", name_of(action), getattr(function, _LAZY, _NOT_BEGUN))
+    return result
+
+
+def lazy(instead: str) -> Callable[[Function], Function]:
+    """Marks a plain function that gives a generator in which all is still to be done.
+
+    Args:
+        instead: what is expected instead of it as an action.
+    """
+
+    def mark(function: Function) -> Function:
+        setattr(function, _LAZY, instead)
+        return function
+
+    return mark
+
+
+def _written(action: Callable[..., Result]) -> object:
+    """The function in the program's text that an action comes down to."""
+    function: Any = action
+    while True:
+        if isinstance(function, partial):
+            function = function.func
+        elif isinstance(function, MethodType):
+            function = function.__func__
+        elif hasattr(function, "__wrapped__"):  # by a decorator
+            function = function.__wrapped__
+        elif isinstance(function, FunctionType) or not isinstance(type(function).__call__, FunctionType):
+            return function
+        else:
+            function = type(function).__call__
