@@ -208,11 +208,11 @@ class Block(OpenBlock):
     ) -> bool:
         try:
             raised = self._close(error)
-        except BaseException as stopped:  # Ctrl-C while waiting
+            self._leave(raised)
+        except BaseException as stopped:  # Ctrl-C
             self._state = State.FAILED
             self._leave(stopped)
             raise
-        self._leave(raised)
         if raised is not None and raised is not error:
             raise_unchanged(raised)
         return raised is None

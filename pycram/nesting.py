@@ -12,7 +12,7 @@ from contextlib import ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
-from typing import TYPE_CHECKING, Final, Generic, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.failures import UsageError
 
@@ -43,10 +43,27 @@ class BlocksMixed(UsageError):
         self.block = block
 
 
-class Nested(Generic[Value]):
-    """Something for a ``with`` statement that has to end in its turn; may be used again, also within itself."""
+class _Begun(NamedTuple):
+    """A stretch that has begun.
 
-    _open: ContextVar[tuple[tuple[int, AbstractContextManager[object]], ...]] = ContextVar("pycram_open", default=())
+    Attributes:
+        generator: whose code began it; 0 for code that is never left in the middle.
+        opening: what stands in the ``with`` statement.
+        stretch: what begins and ends in truth.
+    """
+
+    generator: int
+    opening: object
+    stretch: AbstractContextManager[object]
+
+
+class Nested(Generic[Value]):
+    """Something for a ``with`` statement that has to end in its turn; may be used again, also within itself.
+
+    Ctrl-C may come between the end of the body and that of the stretch. Whoever notices ends what was left open.
+    """
+
+    _open: ContextVar[tuple[_Begun, ...]] = ContextVar("pycram_open", default=())
 
     def __init__(self, name: str) -> None:
         """Makes one that isn't open.
@@ -61,11 +78,13 @@ class Nested(Generic[Value]):
         raise NotImplementedError
 
     def __enter__(self) -> Value:
+        around = self._open.get()
         stretch = self._opened()
         value = stretch.__enter__()
         try:
-            self._open.set((*self._open.get(), (_generator(), stretch)))
+            self._open.set((*around, _Begun(_generator(), self, stretch)))
         except BaseException as stopped:  # Ctrl-C: there will be no body
+            self._open.set(around)
             stretch.__exit__(type(stopped), stopped, stopped.__traceback__)
             raise
         return value
@@ -73,25 +92,31 @@ class Nested(Generic[Value]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool | None:
-        opened, generator = self._open.get(), _generator()
-        if not opened or opened[-1][0] != generator:
-            return self._end_mixed(opened, generator, error)
-        self._open.set(opened[:-1])
-        return opened[-1][1].__exit__(kind, error, trace)
+        ending: _Begun | None = None
+        try:
+            opened, generator = self._open.get(), _generator()
+            if not opened or opened[-1].generator != generator or opened[-1].opening is not self:
+                return self._end_mixed(opened, generator, error)
+            ending = opened[-1]
+            self._open.set(opened[:-1])
+            return ending.stretch.__exit__(kind, error, trace)
+        except KeyboardInterrupt as stopped:
+            if ending is None:
+                self._end_mixed(self._open.get(), _generator(), stopped)
+            else:  # perhaps it had not begun to end; nothing happens where it has
+                ending.stretch.__exit__(KeyboardInterrupt, stopped, stopped.__traceback__)
+            raise
 
-    def _end_mixed(
-        self,
-        opened: tuple[tuple[int, AbstractContextManager[object]], ...],
-        generator: int,
-        error: BaseException | None,
-    ) -> bool:
+    def _end_mixed(self, opened: tuple[_Begun, ...], generator: int, error: BaseException | None) -> bool:
         """Ends all up to the one that was opened here, and refuses what the plan does."""
-        wrong = BlocksMixed(self._name)
-        place = max((place for place, (opener, _) in enumerate(opened) if opener == generator), default=len(opened))
-        for kept, (_, stretch) in reversed(list(enumerate(opened[place:], place))):
+        stopped = isinstance(error, KeyboardInterrupt)
+        wrong = error if error is not None and stopped else BlocksMixed(self._name)
+        here = [place for place, one in enumerate(opened) if one.generator == generator and one.opening is self]
+        place = here[-1] if here else len(opened)
+        for kept, one in reversed(list(enumerate(opened[place:], place))):
             self._open.set(opened[:kept])
-            stretch.__exit__(BlocksMixed, wrong, None)
-        if error is not None and place == len(opened):  # one that was ended like that before
+            one.stretch.__exit__(type(wrong), wrong, None)
+        if stopped or (error is not None and not here):  # one that was ended like that before
             return False
         raise wrong
 

@@ -288,8 +288,7 @@ class _Run:
             with ExitStack() as entering:
                 entering.enter_context(self._attempts.entered())
                 self._span = Span("attempt", f"attempt {made.number}", parameters=made.parameters, attempt=made.number)
-                entering.enter_context(self._span.entered())
-                self._span.start()
+                entering.enter_context(self._span)
                 token = _attempt.set(made)
                 entering.callback(lambda: _attempt.reset(token))
                 self._exits = entering.pop_all()

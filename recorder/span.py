@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from recorder import journal
+from recorder.interrupts import Uninterrupted
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.way import Way, callers, way_here
@@ -99,6 +100,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     _start: int = 0
+    _ended: bool = False
     _tokens: tuple[Token[Span | None], Token[int]] = field(init=False, repr=False)
 
     def ask(self) -> None:
@@ -111,11 +113,13 @@ class Span:
         self._say(Task.STARTED, Task.RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Says that it ended.
+        """Says that it ended; nothing happens if that was said before.
 
         Args:
             error: what it failed with, or was cancelled by; None if it succeeded.
         """
+        if self._ended:
+            return
         ended = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
         world, sim_step = journal.now()
         record = Task(
@@ -138,11 +142,13 @@ class Span:
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and ended == Task.FAILED:
             record.failure.CopyFrom(failure(error, trace=recorded))
-        try:
-            self._emit(record)
-        except OSError:
-            if error is None:  # a failing disk must not hide why the task failed
-                raise
+        with Uninterrupted():
+            self._ended = True
+            try:
+                self._emit(record)
+            except OSError:
+                if error is None:  # a failing disk must not hide why the task failed
+                    raise
 
     @contextmanager
     def entered(self) -> Iterator[None]:
@@ -172,6 +178,9 @@ class Span:
     ) -> None:
         try:
             self.finish(self.error if error is None else error)
+        except KeyboardInterrupt as stopped:  # perhaps before its record
+            self.finish(stopped)
+            raise
         finally:
             current, number = self._tokens
             _current.reset(current)
@@ -188,24 +197,24 @@ class Span:
         way = self._way()
         file, line = way.line
         world, sim_step = journal.now()
-        self._emit(
-            Task(
-                world=world,
-                sim_step=sim_step,
-                task=self.id,
-                thread=threading.current_thread().name,
-                phase=phase,
-                status=status,
-                parent=self.parent,
-                kind=self.kind,
-                name=self.name,
-                parameters=arguments(self.parameters) if self.parameters else None,
-                source_file=file,
-                source_line=line,
-                callers=callers(way.lines),
-                attempt=self.attempt,
-            )
+        record = Task(
+            world=world,
+            sim_step=sim_step,
+            task=self.id,
+            thread=threading.current_thread().name,
+            phase=phase,
+            status=status,
+            parent=self.parent,
+            kind=self.kind,
+            name=self.name,
+            parameters=arguments(self.parameters) if self.parameters else None,
+            source_file=file,
+            source_line=line,
+            callers=callers(way.lines),
+            attempt=self.attempt,
         )
+        with Uninterrupted():  # what is in the log is in the tree too
+            self._emit(record)
 
     def _emit(self, record: Task) -> None:
         if not self.parent and record.phase != _FINISHED:
