@@ -297,6 +297,7 @@ class _Choice:
     def _look(self, number: int, hand: Mapping[Object, float]) -> None:
         """Looks at all postures for one grasp, of which it is known what the hand touches, and how deep, m."""
         grasp, ways = self._options[number]
+        bound = self._told(hand)
         for place, (way, posture) in enumerate(zip(ways, self._foreseen(ways), strict=True)):
             self._rehearsal.take(posture)
             rank = (self._cost(dict(hand), self._arm, self._least), number, place)
@@ -307,7 +308,7 @@ class _Choice:
                 self._least, self._chosen = rank, (posture, GraspPlan(grasp, way))
             elif self._bent is None or rank[1:] > self._bent[0][1:]:
                 self._bent = rank, GraspPlan(None, way, own=own)
-            if self._least[0] <= _FREE:
+            if self._least[0] <= bound:
                 return
 
     def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Rank) -> Cost:

@@ -90,7 +90,7 @@ class Rehearsal:
             robot, self._joints, lambda copy: Articulation(self._engine, copy, robot.urdf, self._joints)
         )
         self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
-        self._stand = self._engine.pose(self._body)
+        self._stand = self._at_base = self._engine.pose(self._body)
         self._whole = self._twin.boxes(robot)
         held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in self._moving]
         carriers = self._articulation.carriers
@@ -155,7 +155,9 @@ class Rehearsal:
         if pair in taken.seen:
             return taken.seen[pair]
         if not self._there:
-            engine.set_pose(self._body, taken.base or self._stand)
+            if (taken.base or self._stand) != self._at_base:
+                self._at_base = taken.base or self._stand
+                engine.set_pose(self._body, self._at_base)
             engine.pose_joints(self._body, {**{name: self._now[name] for name in self._joints}, **taken.positions})
             for _, body, link, pose in self._held:
                 engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
