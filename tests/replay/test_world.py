@@ -116,6 +116,7 @@ def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, o
     assert robot.get_position() == [0.5, 0.6, 0.0]
 
 
+@pytest.mark.slow
 def test_it_needs_nothing_but_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
