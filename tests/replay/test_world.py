@@ -168,7 +168,7 @@ def test_two_at_once_have_their_own_names(planned: Path) -> None:
 
 def test_steps_without_a_world_say_so(planned: Path) -> None:
     with replay.open(planned) as log:
-        with pytest.raises(replay.NotRestored, match="no world is open then"):
+        with pytest.raises(replay.NotRestored, match="no world is open then yet; take a later step"):
             log.world_at(0)
         with pytest.raises(replay.NotRestored, match=r"no world is open then .*kitchen"):
             log.world_at("last")
