@@ -95,12 +95,15 @@ def ask(
     if asked.query not in QUERIES:
         raise NoSuchName("query", asked.query, QUERIES)
     number = log.step(step)
-    name = log.state_at(number).world(world).name if world is not None else None
+    state = log.state_at(number)
+    name = state.world(world).name if world is not None else None
     with aside(log, number, name) as restored:
-        for move in moves:
-            _put(restored, move)
         try:
+            for move in moves:
+                _put(restored, move)
             found = _call(restored, asked)
+        except NoSuchName as error:  # of an object, which another world may have
+            raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(asked), str(error)) from error
         answer = [_told(item) for item in found] if isinstance(found, list) else bool(found)

@@ -162,7 +162,7 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
         joint = target[len(body) + 1 :]
         for world in reversed(worlds):
             if body in world.bodies:
-                if joint:
+                if body != target:
                     world.bodies[body].joint(joint)
                 return world, body, joint
     raise state.no_body(target.partition(".")[0], worlds)

@@ -201,6 +201,10 @@ class State:
         """
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
+        others = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
+        if opened and others:
+            here, there = (", ".join(told) for told in ([world.name for world in opened], others))
+            return NoSuchName("object", name, known, f"it is in {there}, not in {here}; --world, or world=, names one")
         return NoSuchName("object", name, known, "" if opened else self._none_open())
 
     def _none_open(self) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 100  # characters of a value
 _FEW: Final = 4  # names that are told one by one
+_PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
 def value(told: Plain) -> str:
@@ -120,6 +121,18 @@ def call(name: str, parameters: Mapping[str, Plain]) -> str:
     """
     told = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
     return f"{name}({told})" if told else name
+
+
+def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
+    """A task, with its kind where the name doesn't tell it; a process module's parameters are its motion's.
+
+    Args:
+        kind: of the node.
+        name: its name.
+        parameters: as given.
+    """
+    called = name if kind == "process-module" else call(name, parameters)
+    return called if kind in _PLAIN_KINDS else f"{called} {kind}"
 
 
 def names(told: Sequence[str]) -> str:

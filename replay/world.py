@@ -113,8 +113,9 @@ def _told(log: Log, step: int | str, name: str | None) -> World:
     """What the recording tells of the world that is wanted."""
     state = log.state_at(step)
     if name is None and not any(world.open for world in state.worlds.values()):
-        closed = ", ".join(state.worlds) or "none"
-        raise NotRestored(state.step, f"no world is open then (there was: {closed}); take a step before its end")
+        closed = ", ".join(state.worlds)
+        hint = f" (there was: {closed}); take a step before its end" if closed else " yet; take a later step"
+        raise NotRestored(state.step, f"no world is open then{hint}")
     world = state.world(name)
     if not world.open:
         raise NotRestored(state.step, f"{world.name} has ended by then; take a step before its end")

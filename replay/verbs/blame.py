@@ -165,9 +165,7 @@ def _size(found: Blame) -> str:
 
 def _because(why: Causes, indent: str) -> Iterator[str]:
     for cause in why.tasks:
-        kind = "" if cause.kind in ("motion", "process-module") else f" {cause.kind}"
-        called = cause.name if cause.kind == "process-module" else words.call(cause.name, cause.parameters)
-        yield f"{indent}in {called}{kind}  [step {cause.step}]"
+        yield f"{indent}in {words.task(cause.kind, cause.name, cause.parameters)}  [step {cause.step}]"
     if not why.tasks:
         yield f"{indent}by the plan itself"
     if why.way:

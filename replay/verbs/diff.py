@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
 from replay.diff import difference
-from replay.errors import NoSuchStep
+from replay.errors import ReplayError
 from replay.log import open_log
 from replay.outlet import remark, tell, tell_json
 from replay.plain import plain_record
@@ -16,7 +17,6 @@ from replay.runs import compare
 from replay.steps import HINT
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator
 
     from recorder.records import Record
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from replay.summary import Summary
 
 _FEW: Final = 8  # joints and fields that are told one by one
+_TURN: Final = math.radians(0.05)  # from which on it is worth a word
 _FINE, _PARTED, _INCOMPLETE = 0, 1, 3
 
 
@@ -37,8 +38,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("second", metavar="STEP", nargs="?", help="the step to compare it with")
     parser.add_argument("--all", action="store_true", help="also what only came to rest, and every joint")
     parser.add_argument(
-        "--tolerance", type=float, default=0.0, metavar="X", help="numbers of two recordings that differ less are equal"
+        "--tolerance", type=_size, default=0.0, metavar="X", help="numbers of two recordings that differ less are equal"
     )
+
+
+def _size(text: str) -> float:
+    size = float(text)
+    if not 0 <= size < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} is no size: a number from 0 is")
+    return size
 
 
 def run(log: Log, options: argparse.Namespace) -> int:
@@ -51,7 +59,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
             tell("\n".join(lines(found, whole=options.all)))
         return _FINE
     if not Path(options.first).exists():
-        raise NoSuchStep(options.first, len(log), "give two steps of this recording, or the path of another one")
+        raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
     with open_log(options.first) as other:
         compared = compare(log, other, options.tolerance)
         missing = other.missing  # read to its end
@@ -138,7 +146,11 @@ def _plain(value: object) -> str:
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     told = []
     if change.moved or (whole and (change.distance or change.angle)):
-        turned = f", turned by {words.degrees(change.angle)}" if whole or change.angle >= math.radians(0.05) else ""
+        turned = (
+            f", turned by {words.degrees(change.angle)}"
+            if change.angle >= (0.0 if whole else _TURN) and change.angle
+            else ""
+        )
         before, after = words.vectors(change.before[0], change.after[0])
         told.append(f"moved by {words.length(change.distance)}{turned}: {before} -> {after}")
     if change.changed_hands:

@@ -277,10 +277,8 @@ def _tasks(found: Why) -> Iterator[str]:
         else:
             took = words.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
-        plain = task.started.kind in ("motion", "process-module", "failure-handling", "attempt")
-        kind = "" if plain else f" {task.started.kind}"
-        called = task.started.name if task.started.kind == "process-module" else _call(task)
-        yield f"{'  ' * depth}{called}{kind}  [steps {task.started.seq}-{task.end}, {state}]"
+        called = words.task(task.started.kind, task.started.name, task.parameters)
+        yield f"{'  ' * depth}{called}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in told_failure(found.task.failure).splitlines())
     told = {each.task for each in found.tries}  # in a section of their own

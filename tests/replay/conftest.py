@@ -12,8 +12,10 @@ import pytest
 
 import recorder
 import replay
+from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld
 from pycram.bullet_world_reasoning import ReasoningError
+from tests.conftest import furnish
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,6 +50,17 @@ def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.raises(ReasoningError), recorder.record(file, name="plan", source=GOLDEN / "plan.py"):
         runpy.run_path(str(GOLDEN / "plan.py"), run_name="__main__")
     BulletWorld.current_bullet_world.exit()  # after the recording: the plan left it open
+    return file
+
+
+@pytest.fixture(scope="session")
+def scene_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The thesis' scene, and the robot looking at the milk."""
+    file = tmp_path_factory.mktemp("scene") / "scene.mcap"
+    with recorder.record(file), BulletWorld(name="kitchen") as world:
+        furnish(world)
+        world.robot.set_joint_positions({"head_pan_joint": 0.4, "head_tilt_joint": 0.5})
+        btr.visible(world.get_object("milk"), "wide_stereo_optical_frame")
     return file
 
 

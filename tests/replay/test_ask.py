@@ -141,8 +141,8 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
         ("blocking(cereal, pr2, r_gripper_tool_frame, grasp=None)", []),
     ],
 )
-def test_queries_are_asked_as_in_the_thesis(demo_log: Path, question: str, answer: object) -> None:
-    with replay.open(demo_log) as log:
+def test_queries_are_asked_as_in_the_thesis(scene_log: Path, question: str, answer: object) -> None:
+    with replay.open(scene_log) as log:
         found = ask(log, first(log, "visible").seq, question)
     assert isinstance(found.answer, list) if answer is None else found.answer == answer
     assert found.evidence or answer is False
@@ -203,8 +203,8 @@ def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None
         ("reachable([0, 0], pr2, l_gripper_tool_frame)", "3 finite numbers"),
     ],
 )
-def test_questions_without_an_answer_say_why(demo_log: Path, question: str, told: str) -> None:
-    with replay.open(demo_log) as log, pytest.raises(replay.ReplayError, match=told):
+def test_questions_without_an_answer_say_why(scene_log: Path, question: str, told: str) -> None:
+    with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=told):
         ask(log, first(log, "visible").seq, question)
     assert not worlds.opened()
 
@@ -216,11 +216,11 @@ def test_words_stay_words() -> None:
     assert asked.keywords == {"camera": Name("wide"), "threshold": -0.5, "robot": None}
 
 
-def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_verb_prints_the_answer_and_its_evidence(scene_log: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """What the engine's native code prints doesn't get among the results."""
-    with replay.open(demo_log) as log:
+    with replay.open(scene_log) as log:
         step = str(first(log, "visible").seq)
-    asked = ["ask", str(demo_log), step, f"visible(milk, {CAMERA})"]
+    asked = ["ask", str(scene_log), step, f"visible(milk, {CAMERA})"]
     assert main(asked) == 0
     assert capfd.readouterr().out.startswith(f"visible(milk, {CAMERA}): yes\n  share")
     assert main([*asked, "--json", "--move", "milk=-2,0,1,0,0,0,1"]) == 0
@@ -230,9 +230,10 @@ def test_the_verb_prints_the_answer_and_its_evidence(demo_log: Path, capfd: pyte
     assert told["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
 
 
-def test_without_the_engine_it_says_what_is_missing(demo_log: Path) -> None:
+@pytest.mark.slow
+def test_without_the_engine_it_says_what_is_missing(scene_log: Path) -> None:
     script = "import sys; sys.modules['pybullet'] = None; from replay.cli import main; sys.exit(main(sys.argv[1:]))"
-    asked = [sys.executable, "-c", script, "ask", str(demo_log), "35", "stable(milk)"]
+    asked = [sys.executable, "-c", script, "ask", str(scene_log), "-3", "stable(milk)"]
     told = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert told.returncode == 2
     assert told.stderr == "pycram-replay: ask needs pybullet, which isn't installed here\n"
@@ -242,19 +243,19 @@ def test_without_the_engine_it_says_what_is_missing(demo_log: Path) -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        ["35", "stabel(milk)"],
-        ["35", "stable(milk)", "--move", "milk=1,2"],
-        ["35", "stable(milk)", "--move", "nothing=1,2,3"],
-        ["35", "stable(milk)", "--move", "milk=nan,2,3"],
+        ["-3", "stabel(milk)"],
+        ["-3", "stable(milk)", "--move", "milk=1,2"],
+        ["-3", "stable(milk)", "--move", "nothing=1,2,3"],
+        ["-3", "stable(milk)", "--move", "milk=nan,2,3"],
         ["0"],
         ["last", "stable(milk)"],
-        ["35", "stable(milk)", "--world", "elsewhere"],
+        ["-3", "stable(milk)", "--world", "elsewhere"],
     ],
 )
 def test_wrong_usage_is_told_on_stderr(
-    demo_log: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
+    scene_log: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["ask", str(demo_log), *arguments]) == 2
+    assert main(["ask", str(scene_log), *arguments]) == 2
     told = capsys.readouterr()
     assert not told.out
     assert told.err.startswith("pycram-replay: ")

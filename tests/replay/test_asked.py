@@ -142,3 +142,13 @@ def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
     said = capsys.readouterr().out
     assert said.startswith("ball in hall has been at [7, 7, 7]")
     assert "ball is in lab too" in said
+
+
+@pytest.mark.parametrize("taken", ["another world"], indirect=True)
+@pytest.mark.parametrize(
+    "verb", ["ask last stable(floor)", "state last floor --world hall", "blame floor --world hall"]
+)
+def test_where_another_world_has_it_that_is_said(taken: Log, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    name, *rest = verb.split()
+    assert main([name, str(taken.path), *rest]) == 2
+    assert "there is no object 'floor'; it is in lab, not in hall; --world" in capsys.readouterr().err

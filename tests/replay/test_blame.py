@@ -152,7 +152,10 @@ def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) 
         assert blame(log, "milk").record.seq == moved
 
 
-@pytest.mark.parametrize(("target", "hint"), [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'")])
+@pytest.mark.parametrize(
+    ("target", "hint"),
+    [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'"), ("milk.", "joint of milk")],
+)
 def test_blame_of_what_isn_t_there_says_what_is(small: Log, target: str, hint: str) -> None:
     with pytest.raises(replay.NoSuchName, match=hint):
         blame(small, target)

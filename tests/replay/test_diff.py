@@ -127,6 +127,14 @@ def test_diff_of_runs_that_part_exits_with_1(tmp_path: Path, capsys: pytest.Capt
     assert "part in drop" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("tolerance", ["nan", "-1", "inf", "much"])
+def test_a_tolerance_that_is_none_is_refused(
+    small_log: Path, tolerance: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["diff", str(small_log), str(small_log), f"--tolerance={tolerance}"]) == 2
+    assert "--tolerance" in capsys.readouterr().err
+
+
 def test_of_a_recording_that_was_cut_nobody_can_tell_that_it_differs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -113,11 +113,11 @@ def check(sound: Path, target: Path, seed: int) -> None:
 
 
 def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
-    for seed in range(4):
+    for seed in range(2):
         check(sound, tmp_path / f"{seed}.mcap", seed)
 
 
 @pytest.mark.slow
 def test_much_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
-    for seed in range(4, 150):
+    for seed in range(2, 150):
         check(sound, tmp_path / f"{seed}.mcap", seed)

@@ -110,7 +110,13 @@ def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixtu
     assert "\x7f" not in said
 
 
-@pytest.mark.parametrize("verb", ["info", "log", "show 4", "ask|last|stable('Löffel 🥄')"])
+@pytest.mark.parametrize(
+    "verb",
+    [
+        "show 4",
+        *(pytest.param(verb, marks=pytest.mark.slow) for verb in ("info", "log", f"ask|last|stable('{SPOON}')")),
+    ],
+)
 def test_results_that_reach_nobody_end_without_a_traceback(strange: Path, verb: str) -> None:
     command = [sys.executable, "-m", "replay", *commands_of(verb, strange)]
     with Path("/dev/full").open("w") as full:

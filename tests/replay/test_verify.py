@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import random
 import struct
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -28,7 +29,9 @@ from tests.replay.plans import RandomPlan, Witness, everything
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from pathlib import Path
+
+
+CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
 
 
 @pytest.fixture(autouse=True)
@@ -66,21 +69,21 @@ def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         world.set_gravity([0, 0, -9.8])
         other.set_gravity([0, 0, -1.6])
         Object("floor", "environment", "plane.urdf", world=world)
-        kitchen = Object("kitchen", "environment", "kitchen.urdf", world=world)
-        spoon = Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72], world=world)
+        cabinet = Object("cabinet", "environment", str(CABINET), [1.3, 0.7, 0.6], world=world)
+        spoon = Object("spoon", "spoon", "spoon.stl", [1.3, 0.7, 0.72], world=world)
         cup = Object("cup", "cup", "cup.stl", [1.3, 0.6, 1.0], world=world)
         apple = Object("apple", "apple", "apple.stl", [1.3, 0.6, 1.1], world=world)
         ball = Object("ball", "apple", "apple.stl", [0, 0, 3], world=other)
         with span("plan", "tidy"), span("plan", "open the drawer"):
             world.simulate(0.2)
             other.simulate(0.3)
-            kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.3)
-            btr.supporting(kitchen, spoon)
+            cabinet.set_joint_position("drawer_joint", 0.3)
+            btr.supporting(cabinet, spoon)
             other.simulate(0.1)
             world.simulate(0.1)
-        kitchen.attach(cup, "sink_area_left_upper_drawer_main")
+        cabinet.attach(cup, "drawer")
         cup.attach(apple)
-        kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.1)
+        cabinet.set_joint_position("drawer_joint", 0.1)
         cup.set_position([1.2, 0.7, 1.2])
         apple.get_AABB()
         world.simulate(0.2)
@@ -453,11 +456,11 @@ def apart(a: float, b: float) -> float:
 
 
 def test_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(3):
+    for seed in range(2):
         check_random_plan(seed, tmp_path)
 
 
 @pytest.mark.slow
 def test_many_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(3, 200):
+    for seed in range(2, 200):
         check_random_plan(seed, tmp_path)

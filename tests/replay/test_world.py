@@ -116,6 +116,7 @@ def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, o
     assert robot.get_position() == [0.5, 0.6, 0.0]
 
 
+@pytest.mark.slow
 def test_it_needs_nothing_but_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
@@ -167,7 +168,7 @@ def test_two_at_once_have_their_own_names(planned: Path) -> None:
 
 def test_steps_without_a_world_say_so(planned: Path) -> None:
     with replay.open(planned) as log:
-        with pytest.raises(replay.NotRestored, match="no world is open then"):
+        with pytest.raises(replay.NotRestored, match="no world is open then yet; take a later step"):
             log.world_at(0)
         with pytest.raises(replay.NotRestored, match=r"no world is open then .*kitchen"):
             log.world_at("last")
