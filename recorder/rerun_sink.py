@@ -37,8 +37,10 @@ _RHYTHM: Final = 0.2  # s between batches: many small ones cost more than they s
 _MOST_ITEMS: Final = 500
 _MOST_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent)
-_CODE: Final = """
-import sys
+_NICE: Final = 10  # the plan goes first where cores are few, also while that process loads the viewer's library
+_CODE: Final = f"""
+import os, sys
+os.nice({_NICE})
 sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
 from recorder.viewer.live import main
 main(sys.argv[1:])
@@ -68,7 +70,6 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._absent = True  # until it is found
         self._looked_in_vain = False
         self._sending = threading.Lock()
         self._started = time.monotonic()
@@ -101,7 +102,7 @@ class RerunSink:
         now = time.monotonic()
         patience = 0.0 if self._looked_in_vain else max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now)
         self._thread.join(patience)
-        behind = self._thread.is_alive() and not self._absent and self._hand_over()
+        behind = self._thread.is_alive() and not self._looked_in_vain and self._hand_over()
         if self._wish.kind is Kind.SERVE and not self._thread.is_alive() and self._process.poll() is None:
             atexit.register(_stop, self._process)
         elif not behind:
@@ -140,18 +141,25 @@ class RerunSink:
         try:
             while self._connection.recv() is not Word.READY:
                 self._looked_in_vain = True
-            self._absent = self._looked_in_vain = False
-            while batch := self._backlog.take(_MOST_ITEMS, _MOST_BYTES):
-                begun = time.monotonic()
-                with self._sending:
-                    self._connection.send(batch)
+            self._looked_in_vain = False
+            while sent := self._send():
                 self._taken += self._connection.recv()
-                self._ended.wait(max(_RHYTHM, time.monotonic() - begun))  # where cores are few it uses half of one
-            with self._sending:
-                self._connection.send([])
+                self._ended.wait(max(_RHYTHM, time.monotonic() - sent))  # where cores are few it uses half of one
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has said why; or it has got the rest
             self._backlog.clear()
+
+    def _send(self) -> float | None:
+        """Waits for a batch and sends it, an empty one at the end.
+
+        Returns:
+            When it began to send something.
+        """
+        with self._sending:  # what is taken out is sent before the rest
+            batch = self._backlog.take(_MOST_ITEMS, _MOST_BYTES)
+            begun = time.monotonic()
+            self._connection.send(batch)
+        return begun if batch else None
 
     def wait(self) -> None:
         """Waits while pages can still be opened: after the end, until somebody ends their server or interrupts."""

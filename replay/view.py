@@ -22,10 +22,10 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.asset import AssetFile
 from recorder.errors import RecordingError
-from recorder.viewer.audience import Wish, answers
+from recorder.viewer.audience import ViewerGone, Wish, answers
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
-from recorder.viewer.windows import APPLICATION, ViewerGone, open_window
+from recorder.viewer.windows import APPLICATION, open_window
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:

@@ -31,6 +31,10 @@ _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _PATIENCE: Final = 1.0  # s; a viewer that lives answers within milliseconds
 
 
+class ViewerGone(Exception):
+    """The viewer has ended, or didn't begin."""
+
+
 class Kind(Enum):
     """Who is at the other end."""
 

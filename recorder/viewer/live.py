@@ -2,8 +2,8 @@
 
 Whatever a viewer does to those who talk to it, it does to this process: stall it, fill its memory, hang its exit. The
 recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it. At its end it gives all
-that is left, and this process has a while of its own to hand that over. Loading the viewer's library and translating
-cost the plan nothing either, but for the core that they run on.
+that is left, and this process has a while of its own to hand that over, also if it was still loading the viewer's
+library by then. That and translating cost the plan nothing either, but for the core that they run on.
 
 On the socket between them, this side says ``Word.ABSENT`` perhaps, ``Word.READY`` when there is a viewer, and then how
 many records of each batch the viewer took; one that can't be shown is none of them. The other side sends batch after
@@ -22,20 +22,18 @@ import traceback
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
-import rerun as rr
-
 from recorder.records import TOPICS
-from recorder.viewer.audience import LINGERING, Kind, Wish, Word, answers
-from recorder.viewer.translator import Translator
-from recorder.viewer.windows import APPLICATION, ViewerGone, open_window, serve_page
+from recorder.viewer.audience import LINGERING, Kind, ViewerGone, Wish, Word, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    import rerun as rr
+
     from recorder.viewer.backlog import Item
+    from recorder.viewer.translator import Translator
 
 _KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
-_NICE: Final = 5  # the plan goes first where cores are few
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
 _STDERR: Final = 2
 _PATIENCE: Final = 1.0  # s that one call of the viewer's library may take
@@ -50,12 +48,11 @@ def main(arguments: list[str]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
     wish = Wish.parse(arguments[1])
-    found = threading.Event()
-    threading.Thread(target=_end_with_parent, args=[found], name="parent", daemon=True).start()
-    os.nice(_NICE)
+    absent = threading.Event()
+    threading.Thread(target=_end_with_parent, args=[absent], name="parent", daemon=True).start()
     status = 0
     try:
-        _serve(connection, wish, arguments[2], found)
+        _serve(_Batches(connection), wish, arguments[2], absent)
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
             print(f"recorder: {end}", file=sys.stderr)
@@ -68,16 +65,15 @@ def main(arguments: list[str]) -> None:
         os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
 
 
-def _end_with_parent(found: threading.Event) -> None:
+def _end_with_parent(absent: threading.Event) -> None:
     """Ends some time after the recording, whose end of this pipe closes however its process ends: all is here then.
 
-    Pages end at once. A viewer that was found gets a while, but nobody who waits for the plan waits for that.
+    Nobody who waits for the plan waits for that. Where no viewer is, it ends at once.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
-    if found.is_set():
-        threading.Event().wait(LINGERING)
+    absent.wait(LINGERING)
     os._exit(1)
 
 
@@ -101,32 +97,43 @@ class _Batches:
     def __iter__(self) -> Iterator[list[Item]]:
         return iter(self._queue.get, [])
 
+    def say(self, word: Word) -> None:
+        """Tells of the viewer."""
+        self._connection.send(word)
+
     def taken(self, records: int) -> None:
         """Says that the viewer has a batch, if the recording still wants to know."""
         with contextlib.suppress(OSError):
             self._connection.send(records)
 
 
-def _serve(connection: Connection, wish: Wish, title: str, found: threading.Event) -> None:
+def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -> None:
+    # takes longer to load than a short plan, whose records are read meanwhile
+    import rerun as rr  # noqa: PLC0415
+
+    from recorder.viewer.translator import Translator  # noqa: PLC0415
+    from recorder.viewer.windows import APPLICATION, open_window, serve_page  # noqa: PLC0415
+
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
     if wish.kind is Kind.SERVE:
+        absent.set()  # pages end with the plan
         print(f"recorder: live at {serve_page(stream)}", file=sys.stderr, flush=True)
     else:
         url = wish.url
         if wish.kind is Kind.SPAWN:
             url = open_window()
         elif not answers(url):
-            connection.send(Word.ABSENT)
+            absent.set()
+            batches.say(Word.ABSENT)
             print(
                 f"recorder: no viewer at {url} yet; it can be started at any time: rerun", file=sys.stderr, flush=True
             )
             _await(url)
+            absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
-        found.set()
     translator = Translator(stream)
-    connection.send(Word.READY)
-    batches = _Batches(connection)
+    batches.say(Word.READY)
     showing = _Showing(translator)
     for batch in batches:
         shown = showing.show(batch)

@@ -12,7 +12,7 @@ from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, address, answers, free_port
+from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, ViewerGone, address, answers, free_port
 from recorder.viewer.page import Page
 
 if TYPE_CHECKING:
@@ -22,10 +22,6 @@ APPLICATION: Final = "pycram"  # viewers remember a layout for each application
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
 _TRIES: Final = 5
 _PATIENCE: Final = 5.0  # s for a server to begin
-
-
-class ViewerGone(Exception):
-    """The viewer has ended, or didn't begin."""
 
 
 def serve_page(stream: rr.RecordingStream) -> str:

@@ -87,12 +87,13 @@ def differing(one: Image.Image, other: Image.Image) -> float:
     return float((abs(grey[0] - grey[1]) > 40).mean())
 
 
-@pytest.fixture
-def library(tmp_path: Path) -> Iterator[int]:
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     """The port of a server like the one that the viewer's library has."""
-    (tmp_path / "index.html").write_text('<link\n rel="preconnect" href="https://x.org" /><link href="icon.ico" />here')
-    (tmp_path / "viewer.wasm").write_bytes(bytes(range(256)) * 1000)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=tmp_path))
+    folder = tmp_path_factory.mktemp("library")
+    (folder / "index.html").write_text('<link\n rel="preconnect" href="https://x.org" /><link href="icon.ico" />here')
+    (folder / "viewer.wasm").write_bytes(bytes(range(256)) * 1000)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     yield server.server_port
     server.shutdown()
@@ -103,7 +104,7 @@ class Quiet(SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None: ...  # noqa: A002  the library's name
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(library: int) -> Iterator[Callable[[str], tuple[HTTPResponse, bytes]]]:
     """Gets files from the page's server."""
     served = Page(0, library, 1234)
