@@ -83,7 +83,7 @@ def test_the_plan_s_tree_is_the_log_s_tree(log: Path) -> None:
     assert (root.start.sim_seconds, root.end.sim_seconds) == (0.0, 1.0)
     assert root.start.world == root.end.world != ""
     assert 0 < root.start.wall_ns < root.end.wall_ns
-    assert root.seconds == pytest.approx((root.end.wall_ns - root.start.wall_ns) / 1e9, abs=0.05)
+    assert root.seconds == pytest.approx((root.end.wall_ns - root.start.wall_ns) / 1e9, abs=0.5)
     assert __file__ in root.source
     other = Tree()
     assert other != told

@@ -1,0 +1,54 @@
+"""What plans under test are made of.
+
+Timing is controlled by gates, never by the clock: a branch that waits at a gate goes on when the test opens it, or stops
+when it is cancelled.
+"""
+
+from __future__ import annotations
+
+import threading
+
+from pycram.cancellation import wait
+from pycram.failures import BadArgument, LookingFailed, Unreachable
+from pycram.language import State, par, pursue, seq, try_all, try_in_order
+
+KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
+
+
+S, F, C = State.SUCCEEDED, State.FAILED, State.CANCELLED
+
+
+class Gate:
+    """Something to wait for; who is cancelled waits no more."""
+
+    def __init__(self) -> None:
+        self.changed = threading.Condition()
+        self.is_open = False
+
+    def open(self) -> None:
+        with self.changed:
+            self.is_open = True
+            self.changed.notify_all()
+
+    def pass_through(self, timeout: float | None = None) -> bool:
+        return wait(self.changed, lambda: self.is_open, timeout)
+
+
+def fails() -> None:
+    raise Unreachable("left", [1, 2, 3], 0.2)
+
+
+def fails_to_look() -> None:
+    raise LookingFailed([1, 2, 3], 0.2)
+
+
+def succeeds(value: object = 1) -> object:
+    return value
+
+
+def is_wrong() -> None:
+    raise BadArgument("x", 1, "2")
+
+
+def has_a_bug() -> None:
+    raise ZeroDivisionError

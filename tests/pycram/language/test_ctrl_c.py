@@ -1,0 +1,169 @@
+"""Ctrl-C ends blocks and their threads, wherever it comes."""
+
+# ruff: noqa: PT012  the blocks under test have bodies
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+
+import pytest
+
+from pycram import nesting, tasks
+from pycram.cancellation import current_scope
+from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
+from pycram.nested_blocks import Deferred
+from pycram.open_block import current_block
+from recorder import journal
+from recorder.span import span
+from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
+
+
+def test_interrupting_the_body_stops_the_branches() -> None:
+    gate = Gate()
+    for kind in (par, pursue, try_all):
+        with pytest.raises(KeyboardInterrupt), kind as s:
+            s(gate.pass_through)
+            raise KeyboardInterrupt
+        assert s.branches[0].state is C
+
+
+@pytest.mark.parametrize("times", range(5))
+def test_ctrl_c_ends_a_block_and_its_threads(times: int) -> None:
+    gate = Gate()
+
+    def interrupt() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        gate.pass_through()
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        with pursue as t:
+            t(gate.pass_through)
+        s(gate.pass_through)
+        s(interrupt)
+    assert {branch.state for branch in s.branches} == {C}
+
+
+def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = threading.Event()
+
+    class Screen:
+        text = ""
+
+        def write(self, text: str) -> None:
+            self.text += text
+            told.set()
+
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+
+    def busy() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        while not s.scope.told:
+            pass
+        while not told.is_set():
+            os.kill(os.getpid(), signal.SIGINT)
+            told.wait(0.05)
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(busy)
+    assert s.branches[0].state is S
+    assert "waiting for par-1" in screen.text
+
+
+@pytest.mark.parametrize("opened", ["par", "seq in it"])
+def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
+    opened: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = ["par", "seq in it"]
+
+    def interrupted() -> int:
+        if left and left.pop(0) == opened:
+            raise KeyboardInterrupt
+        return 0
+
+    monkeypatch.setattr(nesting, "_generator", interrupted)
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(succeeds)
+        with seq as q:
+            q(succeeds)
+    assert current_block() is None
+    assert current_scope() is None
+
+
+def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(block: Deferred, *_: object) -> bool:
+        block._exits.close()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Deferred, "__exit__", interrupted)
+    begun = Gate()
+    with pytest.raises(KeyboardInterrupt), par, seq as q:
+        q(begun.open)
+        begun.pass_through()
+
+
+@pytest.mark.parametrize("interrupted", [4, 5, 6])
+@pytest.mark.parametrize("name", [*KINDS, "timeout", "attempt", "cleanup"])
+def test_ctrl_c_between_the_end_of_a_body_and_that_of_its_block_ends_all(
+    name: str, interrupted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate()
+    looked = []
+
+    def look() -> int:
+        looked.append(name)
+        if len(looked) == interrupted:  # after three beginnings
+            raise KeyboardInterrupt
+        return 0
+
+    openings = {
+        "timeout": lambda: timeout(60),
+        "attempt": lambda: next(iter(failure_handling(1))),
+        "cleanup": lambda: finally_(succeeds),
+    }
+    opening = KINDS.get(name) or openings[name]()
+    monkeypatch.setattr(nesting, "_generator", look)
+    with pytest.raises(KeyboardInterrupt), par as s, opening, pursue as t:
+        s(succeeds)
+        t(gate.pass_through)
+        t(succeeds)
+    assert len(looked) >= interrupted
+    assert {branch.done for branch in (*s.branches, *t.branches)} == {True}
+    assert current_block() is None
+    assert current_scope() is None
+    with seq as s:  # nothing that was left open is in its way
+        s(succeeds)
+
+
+def test_ctrl_c_that_keeps_a_block_from_ending_is_noticed_by_the_one_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = nesting.Nested.__exit__
+
+    def never_called(opening: nesting.Nested[object], *raised: object) -> bool | None:
+        if opening is pursue:
+            raise KeyboardInterrupt
+        return whole(opening, *raised)
+
+    monkeypatch.setattr(nesting.Nested, "__exit__", never_called)
+    gate = Gate()
+    with pytest.raises(KeyboardInterrupt), seq, pursue as s:
+        s(gate.pass_through)
+    assert s.branches[0].state is C
+    assert current_block() is None
+    assert current_scope() is None
+
+
+def test_ctrl_c_before_the_record_of_a_tasks_end_leaves_no_task_running(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = []
+
+    def interrupted() -> bool:
+        ended.append(True)
+        if len(ended) == 1:
+            raise KeyboardInterrupt
+        return False
+
+    task = span("motion", "moving")
+    with pytest.raises(KeyboardInterrupt), task:
+        monkeypatch.setattr(journal, "recording", interrupted)
+    assert tasks.tree().nodes[task.id].status is F
