@@ -1,0 +1,120 @@
+"""Fluents in lists, conditions and arithmetic; what may be set, and what they are called."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram.failures import BadArgument, Unreachable
+from pycram.fluent import Fluent, NotSettable, NotTrueOrFalse, network, whenever
+from tests.pycram.fluents.waiters import waiting
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+def test_fluents_stand_in_sets_lists_and_dictionaries_though_equality_makes_a_network() -> None:
+    a, b, c = Fluent(1), Fluent(1), Fluent(1)
+    assert {a, b, a} == {b, a}
+    assert {a: "a", b: "b"}[b] == "b"
+    assert b in [a, b]
+    assert c not in [a, b]
+    assert c not in {a, b}
+    assert [a, b, c].index(c) == 2
+    assert (a == b).get_value() is True
+
+
+@pytest.mark.parametrize(
+    "condition", [lambda f: f, lambda f: f == 1, lambda f: f < 2, lambda f: f.NOT(), lambda f: 0 < f < 2]
+)
+def test_a_fluent_as_a_condition_is_an_error_that_says_what_to_do(condition: Callable[[Fluent], object]) -> None:
+    with pytest.raises(NotTrueOrFalse, match=r"get_value\(\).*AND"):
+        assert condition(Fluent(1))
+
+
+def test_in_a_list_of_other_things_is_an_error_too() -> None:
+    fluent = Fluent(1)
+    things: list[object] = [3, fluent]
+    with pytest.raises(NotTrueOrFalse):
+        assert fluent in things
+    assert any(one is fluent for one in things)
+
+
+def test_the_rest_of_arithmetic() -> None:
+    a, b, none = Fluent(7, "a"), Fluent(2, "b"), Fluent(None, "c")
+    for made, value, name in (
+        (a // b, 3, "a // b"),
+        (15 // a, 2, "15 // a"),
+        (a % 4, 3, "a % 4"),
+        (9 % a, 2, "9 % a"),
+        (a**b, 49, "a ** b"),
+        (2**a, 128, "2 ** a"),
+        (-a + b, -5, "(-a) + b"),
+        (+a, 7, "+a"),
+        (abs(b - a), 5, "abs((b - a))"),
+    ):
+        assert (made.get_value(), made.name) == (value, name)
+    assert [made.get_value() for made in (none // 2, none % 2, none**2, -none, abs(none))] == [None] * 5
+
+
+def test_networks_may_be_as_deep_as_they_like() -> None:
+    one, asked = Fluent(1), []
+    deep = never = one
+    for _ in range(3000):
+        deep = deep + one
+        never = network(lambda *values: asked.append(values), never)
+    assert deep.get_value() == 3001
+    assert (one == 2).OR(deep > 0).get_value() is True
+    assert (one == 1).OR(never).get_value() is True
+    assert not asked  # the second operand is looked at only if the first one isn't true
+    condition = deep > 6000
+    with waiting(condition) as running:
+        one.set_value(2)
+    assert running.end() is True
+    for _ in range(1500):
+        condition = (one == 2).AND(condition)
+    assert condition.get_value() is True
+    del deep, condition, never  # all at once, and however deep
+    assert one.get_value() == 2
+
+
+def test_arrays_leave_operators_to_fluents() -> None:
+    shift = np.array([1.0, 2.0])
+    moved = shift + Fluent(np.array([1.0, 1.0]))
+    assert isinstance(moved, Fluent)
+    assert moved.get_value().tolist() == [2.0, 3.0]
+
+
+def test_only_variables_are_set() -> None:
+    fluent = Fluent(1)
+    for derived in (fluent + 1, fluent.pulsed()):
+        with pytest.raises(NotSettable, match="other fluents"):
+            derived.set_value(2)
+    for function in (lambda: 1, test_only_variables_are_set):
+        with pytest.raises(BadArgument, match="network"):
+            Fluent(function)
+    assert Fluent(Unreachable).get_value() is Unreachable
+    with pytest.raises(BadArgument, match="Behavior"):
+        fluent.pulsed(2)
+    with pytest.raises(BadArgument):
+        whenever(1)
+    with pytest.raises(BadArgument):
+        whenever(fluent, 1)
+    with pytest.raises(BadArgument):
+        network(1, fluent)
+
+
+def test_names_tell_what_networks_are() -> None:
+    a, b = Fluent(1, "a"), Fluent(2, "b")
+    assert repr((a + 1 > b).AND(a.NOT())) == "Fluent(((a + 1) > b) AND (NOT a))"
+    assert (network(math.hypot, a, b) > 3).name == "hypot(a, b) > 3"
+    assert a.pulsed().name == "a.pulsed(ONCE)"
+    assert (a == {"{}": 1}).name == "a == {'{}': 1}"
+    deep = a
+    for _ in range(300):
+        deep = deep + deep
+    assert len(deep.name) < 500
+    assert deep.get_value() == 2**300

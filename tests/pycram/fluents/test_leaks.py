@@ -1,0 +1,34 @@
+"""Networks that are dropped leave nothing behind."""
+
+from __future__ import annotations
+
+import gc
+
+from pycram.fluent import Fluent
+from pycram.fluents.terms import Term
+from pycram.fluents.watch import Watch
+
+
+def test_dropped_networks_leave_nothing_behind() -> None:
+    def alive() -> int:
+        return sum(isinstance(one, Fluent | Term | Watch) for one in gc.get_objects())
+
+    fluent = Fluent(1)
+    gc.collect()  # what tests before this one left
+    before = alive()
+    for number in range(500):
+        of_it = (fluent > number).AND(fluent + 1).pulsed()
+        assert not of_it.wait_for(0)
+        fluent.pulse()
+    del of_it
+    assert alive() == before, "gone at once, without the garbage collector"
+    assert not fluent.term.watchers
+    assert not fluent.term.accounts
+
+
+def test_a_network_keeps_its_operands_alive() -> None:
+    total = Fluent(1) + Fluent(2)
+    pulsed = (Fluent(1) + 1).pulsed()
+    gc.collect()
+    assert total.get_value() == 3
+    assert pulsed.get_value() is None

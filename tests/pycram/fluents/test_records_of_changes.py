@@ -1,0 +1,139 @@
+"""Each change of a fluent is on record, in its order and as it was."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.fluent import Fluent
+from pycram.fluents.world import position
+from pycram.language import par
+from recorder import journal
+from recorder.records import Fluent as FluentRecord
+from recorder.records import Mutation, Task
+from replay import cli
+from tests.pycram.fluents.waiters import PATIENCE, Running
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.conftest import MemorySink
+
+
+def test_every_change_is_on_record_and_comes_back_from_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "fluents.mcap"
+    battery = Fluent(100, "battery")
+    with recorder.record(file), BulletWorld() as world:
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+        place = position(cup)
+        with par as s:
+            s((battery < 20).wait_for, PATIENCE)
+            battery.set_value(50)
+            battery.set_value(10)
+        battery.pulse()
+        cup.set_position([1, 0, 1])
+        assert place.get_value() == (1, 0, 1)
+        name = world.name
+    with replay.open(file) as log:
+        told = [record for record in log.records(FluentRecord) if isinstance(record, FluentRecord)]
+        assert [(one.name, json.loads(one.before_json), json.loads(one.after_json)) for one in told] == [
+            ("battery", 100, 50),
+            ("battery", 50, 10),
+            ("battery", 10, 10),
+            ("position of cup", [0, 0, 1], [1, 0, 1]),
+        ]
+        assert [(one.source, list(one.bodies), one.world) for one in told[2:]] == [
+            ("", [], ""),
+            ("position", ["cup"], name),
+        ]
+        cause = log[told[3].seq - 1]
+        assert isinstance(cause, Mutation)
+        assert cause.WhichOneof("command") == "move_body"
+        waits = [one for one in log.records(Task) if isinstance(one, Task) and one.kind == "wait"]
+        assert [one.name for one in waits] == ["battery < 20"] * 2
+        assert [(told.name, json.loads(told.json)) for told in waits[0].parameters][1:] == [("timeout", PATIENCE)]
+        assert waits[0].parameters[0].name == "battery"
+        assert json.loads(waits[1].result_json) is True
+        assert log.counts()["fluent"] == 4
+        step = told[3].seq
+    assert cli.main(["log", str(file), "--kind", "fluent"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert lines[0].endswith("fluent battery: 100 -> 50")
+    assert lines[2].endswith("fluent battery pulsed at 10")
+    assert cli.main(["log", str(file), "--kind", "fluent", "--object", "cup"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1
+    assert cli.main(["show", str(file), str(step), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["kind"], shown["before"], shown["after"]) == ("fluent", [0, 0, 1], [1, 0, 1])
+
+
+def test_changes_of_many_threads_stand_in_the_log_in_their_order(sink: MemorySink) -> None:
+    fluent = Fluent(0, "shared")
+    setting = [Running(lambda k=k: [fluent.set_value(k * 1000 + i) for i in range(50)]) for k in range(4)]
+    for one in setting:
+        one.end()
+    told = sink.of(FluentRecord)
+    assert len(told) == 200
+    assert told[0].before_json == "0"
+    assert all(one.after_json == following.before_json for one, following in itertools.pairwise(told))
+    assert json.loads(told[-1].after_json) == fluent.get_value()
+
+
+def test_a_change_that_cant_be_recorded_isnt_made() -> None:
+    class Full:
+        def write(self, *_: object) -> None:
+            raise OSError("the disk is full")
+
+        def attach(self, *_: object) -> None: ...
+
+        def close(self) -> None: ...
+
+    fluent = Fluent(1)
+    pulsed = fluent.pulsed()
+    log = journal.Journal([Full()])
+    journal.open_journal(log)
+    try:
+        with pytest.raises(OSError, match="full"):
+            fluent.set_value(2)
+        with pytest.raises(OSError, match="full"):
+            fluent.pulse()
+    finally:
+        journal.close_journal(log)
+    assert fluent.get_value() == 1
+    assert pulsed.get_value() is None
+
+
+def test_values_are_not_told_while_nothing_is_recorded(request: pytest.FixtureRequest) -> None:
+    told = []
+
+    class Value:
+        def __record__(self) -> str:
+            told.append(self)
+            return "told"
+
+    fluent = Fluent(Value())
+    fluent.set_value(Value())
+    fluent.pulse()
+    assert not told
+    sink: MemorySink = request.getfixturevalue("sink")
+    fluent.set_value(1)
+    assert [(one.before_json, one.after_json) for one in sink.of(FluentRecord)] == [('"told"', "1")]
+
+
+def test_values_stand_in_records_as_they_were_when_set(sink: MemorySink) -> None:
+    value = [1]
+    fluent = Fluent(value, "list")
+    fluent.set_value(value)
+    value.append(2)
+    fluent.set_value(None)
+    told = [(one.before_json, one.after_json) for one in sink.of(FluentRecord)]
+    assert told == [("[1]", "[1]"), ("[1]", "null")]

@@ -1,0 +1,194 @@
+"""Waiting for fluents, from many threads: nothing is missed, and whoever is cancelled leaves at once."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+
+import pytest
+
+from pycram.cancellation import Cancelled, Scope, entered
+from pycram.failures import BadArgument
+from pycram.fluent import Fluent, network, whenever
+from pycram.language import par
+from tests.pycram.fluents.waiters import PATIENCE, Running, waiting
+
+
+def test_a_wait_ends_when_its_time_is_up() -> None:
+    fluent = Fluent(1)
+    assert (fluent > 3).wait_for(timeout=0.01) is False
+    assert (fluent > 3).wait_for(0) is False
+    assert (fluent < 3).wait_for(0) is True
+    assert fluent.wait_for(1e300) is True
+    with pytest.raises(BadArgument, match="timeout"):
+        fluent.wait_for(math.nan)
+
+
+def test_false_wakes_those_who_wait_for_a_not() -> None:
+    fluent = Fluent(True)
+    with waiting(fluent.NOT()) as running:
+        fluent.set_value(False)
+        assert running.end() is True
+
+
+def test_all_who_wait_wake() -> None:
+    fluent = Fluent()
+    with waiting(fluent) as one, waiting(fluent > 3) as two, waiting(fluent) as three:
+        fluent.set_value(4)
+        assert [running.end() for running in (one, two, three)] == [True] * 3
+
+
+def test_a_moment_is_long_enough_to_be_seen() -> None:
+    fluent = Fluent(0)
+    with waiting(fluent == 1) as running:
+        fluent.set_value(1)
+        fluent.set_value(0)
+        assert running.end() is True
+
+
+def test_a_network_never_shows_a_mix_of_two_moments() -> None:
+    a = Fluent(0)
+    mixed = network(lambda one, two: None if two - one == 1 else (one, two), a, a + 1)
+    with waiting(mixed.OR(a == -1)) as running:
+        setting = Running(lambda: [a.set_value(number) for number in range(2000)])
+        while setting.thread.is_alive():
+            assert mixed.get_value() is None
+        setting.end()
+        assert running.outcome is None  # the one who waits saw all 2000 and no mix
+        a.set_value(-1)
+        assert running.end() is True
+    assert mixed.get_value() is None
+
+
+def test_functions_of_networks_may_wait_for_other_threads_and_run_where_one_asks() -> None:
+    a = Fluent(1)
+    where: list[str] = []
+
+    def function(value: int) -> int | None:
+        where.append(threading.current_thread().name)
+        other = Running(lambda: a.pulsed().get_value())  # needs the lock of all fluents
+        assert other.end() is None
+        return value if value > 1 else None
+
+    with waiting(network(function, a)) as running:
+        a.set_value(2)
+        assert running.end() is True
+    assert threading.current_thread().name not in where
+
+
+def test_many_threads_set_and_wait() -> None:
+    turn = Fluent(0)
+    count = 8
+
+    def play(number: int) -> int:
+        for round_ in range(10):
+            assert (turn == round_ * count + number).wait_for(PATIENCE)
+            turn.set_value(turn.get_value() + 1)
+        return number
+
+    players = [Running(lambda number=number: play(number)) for number in range(count)]
+    assert [player.end() for player in players] == list(range(count))
+    assert turn.get_value() == 10 * count
+
+
+@pytest.mark.parametrize("kind", ["value", "network", "pulsed", "whenever"])
+def test_a_cancelled_branch_leaves_its_wait_at_once(kind: str) -> None:
+    fluent = Fluent()
+    if kind == "whenever":
+        looked = threading.Event()
+        watched = network(lambda value: (looked.set(), value)[1], fluent)
+        running = Running(lambda: [None for _ in whenever(watched)])
+        assert looked.wait(PATIENCE)
+        running.scope.cancel()
+    else:
+        awaited = {"value": fluent, "network": fluent.IS(3), "pulsed": fluent.pulsed()}[kind]
+        with waiting(awaited) as running:
+            running.scope.cancel()
+    assert isinstance(running.end(), Cancelled)
+    assert not fluent.term.watchers
+    fluent.set_value(3)
+
+
+def test_a_wait_ends_in_time_or_when_cancelled_however_often_the_value_changes() -> None:
+    fluent = Fluent(0)
+    looked = threading.Event()
+
+    def another(value: int) -> None:
+        fluent.set_value(value + 1)
+        if value > 100:
+            looked.set()
+
+    restless = network(another, fluent)
+    assert restless.wait_for(timeout=0.01) is False
+    running = Running(restless.wait_for)
+    assert looked.wait(PATIENCE)
+    running.scope.cancel()
+    assert isinstance(running.end(), Cancelled)
+
+
+def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
+    fluent = Fluent(1)
+    scope = Scope()
+    scope.cancel()
+    with entered(scope):
+        with pytest.raises(Cancelled):
+            fluent.wait_for()
+        with pytest.raises(Cancelled):
+            next(whenever(fluent))
+
+
+def test_a_block_that_is_broken_off_takes_what_waits_in_it_along() -> None:
+    battery, charged = Fluent(100, "battery"), Fluent(0)
+    threads = threading.active_count()
+
+    def charge() -> None:
+        battery.set_value(100)
+        charged.set_value(charged.get_value() + 1)
+
+    def plan() -> None:
+        with par as s:
+            s(whenever, battery < 20, charge)
+            s((battery < 0).wait_for)
+            for times in range(1, 4):
+                battery.set_value(10)
+                assert (charged == times).wait_for(PATIENCE)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan()
+    assert threading.active_count() == threads
+    assert not battery.term.watchers
+
+
+def test_an_old_values_finalizer_may_use_fluents() -> None:
+    fluent, told = Fluent(), Fluent(0)
+
+    class Old:
+        def __del__(self) -> None:
+            assert Running(lambda: told.set_value(told.get_value() + 1)).end() is None  # in another thread
+
+    fluent.set_value(Old())
+    fluent.set_value(None)
+    assert told.get_value() == 1
+
+
+def test_ctrl_c_ends_a_wait() -> None:
+    fluent = Fluent()
+    main = threading.get_ident()
+    looked = threading.Event()
+    watched = network(lambda value: (looked.set(), value)[1], fluent)
+    over = threading.Event()
+
+    def press() -> None:
+        assert looked.wait(PATIENCE)
+        signal.pthread_kill(main, signal.SIGINT)
+        if not over.wait(1):  # CPython sees one only later that comes just before it goes to sleep
+            signal.pthread_kill(main, signal.SIGINT)
+
+    running = Running(press)
+    with pytest.raises(KeyboardInterrupt):
+        watched.wait_for(PATIENCE)
+    over.set()
+    running.end()
+    assert not fluent.term.watchers
