@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
     from pycram.claims import Ticket
     from pycram.language import Kind
+    from pycram.open_block import OpenBlock
 
 
 class Doing(MotionDesignator):
@@ -133,8 +134,12 @@ def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
     assert order == [1, 2]
 
 
-@pytest.mark.parametrize("where", [lambda found: found, lambda found: [0.5, {"x": (found,)}]], ids=["slot", "within"])
-def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[object], object]) -> None:
+@pytest.mark.parametrize(
+    "where",
+    [lambda _, found: found, lambda _, found: [0.5, {"x": (found,)}], lambda s, found: s(lambda: [found])],
+    ids=["a slot", "within a slot", "within a result"],
+)
+def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[OpenBlock, object], object]) -> None:
     order, asked = [], threading.Event()
 
     def find() -> str:
@@ -144,23 +149,7 @@ def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[
 
     with par as s:
         found = s(find)
-        do(lambda: order.append(2), "left-arm", object=where(found))
-        asked.set()
-    assert order == [1, 2]
-
-
-def test_a_motion_waits_for_results_in_results() -> None:
-    order, asked = [], threading.Event()
-
-    def find() -> str:
-        asked.wait(20)
-        do(lambda: order.append(1), "left-arm")
-        return "milk"
-
-    with par as s:
-        found = s(find)
-        listed = s(lambda: [found])
-        do(lambda: order.append(2), "left-arm", object=listed)
+        do(lambda: order.append(2), "left-arm", object=where(s, found))
         asked.set()
     assert order == [1, 2]
 

@@ -22,4 +22,4 @@ def _watched() -> Iterator[None]:
     yield
     faulthandler.cancel_dump_traceback_later()
     assert threading.active_count() == before
-    assert all(node.finished for _, node in tasks.tree().walk())
+    assert all(node.finished for node in tasks.tree().nodes.values())
