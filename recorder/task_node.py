@@ -1,0 +1,240 @@
+"""A task of the tree: what it is, what it is part of, how far it is or how it ended, as its records tell.
+
+Children stand in the order in which they were asked for, which is that of their ids.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from enum import IntEnum
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+
+from recorder.records import STEPS_PER_SECOND, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from recorder.records import Failure
+
+BY_ID: Final = attrgetter("id")
+
+
+class State(IntEnum):
+    """How far a task is, or how it ended; the numbers are those of the records."""
+
+    CREATED = Task.CREATED
+    RUNNING = Task.RUNNING
+    SUCCEEDED = Task.SUCCEEDED
+    FAILED = Task.FAILED
+    CANCELLED = Task.CANCELLED
+
+    @property
+    def word(self) -> str:
+        """As a word: "created", "running", "succeeded", "failed" or "cancelled"."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment in both times.
+
+    Attributes:
+        wall_ns: nanoseconds since the Unix epoch.
+        sim_step: steps of 1/240 s that the world had simulated.
+        world: the world that was current, "" if there was none.
+    """
+
+    wall_ns: int
+    sim_step: int = 0
+    world: str = ""
+
+    @property
+    def sim_seconds(self) -> float:
+        """Simulated time in s."""
+        return self.sim_step / STEPS_PER_SECOND
+
+
+def _moment(record: Task) -> Moment:
+    return Moment(record.wall_time_ns, record.sim_step, record.world)
+
+
+@dataclass(slots=True, eq=False)
+class Node:
+    """A task.
+
+    Attributes:
+        started: the record of its start; of a task that never started, that of its being asked for; of a task of
+            which both are lost, that of its end.
+        parent: the task that it is part of; None for an outermost one.
+        asked: the record of its being asked for; None of what starts at once.
+        finished: the record of its end; None if it has not ended.
+        forgotten: how many of its parts the tree of a long-running plan has let go.
+        size: bytes of its own records, where the tree has a limit for these.
+        parts: tasks that are part of it, by their ids.
+    """
+
+    started: Task
+    parent: Node | None = None
+    asked: Task | None = None
+    finished: Task | None = None
+    forgotten: int = 0
+    size: int = 0
+    parts: dict[int, Node] = field(default_factory=dict)
+
+    @property
+    def id(self) -> int:
+        """Its number: unique in its process, from 1."""
+        return self.started.task
+
+    @property
+    def kind(self) -> str:
+        """What sort of task: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ..."""
+        return self.started.kind
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+        return self.started.name
+
+    @property
+    def attempt(self) -> int:
+        """Which attempt it is, from 1; 0 if it is none."""
+        return self.started.attempt
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """What it was given, by name, as the records tell it."""
+        return {argument.name: json.loads(argument.json) for argument in self.started.parameters}
+
+    @property
+    def solution(self) -> Mapping[str, Any]:
+        """How that was resolved; empty unless it was recorded."""
+        resolved = self.finished.solution if self.finished is not None else ()
+        return {argument.name: json.loads(argument.json) for argument in resolved}
+
+    @property
+    def status(self) -> State:
+        """How far it is, or how it ended; RUNNING if the recording ends before."""
+        if self.finished is not None:
+            return State(self.finished.status)
+        return State.CREATED if self.started.phase == Task.ASKED else State.RUNNING
+
+    @property
+    def failed(self) -> bool:
+        """Whether it failed."""
+        return self.finished is not None and self.finished.status == Task.FAILED
+
+    @property
+    def is_origin(self) -> bool:
+        """Whether a failure began in it: it failed, and none of its parts did."""
+        return self.failed and not any(child.failed for child in self.children)
+
+    @property
+    def failure(self) -> Failure | None:
+        """What it failed with: type, message, data and, if it was recorded, the traceback."""
+        return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
+
+    @property
+    def created(self) -> Moment:
+        """When it was asked for."""
+        return _moment(self.asked or self.started)
+
+    @property
+    def start(self) -> Moment | None:
+        """When it began; None if it has not."""
+        return None if self.started.phase == Task.ASKED else _moment(self.started)
+
+    @property
+    def end(self) -> Moment | None:
+        """When it ended; None if it has not."""
+        return _moment(self.finished) if self.finished is not None else None
+
+    @property
+    def seconds(self) -> float | None:
+        """How long it took by the clock, in s; None if it has not ended."""
+        return self.finished.duration_ns / 1e9 if self.finished is not None else None
+
+    @property
+    def source(self) -> str:
+        """The plan's line that asked for it, "file:line", "" if that isn't known."""
+        record = self.asked or self.started
+        return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+
+    @property
+    def children(self) -> list[Node]:
+        """Tasks that are part of it, in the order in which they were asked for."""
+        return sorted(self.parts.values(), key=BY_ID)
+
+    @property
+    def attempts(self) -> list[Node]:
+        """Its parts that are attempts at the same thing."""
+        return [child for child in self.children if child.attempt]
+
+    @property
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        return is_dealt_with(node.finished for node in self.around())
+
+    @property
+    def path(self) -> str:
+        """Names from the outermost task down to this one."""
+        return "/".join(reversed([node.name for node in self.around()]))
+
+    def around(self) -> Iterator[Node]:
+        """The task itself and those that it is part of, outwards."""
+        node: Node | None = self
+        while node is not None:
+            yield node
+            node = node.parent
+
+    def walk(self) -> Iterator[tuple[int, Node]]:
+        """This task and all below it with their depth from 0, each before its parts; as deep as plans nest."""
+        stack = [(0, self)]
+        while stack:
+            depth, node = stack.pop()
+            yield depth, node
+            stack += [(depth + 1, child) for child in reversed(node.children)]
+
+    def same(self, other: Node) -> bool:
+        """Whether another tree tells the same of this task and of all below it, record for record."""
+        mine, others = list(self.walk()), list(other.walk())
+        return len(mine) == len(others) and all(
+            depth == level
+            and (node.asked, node.started, node.finished) == (twin.asked, twin.started, twin.finished)
+            and node.forgotten == twin.forgotten
+            for (depth, node), (level, twin) in zip(mine, others, strict=True)
+        )
+
+    def __repr__(self) -> str:
+        return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"
+
+
+class Failing(Protocol):
+    """A task that failed, in whatever form it is kept."""
+
+    @property
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended, and didn't fail."""
+
+
+_Failing = TypeVar("_Failing", bound=Failing)
+
+
+def is_dealt_with(ends: Iterable[Task | None]) -> bool:
+    """Whether a failure decided nothing, by how it and the tasks around it ended.
+
+    Args:
+        ends: the records of their ends; None of what has not ended.
+    """
+    return any(end is not None and end.status != Task.FAILED for end in ends)
+
+
+def decisive(origins: Sequence[_Failing]) -> _Failing | None:
+    """The failure that tells how a plan fares: the last that nothing around it dealt with, else the last.
+
+    Args:
+        origins: the tasks in which failures began, in the order of their ends.
+    """
+    return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
