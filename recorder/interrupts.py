@@ -24,7 +24,7 @@ _SIGINT: Final = int(signal.SIGINT)
 class Uninterrupted:
     """A block that SIGINT doesn't break off, where Python handles it.
 
-    For the main thread: signals raise in no other, where it does nothing. Blocks may nest.
+    For the main thread: signals raise in no other, where it does nothing. Blocks may nest; the outermost does it all.
 
     Attributes:
         noted: whether an interrupt is being held back.
@@ -37,7 +37,7 @@ class Uninterrupted:
         self.noted = False
         if threading.get_ident() == threading.main_thread().ident:
             handler = _signal.getsignal(_SIGINT)
-            if callable(handler):
+            if callable(handler) and not isinstance(getattr(handler, "__self__", None), Uninterrupted):
                 self._handler = handler  # first: an interrupt may raise up to the moment when it is only noted
                 _signal.signal(_SIGINT, self._note)
         return self
