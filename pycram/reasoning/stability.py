@@ -7,9 +7,11 @@ is passed, or when all that could matter has come to rest (slower than 2 mm/s an
 the limit in the time left, and not gaining speed) and stands firmly (:mod:`pycram.reasoning.footing`).
 
 What is simulated is a twin, never the world: PyBullet's saved states, even if restored at once, change the last bits of
-what contacts do next. In it is whatever could get to the object within that time: nothing gets faster than by falling
-from the top of the highest thing that isn't fixed. Robots cost most of a step and hold their posture. They are in it
-only if something free leans on one or is held together with the object; else they stay out, with what they hold.
+what contacts do next. A twin begins with contacts as they are found; the engine keeps some from step to step that it
+would not find again, and in disorderly piles one answer in 25 hangs on these, which no state tells of. In it is
+whatever could get to the object within that time: nothing gets faster than by falling from the top of the highest thing
+that isn't fixed. Robots cost most of a step and hold their posture. They are in it only if something free leans on one
+or is held together with the object; else they stay out, with what they hold.
 """
 
 from __future__ import annotations

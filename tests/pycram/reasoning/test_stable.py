@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from typing import TYPE_CHECKING
 
 import pytest
@@ -274,3 +275,39 @@ def test_a_spoon_that_leans_on_a_bowl_is_known_after_a_few_steps(floor: Object) 
     spoon, _ = spoon_in_a_bowl()
     assert btr.stable(spoon).evidence["simulated_steps"] <= 48
     assert btr.stable(spoon.world.get_object("bowl")).evidence["simulated_steps"] <= 48
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_in_piles_the_answer_is_that_of_the_whole_scene(world: BulletWorld, floor: Object, seed: int) -> None:
+    """What lies anyhow on, in and against each other, some of it still moving.
+
+    Contacts that the engine keeps from step to step are nothing that a state tells of, and a few such answers hang on
+    them: both sides begin with contacts as they are found.
+    """
+    rng = random.Random(seed)
+    things, height = [], 0.15
+    for index in range(rng.randint(3, 6)):
+        turn = [
+            rng.uniform(-3, 3) * (rng.random() < 0.4),
+            rng.uniform(-3, 3) * (rng.random() < 0.4),
+            rng.uniform(-3, 3),
+        ]
+        at = [rng.uniform(-0.07, 0.07), rng.uniform(-0.07, 0.07), height]
+        file = rng.choice(["milk", "cup", "bowl", "spoon", "apple", "plate", "pot", "glass", "knife"])
+        things.append(Object(f"{file}_{index}", file, f"{file}.stl", at, list(geometry.from_rpy(*turn))))
+        height += rng.uniform(0.08, 0.2)
+    world.simulate(rng.choice([0.7, 1.0, 2.0]))
+    said = {body: bool(btr.stable(body)) for body in things}
+    for body in world.objects:
+        world.engine.separate(body.handle, fixed=body.fixed)
+    before = {body: body.get_position_and_orientation() for body in things}
+    moved = dict.fromkeys(things, 0.0)
+    turned = dict.fromkeys(things, 0.0)
+    for _ in range(80):
+        world.simulate(0.025)
+        for body, (place, way) in before.items():
+            position, orientation = body.get_position_and_orientation()
+            moved[body] = max(moved[body], math.dist(place, position))
+            turned[body] = max(turned[body], geometry.angle(way, orientation))
+    assert said == {body: moved[body] <= 0.01 and turned[body] <= math.radians(5) for body in things}
