@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
 from replay.errors import Damaged, NoSuchName
-from replay.index import DAMAGE
+from replay.packed import DAMAGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,46 +7,29 @@ taken: nothing here needs the file to have been closed, or to be undamaged. No r
 from __future__ import annotations
 
 import io
-import struct
 import zlib
 from collections import defaultdict
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     AttachmentIndex,
     Channel,
-    Chunk,
     Footer,
     Header,
-    Message,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
 )
-from mcap.stream_reader import breakup_chunk
 
 from replay.errors import LogClosed
-from replay.packed import CHUNK_HEAD, Unpacking
-from replay.places import CHANNEL_OFFSET, HEADER, ChunkPlace, ChunkPlaces, Place
+from replay.packed import DAMAGE, Unpacking
+from replay.places import DATA_END, FOOTER, HEADER, LENGTH, MAGIC, ChunkPlace, ChunkPlaces, Place
+from replay.walk import Walk
 
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
-
-MAGIC: Final = b"\x89MCAP0\r\n"
-_FOOTER: Final = HEADER + 20
-_LIMIT: Final = 1 << 32  # no honest record is longer
-_LENGTH: Final = struct.Struct("<BQ")
-_DATA_END: Final = HEADER + 4
-_BLOCK: Final = 1 << 20
-#: Stands in the head of each compressed chunk: by this the next one is found behind a damaged part.
-_MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
-
-#: What a damaged file can raise in the libraries that decode it.
-DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
+_BLOCK: Final = 1 << 20  # bytes that are read at once
 
 
 class Index:
@@ -63,6 +46,7 @@ class Index:
         metadata: what the recorder said, by name of the metadata.
         counts: messages of each channel; of a file that was cut, in all whole chunks.
         torn: bytes at the end that are no whole record, or not yet.
+        data_end: where the record that ends the data begins; 0 if there is none, or it wasn't found.
         library: what wrote the file, by its own words; "" if that is damaged.
     """
 
@@ -74,7 +58,6 @@ class Index:
         """
         self._file = file
         self._unpacking = Unpacking()
-        self._next = len(MAGIC)
         self.closed = False
         self.whole = False
         self.damage: list[str] = []
@@ -85,9 +68,8 @@ class Index:
         self.metadata: dict[str, dict[str, str]] = {}
         self.counts: defaultdict[int, int] = defaultdict(int)
         self.torn = 0
-        self._counted: defaultdict[int, int] = defaultdict(int)  # messages of the last chunk, as far as indexed
-        self._data_end = 0  # where the record that ends the data begins; 0 if there is none
-        self._decoded = -1  # the chunk whose messages were counted by decoding it
+        self.data_end = 0
+        self._walk = Walk(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
@@ -130,17 +112,25 @@ class Index:
 
         It finds what nothing else does: wrong bytes in parts that are not needed for reading.
         """
-        if not self._data_end:
+        if not self.data_end:
             return
         self._file.seek(0)
-        crc, left = 0, self._data_end
+        crc, left = 0, self.data_end
         while left and (block := self._file.read(min(left, _BLOCK))):
             crc = zlib.crc32(block, crc)
             left -= len(block)
-        end = self._file.read(_DATA_END)
+        end = self._file.read(DATA_END)
         told = int.from_bytes(end[HEADER:], "little")
         if end[:1] != bytes([Opcode.DATA_END]) or (told and told != crc):
             self.damage = [*self.damage, "the sum of its bytes is not the one that it was closed with"]
+
+    def refresh(self) -> bool:
+        """Looks for what was written since.
+
+        Returns:
+            Whether there is anything new; never of a file that was closed.
+        """
+        return not self.closed and self._walk.go_on()
 
     def _read_library(self) -> str:
         self._file.seek(len(MAGIC))
@@ -153,32 +143,30 @@ class Index:
             return ""
         return told
 
-    # --- a finished file -------------------------------------------------------------------------------------------
-
     def _read_summary(self) -> None:
         size = self._file.seek(0, io.SEEK_END)
-        self._file.seek(max(size - len(MAGIC) - _FOOTER, 0))
+        self._file.seek(max(size - len(MAGIC) - FOOTER, 0))
         end = self._file.read()
-        if len(end) != _FOOTER + len(MAGIC) or not end.endswith(MAGIC) or end[0] != Opcode.FOOTER:
+        if len(end) != FOOTER + len(MAGIC) or not end.endswith(MAGIC) or end[0] != Opcode.FOOTER:
             raise EOFError
-        footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:_FOOTER])))
+        footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:FOOTER])))
         if not 0 < footer.summary_start < size:
             raise EOFError  # closed, but without index
         self._file.seek(footer.summary_start)
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
             raise EOFError
-        self._take_summary(summary[: len(summary) - _FOOTER + 4], sound=footer.summary_crc != 0)
+        self._take_summary(summary[: len(summary) - FOOTER + 4], sound=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
             raise EOFError  # written without an index of chunks
-        self._data_end = footer.summary_start - _DATA_END
+        self.data_end = footer.summary_start - DATA_END
         self.closed = self.whole = True
 
     def _take_summary(self, summary: bytes, *, sound: bool) -> None:
         starts = []
         at = 0
         while at < len(summary):
-            opcode, length = _LENGTH.unpack_from(summary, at)
+            opcode, length = LENGTH.unpack_from(summary, at)
             at += HEADER
             if opcode == Opcode.CHUNK_INDEX:  # by far the most
                 starts.append(at)
@@ -192,9 +180,9 @@ class Index:
 
     def _take_summary_record(self, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.SCHEMA:
-            self._learn(Schema.read(stream))
+            self.learn(Schema.read(stream))
         elif opcode == Opcode.CHANNEL:
-            self._learn(Channel.read(stream))
+            self.learn(Channel.read(stream))
         elif opcode == Opcode.STATISTICS:
             self.counts.update(Statistics.read(stream).channel_message_counts)
         elif opcode == Opcode.ATTACHMENT_INDEX:
@@ -202,214 +190,16 @@ class Index:
             self.attachments[attachment.name] = Place(attachment.offset + HEADER, attachment.length - HEADER)
         elif opcode == Opcode.METADATA_INDEX:
             metadata = MetadataIndex.read(stream)
-            self._take_metadata(Place(metadata.offset + HEADER, metadata.length - HEADER))
+            self.take_metadata(Place(metadata.offset + HEADER, metadata.length - HEADER))
 
-    def _take_metadata(self, place: Place) -> None:
+    def take_metadata(self, place: Place) -> None:
+        """Takes what a record of metadata says."""
         told = Metadata.read(ReadDataStream(io.BytesIO(self.read(place))))
         self.metadata[told.name] = told.metadata
 
-    def _learn(self, record: object) -> None:
+    def learn(self, record: object) -> None:
+        """Takes the definition of a channel or of a type of messages."""
         if isinstance(record, Schema):
             self.schemas[record.id] = record.name
         elif isinstance(record, Channel):
             self.channels[record.id] = record
-
-    # --- any other file --------------------------------------------------------------------------------------------
-
-    def refresh(self) -> bool:
-        """Walks on from where the last walk ended.
-
-        Returns:
-            Whether there is anything new; never of a file that was closed.
-        """
-        if self.closed:
-            return False
-        before = self._next
-        size = self._file.seek(0, io.SEEK_END)
-        at = self._next
-        while at + HEADER <= size:
-            self._file.seek(at)
-            opcode, length = _LENGTH.unpack(self._file.read(HEADER))
-            place = Place(at + HEADER, length)
-            if opcode == Opcode.DATA_END and length == 4:
-                self._learn_from_summary(place.offset + place.length, size)
-                self.closed = self._has_end(size)
-                if self.closed:
-                    self._data_end = at
-                    self.whole = self._ends_well(at, size)
-                    at = size
-                break
-            beyond = place.offset + length > size
-            if beyond and not self._is_damaged(opcode, place, size):
-                break  # torn, or being written
-            if not beyond and self._take(opcode, place):
-                at = place.offset + length
-                continue
-            found = self._next_chunk(at + 1, size)
-            if found is None:
-                break
-            self.damage.append(f"{found - at} bytes at byte {at} are damaged")
-            at = found
-        if self.chunks:
-            self._count_last()  # its index may be torn off, or not be written yet
-        self._next = at
-        self.torn = size - at
-        return at > before
-
-    def _has_end(self, size: int) -> bool:
-        self._file.seek(max(size - len(MAGIC), 0))
-        return self._file.read() == MAGIC
-
-    def _ends_well(self, data_end: int, size: int) -> bool:
-        """Whether the summary is sound, or only missing because its writer wrote none."""
-        behind = data_end + _DATA_END
-        self._file.seek(behind)
-        end = self._file.read(size - behind)
-        if len(end) < _FOOTER + len(MAGIC):
-            return False
-        footer = Footer.read(ReadDataStream(io.BytesIO(end[-_FOOTER - len(MAGIC) + HEADER :])))
-        if not footer.summary_start:
-            return len(end) == _FOOTER + len(MAGIC)
-        sound = footer.summary_crc in (0, zlib.crc32(end[: -len(MAGIC) - 4]))
-        return sound and footer.summary_start == behind
-
-    def _learn_from_summary(self, at: int, size: int) -> None:
-        """Learns channels whose definitions are lost: the summary repeats them, also where its places are wrong."""
-        while at + HEADER <= size:
-            self._file.seek(at)
-            opcode, length = _LENGTH.unpack(self._file.read(HEADER))
-            place = Place(at + HEADER, length)
-            at = place.offset + length
-            if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
-                return
-            try:
-                told = (Schema if opcode == Opcode.SCHEMA else Channel).read(
-                    ReadDataStream(io.BytesIO(self.read(place)))
-                )
-            except DAMAGE:
-                return
-            known: Container[int] = self.schemas if isinstance(told, Schema) else self.channels
-            if told.id not in known:
-                self._learn(told)
-
-    def _is_damaged(self, opcode: int, place: Place, size: int) -> bool:
-        """Whether a record that reaches beyond the end has a wrong head, rather than being cut."""
-        if not Opcode.HEADER <= opcode <= Opcode.DATA_END or place.length > _LIMIT:
-            return True
-        if opcode == Opcode.CHUNK and place.offset + CHUNK_HEAD.size + 32 <= size:
-            return not self._is_chunk(place)
-        # with whole chunks behind it, it isn't the end that is torn
-        return self._next_chunk(place.offset, size) is not None
-
-    def _is_chunk(self, place: Place) -> bool:
-        self._file.seek(place.offset)
-        head = self._file.read(CHUNK_HEAD.size + 32)
-        if len(head) < CHUNK_HEAD.size + 8:
-            return False
-        name = CHUNK_HEAD.unpack_from(head)[4]
-        at = CHUNK_HEAD.size + name
-        return bool(name <= 16 and place.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
-
-    def _take(self, opcode: int, place: Place) -> bool:
-        """Takes a whole record; False if it can't be what it says."""
-        try:
-            if opcode == Opcode.CHUNK:
-                if place.length < CHUNK_HEAD.size + 8 or not self._is_chunk(place):
-                    return False
-                if self.chunks and self.chunks[-1].channels is None:
-                    self._count_last()
-                self._counted = defaultdict(int)
-                self.chunks.append(ChunkPlace(*place, None))
-            elif opcode == Opcode.MESSAGE_INDEX:
-                return self._take_message_index(place)
-            elif opcode == Opcode.ATTACHMENT:
-                return self._take_attachment(place)
-            elif opcode == Opcode.METADATA:
-                self._take_metadata(place)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kind = Schema if opcode == Opcode.SCHEMA else Channel
-                self._learn(kind.read(ReadDataStream(io.BytesIO(self.read(place)))))
-        except DAMAGE:
-            return False
-        return Opcode.HEADER <= opcode <= Opcode.DATA_END
-
-    def _take_message_index(self, place: Place) -> bool:
-        self._file.seek(place.offset)
-        head = self._file.read(6)
-        channel, length = int.from_bytes(head[:2], "little"), int.from_bytes(head[2:], "little")
-        if place.length != 6 + length or length % 16:
-            return False
-        if not self.chunks or not length or self._decoded == len(self.chunks) - 1:
-            return True
-        entry = CHANNEL_OFFSET.pack(channel, place.offset)
-        self.chunks.tell_channels((self.chunks[-1].channels or b"") + entry)
-        self._counted[channel] += length // 16
-        self.counts[channel] += length // 16
-        if channel not in self.channels:
-            self._learn_from(len(self.chunks) - 1)
-        return True
-
-    def _take_attachment(self, place: Place) -> bool:
-        self._file.seek(place.offset + 16)
-        stream = ReadDataStream(self._file)
-        name = stream.read_prefixed_string()
-        stream.read_prefixed_string()
-        size = stream.read8()
-        if place.length != 16 + stream.count + size + 4:
-            return False
-        self.attachments[name] = place
-        return True
-
-    def _learn_from(self, number: int) -> dict[int, int] | None:
-        """Learns the channels that a chunk defines, and counts its messages; None if it is damaged."""
-        counted: defaultdict[int, int] = defaultdict(int)
-        try:
-            chunk = Chunk.read(ReadDataStream(io.BytesIO(self.read(self.chunks[number]))))
-            records = breakup_chunk(chunk, validate_crc=True)
-        except Exception:  # noqa: BLE001  decompressors' errors have no common base; told when the chunk is read
-            return None
-        for record in records:
-            self._learn(record)
-            if isinstance(record, Message):
-                counted[record.channel_id] += 1
-        return counted
-
-    def _count_last(self) -> None:
-        """Counts the last chunk's messages from itself."""
-        number = len(self.chunks) - 1
-        if number == self._decoded:
-            return
-        counted = self._learn_from(number)
-        if counted is None:
-            return
-        for channel in counted.keys() | self._counted.keys():
-            self.counts[channel] += counted.get(channel, 0) - self._counted[channel]
-        self.chunks.tell_channels(b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in counted))
-        self._decoded = number
-
-    def _next_chunk(self, start: int, size: int) -> int | None:
-        """Offset of the first chunk at or behind a byte that is whole; None if there is none."""
-        at = start
-        while at < size:
-            self._file.seek(at)
-            block = self._file.read(_BLOCK + 64)
-            found = sorted(i for mark in _MARKS for i in _all(block, mark))
-            for i in found:
-                offset = at + i - CHUNK_HEAD.size + 4 - HEADER
-                if offset >= start and self._chunk_at(offset, size):
-                    return offset
-            at += _BLOCK
-        return None
-
-    def _chunk_at(self, offset: int, size: int) -> bool:
-        self._file.seek(offset)
-        opcode, length = _LENGTH.unpack(self._file.read(HEADER))
-        place = Place(offset + HEADER, length)
-        return opcode == Opcode.CHUNK and place.offset + length <= size and self._is_chunk(place)
-
-
-def _all(block: bytes, mark: bytes) -> Iterator[int]:
-    at = block.find(mark)
-    while at >= 0:
-        yield at
-        at = block.find(mark, at + 1)

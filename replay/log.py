@@ -18,8 +18,9 @@ from replay.assets import Assets
 from replay.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.errors import Damaged, LogClosed, NoSuchStep, NotALog, Unreadable
 from replay.fold import state_at
-from replay.index import MAGIC, Index
+from replay.index import Index
 from replay.lives import Life, lives_of
+from replay.places import MAGIC
 from replay.steps import step_of
 
 try:

@@ -8,11 +8,16 @@ import zlib
 from typing import Final
 
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdDecompressor
 
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
+
+
+#: What a damaged file can raise in the libraries that decode it.
+DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 
 
 class Unpacking:

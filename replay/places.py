@@ -1,4 +1,4 @@
-"""Where the chunks of a file lie.
+"""Where the chunks of a file lie, and how its format frames them.
 
 A recording of a million records has 20,000 of them, and a question needs a few. So what the file's summary says of a
 chunk stays as it is until it is asked for.
@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+MAGIC: Final = b"\x89MCAP0\r\n"  # the first bytes, and the last
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
+LENGTH: Final = struct.Struct("<BQ")  # these two
+DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
+FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
 _MAP_LENGTH: Final = struct.Struct("<I")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from itertools import takewhile
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Keyframe
 from replay import words
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from replay.source import Line
 
 
+_Way: TypeAlias = "tuple[Line, ...]"  # outermost first
 _NOTABLE: Final = math.radians(0.05)  # a turn that is worth a word
 
 
@@ -101,18 +104,21 @@ def _place(line: Line | None) -> dict[str, object] | None:
     return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
 
 
-def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
+def lines(found: Blame) -> Iterator[str]:
     """What was found, for people.
 
     Args:
         found: the blame.
-        is_earlier: whether it is what happened before another one, which was told.
     """
+    yield from _lines(found, [], is_earlier=False)
+
+
+def _lines(found: Blame, told: list[_Way], *, is_earlier: bool) -> Iterator[str]:
     yield _headline(found)
     yield f"  step {found.record.seq}: {words.line(found.record)}"
-    yield from _because(found.causes, "  ")
+    yield from _because(found.causes, "  ", told)
     for carried in found.carried:
-        yield from _held(carried)
+        yield from _held(carried, told)
     if found.others and not is_earlier:
         yield f"  ({found.body} is in {words.names(found.others)} too: --world tells which one is meant)"
     if found.without and not is_earlier:
@@ -120,7 +126,7 @@ def lines(found: Blame, *, is_earlier: bool = False) -> Iterator[str]:
     if found.earlier is not None:
         yield ""
         yield "Before that:"
-        yield from lines(found.earlier, is_earlier=True)
+        yield from _lines(found.earlier, told, is_earlier=True)
 
 
 def _headline(found: Blame) -> str:
@@ -163,21 +169,32 @@ def _size(found: Blame) -> str:
     return f"by {words.length(found.distance)}" + (f", {turned}," if found.angle >= _NOTABLE else "")
 
 
-def _because(why: Causes, indent: str) -> Iterator[str]:
+def _because(why: Causes, indent: str, told: list[_Way]) -> Iterator[str]:
     for cause in why.tasks:
         yield f"{indent}in {words.task(cause.kind, cause.name, cause.parameters)}  [step {cause.step}]"
     if not why.tasks:
         yield f"{indent}by the plan itself"
-    if why.way:
-        for word, line in zip(("from", *["called from"] * len(why.way)), reversed(why.way), strict=False):
-            yield f"{indent}{word} {words.place(line)}"
+    yield from (f"{indent}{line}" for line in _way(why.way, told))
 
 
-def _held(carried: Carried) -> Iterator[str]:
+def _way(way: _Way, told: list[_Way]) -> Iterator[str]:
+    """The lines that led there, innermost first, down to those that were told with another way."""
+    alike = (takewhile(lambda pair: pair[0] == pair[1], zip(way, other, strict=False)) for other in told)
+    known = max((len(list(pairs)) for pairs in alike), default=0)
+    told.append(way)
+    word = "from"
+    for line in reversed(way[known:] if known > 1 else way):
+        yield f"{word} {words.place(line)}"
+        word = "called from"
+    if known > 1:
+        yield f"{word} {words.place(replace(way[known - 1], text=''))}, as above"
+
+
+def _held(carried: Carried, told: list[_Way]) -> Iterator[str]:
     held = carried.held
     link = f" ({held.carrier_link})" if held.carrier_link else ""
     if carried.step is None or carried.causes is None:
         yield f"  {held.carrier}{link} held {held.body} already when the recording began"
         return
     yield f"  {held.carrier}{link} held {held.body} since step {carried.step}, where it was attached"
-    yield from _because(carried.causes, "    ")
+    yield from _because(carried.causes, "    ", told)

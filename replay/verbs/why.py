@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay import words
+from replay.advice import asked_again, commands
 from replay.cli import FINE, INCOMPLETE, USAGE
 from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
 from replay.plain import plain_record, told_failure
-from replay.question import BadQuestion, Name, Question, Term, question_of
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from recorder.records import Failure, Query
+    from recorder.records import Failure
     from replay.failures import Attempt
     from replay.log import Log
     from replay.source import Line
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 _FIRST, _LAST = 2, 5  # so many attempts are told one by one
 _MOST: Final = 12  # lines of a difference
-_STEP: Final = 0.35  # m: what a thing is moved by, to ask again
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -164,7 +163,7 @@ def lines(found: Why, path: str) -> Iterator[str]:
     yield from _section("What was tried", _tried(found))
     yield from _section("What the robot asked, and was told", _asked(found))
     yield from _section("What has changed since the last success", _changed(found))
-    yield from _section("Look closer", _commands(found, shlex.quote(path)))
+    yield from _section("Look closer", commands(found, shlex.quote(path)))
 
 
 def _section(title: str, body: Iterator[str]) -> Iterator[str]:
@@ -191,7 +190,7 @@ def _headline(found: Why) -> Iterator[str]:
         yield from _first_words(found, found.task)
     warning = found.warning
     if warning is not None and not found.is_of_python:
-        yield f"The robot had been told: {_again(warning)} said no at step {warning.seq}."
+        yield f"The robot had been told: {asked_again(warning)} said no at step {warning.seq}."
 
 
 def _though(found: Why) -> str:
@@ -392,46 +391,3 @@ def _since(since: Since) -> Iterator[str]:
     yield from (f"  {line}" for line in told[:_MOST])
     if len(told) > _MOST:
         yield f"  ... {len(told) - _MOST} more lines; `diff` tells all"
-
-
-def _commands(found: Why, path: str) -> Iterator[str]:
-    world = "" if found.world is None or found.is_default else f" --world {shlex.quote(found.world.name)}"
-    if found.asked:
-        yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
-    things = [thing.body.name for thing in found.things]
-    if things:
-        name = shlex.quote(things[-1])
-        yield f"pycram-replay state {path} {found.step} {name}{world}"
-        yield f"pycram-replay blame {path} {name} --at {found.step}{world}"
-    if found.warning is not None:
-        yield f"pycram-replay ask {path} {found.step} {shlex.quote(_again(found.warning))}{_nearer(found)}{world}"
-    if things:
-        yield f"pycram-replay render {path} {found.step} -o moment.png{world}"
-        yield f"pycram-replay restore {path} {found.step} --shell{world}"
-
-
-def _again(query: Query) -> str:
-    """A query as ``ask`` takes it: what it was about, without its thresholds."""
-    about: list[Term] = []
-    try:
-        asked = question_of(query)
-    except BadQuestion:
-        return words.question(query)
-    for name, term in asked.keywords.items():
-        if name in ("threshold", "margin", "grasp", "collision_free"):
-            break
-        about.append(Name(term) if isinstance(term, str) else term)  # a query takes the one for the other
-    return str(Question(query.name, tuple(about)))
-
-
-def _nearer(found: Why) -> str:
-    """The same question with the thing nearer to the robot, if a robot is there to reach it."""
-    if not found.things:  # a damaged recording may have lost them
-        return ""
-    robot = next((thing.body for thing in found.things if thing.robot), None)
-    thing = found.things[-1]
-    if robot is None or thing.distance is None or thing.distance <= _STEP:
-        return ""
-    share = _STEP / thing.distance
-    place = [a + (b - a) * share for a, b in zip(thing.body.position[:2], robot.position[:2], strict=True)]
-    return f" --move {shlex.quote(thing.body.name)}={place[0]:.2f},{place[1]:.2f},{thing.body.position[2]:.2f}"

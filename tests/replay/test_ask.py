@@ -16,6 +16,7 @@ from replay import words
 from replay.ask import QUERIES, Move, again, ask
 from replay.cli import main
 from replay.question import BadQuestion, Name, Question, parse
+from tests.replay.near import assert_near
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,24 +46,8 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
             if record.name == "stable":  # its rehearsal's twin has a past of its own: the same but for its creep
                 assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
-                assert_near(found.evidence, live, where)
+                assert_near(found.evidence, live, where, within=1e-6)
     assert not worlds.opened()
-
-
-def assert_near(found: object, wanted: object, where: str) -> None:
-    if isinstance(wanted, dict):
-        assert isinstance(found, dict)
-        assert list(found) == list(wanted), where
-        for key, value in wanted.items():
-            assert_near(found[key], value, f"{where}/{key}")
-    elif isinstance(wanted, list):
-        assert isinstance(found, list)
-        for a, b in zip(found, wanted, strict=True):
-            assert_near(a, b, where)
-    elif isinstance(wanted, float):
-        assert found == pytest.approx(wanted, abs=1e-6), where
-    else:
-        assert found == wanted, where
 
 
 @pytest.mark.slow

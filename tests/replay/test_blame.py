@@ -38,6 +38,14 @@ def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
     assert blame(small, "cereal", carried).record == found.record
 
 
+def test_lines_that_were_told_are_not_told_again(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+    carried = small.step("task:carry@end")
+    assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
+    told = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert sum(line.startswith("called from ") and line.endswith("main()") for line in told) == 1
+    assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in main, as above"]
+
+
 def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log) -> None:
     found = blame(small, "milk", mutation(small, "simulate"))
     assert found.how == "physics"

@@ -16,6 +16,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.process_module import ProcessModule
 from recorder.records import Keyframe, Mutation, Query
+from tests.replay.near import assert_near
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -144,19 +145,7 @@ def test_state_after_every_record_equals_the_live_world(tmp_path: Path, late: bo
     for step, live in witness.seen.items():
         # while it is being opened, a world is on record before the plan (and the witness) has it
         worlds = {name: bodies for name, bodies in told[str(step)].items() if bodies or name in live}
-        assert_same(worlds, json.loads(json.dumps(live)), f"step {step}")
-
-
-def assert_same(told: object, live: object, where: str) -> None:
-    if isinstance(live, dict):
-        assert isinstance(told, dict)
-        assert sorted(told) == sorted(live), where
-        for key, value in live.items():
-            assert_same(told[key], value, f"{where}/{key}")
-    elif (isinstance(live, list) and live and isinstance(live[0], float)) or isinstance(live, float):
-        assert told == pytest.approx(live, abs=1e-9), where
-    else:
-        assert told == live, where
+        assert_near(worlds, json.loads(json.dumps(live)), f"step {step}")
 
 
 def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,6 +16,7 @@ from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
 from recorder.records import Keyframe, Mutation, OpenWorld
 from replay.ask import ask
+from tests.replay.near import assert_near
 from tests.replay.plans import RandomPlan, everything
 
 if TYPE_CHECKING:
@@ -72,21 +73,6 @@ def plan_log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
 @pytest.fixture
 def planned(plan_log: tuple[Path, dict[str, object]]) -> Path:
     return plan_log[0]
-
-
-def assert_near(found: object, wanted: object, where: str = "") -> None:
-    if isinstance(wanted, dict):
-        assert isinstance(found, dict)
-        assert list(found) == list(wanted), where
-        for key, value in wanted.items():
-            assert_near(found[key], value, f"{where}/{key}")
-    elif isinstance(wanted, list | tuple) and wanted and isinstance(wanted[-1], list):
-        for a, b in zip(found, wanted, strict=True):
-            assert_near(a, b, where)
-    elif isinstance(wanted, list):
-        assert found == pytest.approx(wanted, abs=1e-9), where
-    else:
-        assert found == wanted, where
 
 
 def end_of(log: replay.Log) -> int:
