@@ -18,7 +18,7 @@ from recorder.errors import RecordingError
 PORT: Final = 9876  # where viewers listen unless they are told otherwise
 PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
 RECORDS_PORT: Final = 9877
-LINGERING: Final = 15.0  # s after the end of a recording for a viewer that is behind
+LINGERING: Final = 30.0  # s after the end of a recording for a viewer that is behind
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {

@@ -97,14 +97,10 @@ class _Batches:
     def __iter__(self) -> Iterator[list[Item]]:
         return iter(self._queue.get, [])
 
-    def say(self, word: Word) -> None:
-        """Tells of the viewer."""
-        self._connection.send(word)
-
-    def taken(self, records: int) -> None:
-        """Says that the viewer has a batch, if the recording still wants to know."""
+    def say(self, word: Word | int) -> None:
+        """Tells of the viewer, or how many records of a batch it has; if the recording still wants to know."""
         with contextlib.suppress(OSError):
-            self._connection.send(records)
+            self._connection.send(word)
 
 
 def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -> None:
@@ -138,13 +134,13 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
     for batch in batches:
         shown = showing.show(batch)
         _deliver(stream)
-        batches.taken(shown)
+        batches.say(shown)
     translator.finish()
     if wish.kind is Kind.SERVE:
-        batches.taken(0)
+        batches.say(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all
-    batches.taken(0)
+    batches.say(0)
 
 
 class _Showing:

@@ -11,21 +11,20 @@ import subprocess
 import sys
 import urllib.request
 import uuid
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import psutil
 import pytest
-from rerun.chunk import RrdReader
 
 import recorder
 import replay
 from recorder.viewer.audience import LINGERING, Kind, Wish, answers, free_port
 from replay.view import convert
-from tests.viewer.conftest import wait_until
+from tests.viewer.conftest import rows_of, wait_until
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Callable, Iterator
 
     from conftest import Headless, Server
@@ -125,11 +124,7 @@ def afterwards(log: Path, file: Path) -> Counter[str]:
     """The rows that a recording's records make when they are translated after the end."""
     with replay.open(log) as recording:
         convert([recording], file)
-    found: Counter[str] = Counter()
-    for chunk in RrdReader(file).stream():
-        found[chunk.entity_path] += chunk.num_rows
-    del found["/__properties"]
-    return found
+    return rows_of(file)
 
 
 def test_a_viewer_gets_everything(
@@ -158,6 +153,20 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
     assert "missed" not in ended.err
     expected = afterwards(ended.log, tmp_path / "afterwards.rrd")
     until(lambda: server.rows() == expected, "what was before is there")
+
+
+def test_a_plan_that_ends_before_the_viewer_s_library_is_loaded_is_shown_whole(
+    plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
+) -> None:
+    server = serve()
+    hurry = (
+        "from recorder import rerun_sink\nrerun_sink._TO_START = dict.fromkeys(Kind, 0.0)\nrerun_sink._AT_THE_END = 0.0"
+    )
+    ended = plan(f"from recorder.viewer.audience import Kind\n{hurry}", f"connect:{server.url}").end()
+    count = ended.check()
+    assert ended.missed() == (count, count), "they are behind when it ends"
+    rows = afterwards(ended.log, tmp_path / "afterwards.rrd")
+    until(lambda: server.rows() == rows, "what was left is shown")
 
 
 def test_what_can_not_be_shown_is_left_out(

@@ -27,6 +27,7 @@ from recorder.records import TOPICS, Argument, Failure, Mutation, Picture, Query
 from recorder.span import Span
 from replay import ask
 from replay.cli import main
+from tests.viewer.conftest import rows_of
 from tests.viewer.shown import Shown, in_world
 
 if TYPE_CHECKING:
@@ -92,10 +93,16 @@ def is_task(record: object) -> bool:
 
 @pytest.mark.slow
 def test_live_is_what_is_shown_afterwards(
-    tmp_path: Path, demo_live: tuple[Path, Shown], until: Callable[..., None]
+    tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]
 ) -> None:
-    log, live = demo_live
-    afterwards = view(log, tmp_path / "afterwards.rrd")
+    server, log, file = serve(), tmp_path / "live.mcap", tmp_path / "afterwards.rrd"
+    command = [sys.executable, "-m", "pycram", "demo", "--log", str(log), f"--rerun=connect:{server.url}"]
+    subprocess.run(command, check=True, capture_output=True, cwd=REPO)
+    afterwards = view(log, file)
+    rows = rows_of(file)
+    until(lambda: server.rows() == rows, "all is there")
+    server.finish()
+    live = Shown(server.file)
     assert live.counts() == afterwards.counts()
     assert without_start(live.fixed) == without_start(afterwards.fixed)
     assert {entity: [at for at, _ in rows] for entity, rows in live.rows.items()} == {
@@ -107,18 +114,6 @@ def without_start(fixed: dict[str, dict[str, object]]) -> dict[tuple[str, str], 
     """What holds at all times, but for when the viewer was first told of it."""
     told = {(entity, name): value for entity, values in fixed.items() for name, value in values.items()}
     return {key: value for key, value in told.items() if key[1] != "RecordingInfo:start_time"}
-
-
-@pytest.fixture
-def demo_live(tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]) -> tuple[Path, Shown]:
-    server, log = serve(), tmp_path / "live.mcap"
-    command = [sys.executable, "-m", "pycram", "demo", "--log", str(log), f"--rerun=connect:{server.url}"]
-    subprocess.run(command, check=True, capture_output=True, cwd=REPO)
-    with replay.open(log) as recording:
-        tasks = recording.counts()["task"]
-    until(lambda: server.rows()["/records/task"] == tasks, "all is there")
-    server.finish()
-    return log, Shown(server.file)
 
 
 def test_what_comes_and_goes(tmp_path: Path) -> None:
