@@ -142,7 +142,7 @@ class Span:
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and ended == Task.FAILED:
             record.failure.CopyFrom(failure(error, trace=recorded))
-        with Uninterrupted():
+        with Uninterrupted():  # its end is in the log and in the tree, or in neither
             self._ended = True
             try:
                 self._emit(record)
@@ -213,8 +213,7 @@ class Span:
             callers=callers(way.lines),
             attempt=self.attempt,
         )
-        with Uninterrupted():  # what is in the log is in the tree too
-            self._emit(record)
+        self._emit(record)
 
     def _emit(self, record: Task) -> None:
         if not self.parent and record.phase != _FINISHED:

@@ -87,24 +87,23 @@ def _lines(most: int) -> list[Place]:
     """The plan's innermost lines on this thread's stack, outermost first; without any, the innermost foreign one."""
     found: list[Place] = []
     last = foreign = None
-    kinds, machinery, plan = _kinds, _Kind.MACHINERY, _Kind.PLAN  # a task is looked up in as many frames as there are
+    known, plan, elsewhere, runner = _kinds.get, _Kind.PLAN, _Kind.FOREIGN, _Kind.RUNNER  # there are many frames
     frame: FrameType | None = sys._getframe(2)  # noqa: SLF001  inspect.stack() reads source files: 100 times slower
     while frame is not None:
         file = frame.f_code.co_filename
-        kind = kinds.get(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
-        if kind is machinery:
-            pass
-        elif kind is plan:
+        kind = known(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
+        if kind is plan:
             place = file, frame.f_lineno
             if place != last:
                 found.append(place)
                 last = place
                 if len(found) == most:
                     break
-        elif kind is _Kind.RUNNER:
+        elif kind is elsewhere:
+            if foreign is None:
+                foreign = file, frame.f_lineno
+        elif kind is runner:
             break
-        elif foreign is None:
-            foreign = file, frame.f_lineno
         frame = frame.f_back
     if not found and foreign is not None:
         return [foreign]
