@@ -258,7 +258,9 @@ class _Choice:
         self._body = body
         self._rehearsal = rehearsal
         self._options = options
-        self._opened = opened
+        every = [{**way.posture.positions, **opened} for _, ways in options for way in ways]
+        foreseen = iter(rehearsal.foresee(every))  # all at once: it takes little longer than one
+        self._foreseen = [list(itertools.islice(foreseen, len(ways))) for _, ways in options]
         self._hand = hand
         self._arm = rehearsal.moving() - set(hand)
         self._least: Rank = ((True, math.inf, math.inf, math.inf), 0, 0)
@@ -268,8 +270,8 @@ class _Choice:
     def made(self) -> GraspPlan:
         """The grasp, its posture, and what is touched there."""
         waiting: list[tuple[Cost, int, dict[Object, float]]] = []
-        for number, posture in enumerate(self._foreseen([ways[0] for _, ways in self._options])):
-            self._rehearsal.take(posture)
+        for number, postures in enumerate(self._foreseen):
+            self._rehearsal.take(postures[0])
             depths: dict[Object, float] = {}
             cost = self._cost(depths, self._hand, (self._least[0], number, 0))
             if cost <= _FREE:
@@ -291,14 +293,11 @@ class _Choice:
         obstacles.pop(self._body, None)
         return replace(plan, obstacles=obstacles)
 
-    def _foreseen(self, ways: Sequence[Reach]) -> list[Foreseen]:
-        return self._rehearsal.foresee([{**way.posture.positions, **self._opened} for way in ways])
-
     def _look(self, number: int, hand: Mapping[Object, float]) -> None:
         """Looks at all postures for one grasp, of which it is known what the hand touches, and how deep, m."""
         grasp, ways = self._options[number]
         bound = self._told(hand)
-        for place, (way, posture) in enumerate(zip(ways, self._foreseen(ways), strict=True)):
+        for place, (way, posture) in enumerate(zip(ways, self._foreseen[number], strict=True)):
             self._rehearsal.take(posture)
             rank = (self._cost(dict(hand), self._arm, self._least), number, place)
             if rank >= self._least:
