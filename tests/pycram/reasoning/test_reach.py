@@ -236,6 +236,15 @@ def test_blocking_counts_what_is_held_but_not_against_the_hand(scene: BulletWorl
     assert tall not in btr.blocking(milk, robot, LEFT)
 
 
+def test_what_the_other_hand_holds_meets_nothing_by_this_reach(scene: BulletWorld) -> None:
+    robot, cereal = scene.robot, scene.get_object("cereal")
+    tall = Object("tall", "cereal", "breakfast_cereal.stl", [1.5, 1.4, 0.85])  # half in the counter
+    robot.attach(tall, LEFT)
+    found = btr.blocking(cereal, robot, RIGHT)
+    assert found == []
+    assert found.evidence["reached"] is True
+
+
 def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     milk.set_position([1.3, 3, 0.95])
