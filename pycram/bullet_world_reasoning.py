@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 from pycram import checks
 from pycram.failures import ReasoningError
 from pycram.handle import unwrap
+from pycram.reasoning import choice as _choice
 from pycram.reasoning import contact as _contact
-from pycram.reasoning import grasps as _grasps
 from pycram.reasoning import outline as _outline
 from pycram.reasoning import reach as _reach
 from pycram.reasoning import reachability as _reachability
@@ -356,7 +356,7 @@ def blocking(
         _reach.approach(grasp, machine)
     told = {"object": body, "robot": machine, "gripper": gripper_name, "grasp": grasp}
     with asking("blocking", place, told) as asked:
-        plan = _grasps.best(body, machine, gripper_name, None if grasp is None else (grasp,))
+        plan = _choice.best(body, machine, gripper_name, None if grasp is None else (grasp,))
         asked.evidence = plan.evidence()
         found = Found(plan.obstacles, asked.evidence)
         asked.answer = found

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.failures import BadArgument, GraspFailed, PlaceFailed, PostureInCollision, Unreachable
 from pycram.process_modules.simulated import SimulatedModule
-from pycram.reasoning import grasps, grip, outline, placing, reach, rehearsal
+from pycram.reasoning import choice, grip, outline, placing, reach, rehearsal
 from pycram.reasoning.rehearsal import Rehearsal
 from recorder import geometry
 
@@ -97,7 +97,7 @@ class PickUp(SimulatedModule):
         with robot.world.lock:
             self._check_free(robot, arm, body)
             names = (solution["grasp"],) if "grasp" in solution else None
-            plan = grasps.best(body, robot, arm.tool_frame, names)
+            plan = choice.best(body, robot, arm.tool_frame, names)
             if plan.grasp is None or plan.reach is None:
                 if plan.reach is None:
                     raise GraspFailed(

@@ -152,7 +152,7 @@ def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:
     print()
     for kind, each in costs.items():
         print(f"blocking, {kind:12} {statistics.median(each):5.2f} IK calls in the median of {len(each)}, goal 5")
-    assert statistics.median(costs["blocked"]) < 20
+    assert all(statistics.median(each) < 3 * 5 for each in costs.values())
 
 
 def test_what_is_far_away_costs_little(kitchen: Object) -> None:

@@ -131,3 +131,27 @@ def test_what_is_too_far_is_pointed_at() -> None:
     assert not found.reached
     assert found.position_error == pytest.approx(0.3, abs=0.01)
     assert not solver.solve([0.0, 0.0, 5.0], geometry.from_rpy(0, math.pi, 0)).reached
+
+
+def test_many_targets_are_as_one_by_one() -> None:
+    """Near, at the edge and far beyond; with orientations and without."""
+    solver = chain(*PR2)
+    rng = np.random.default_rng(3)
+    places = [[float(x) for x in rng.uniform(-1.2, 1.2, 3)] for _ in range(20)]
+    turn = geometry.from_rpy(0.3, 0.8, -0.4)
+    for targets in ([(place, turn) for place in places], [(place, None) for place in places]):
+        many = solver.solve_all(targets)
+        reached = [ways[0].reached for ways in many]
+        assert 0 < sum(reached) < len(reached)
+        for target, ways in zip(targets, many, strict=True):
+            alone = solver.solve(*target)
+            assert alone.reached is ways[0].reached
+            assert alone.position_error == pytest.approx(ways[0].position_error, abs=1e-6)
+        exact = solver.at_once(targets, {})
+        assert all(way.reached for ways in exact for way in ways)
+        assert all(there for ways, there in zip(exact, reached, strict=True) if ways)
+
+
+def test_arms_of_any_number_of_joints_are_searched() -> None:
+    solver = chain([Z, Y] * 7, [0.1] * 15)
+    assert solver.solve([0.7, 0.3, 0.4]).reached

@@ -15,7 +15,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Unreachable
 from pycram.process_module import ProcessModule
-from pycram.reasoning.kinematics import ArmKinematics
+from pycram.reasoning.chain import Chain
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ def robot() -> Iterator[Object]:
         yield machine
 
 
-def arm_of(robot: Object, link: str) -> ArmKinematics:
+def arm_of(robot: Object, link: str) -> Chain:
     arm = robot.description.arm_of(link)
-    return ArmKinematics(robot.urdf, arm.base_link, arm.tool_frame, arm.joints)
+    return Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints)
 
 
 def in_world(robot: Object, pose: tuple[Sequence[float], Sequence[float]]) -> Pose:
@@ -88,7 +88,7 @@ def test_spheres_around_the_shoulder_against_dense_sampling(robot: Object, link:
     for radius in (0.1, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95, 1.0, 1.03, 1.1, 1.5):
         for _ in range(8):
             direction = rng.normal(size=3)
-            target = arm.chain.shoulder + radius * direction / np.linalg.norm(direction)
+            target = arm.shoulder + radius * direction / np.linalg.norm(direction)
             verdict = btr.reachable_pose(in_world(robot, (target, (0, 0, 0, 1)))[0], robot, link)
             nearest = float(np.linalg.norm(reached - target, axis=1).min())
             assert verdict or nearest > 0.01, (radius, target)
@@ -142,7 +142,7 @@ def test_grasps(world: BulletWorld, position: list[float], grasp: str | None, ex
 
 def test_the_threshold_is_how_far_it_may_stay_away(robot: Object) -> None:
     arm = arm_of(robot, LEFT)
-    beyond = in_world(robot, (arm.chain.shoulder + np.array([1.05, 0, 0]), (0, 0, 0, 1)))[0]
+    beyond = in_world(robot, (arm.shoulder + np.array([1.05, 0, 0]), (0, 0, 0, 1)))[0]
     assert not btr.reachable_pose(beyond, robot, LEFT)
     miss = btr.reachable_pose(beyond, robot, LEFT).evidence["distance"]
     assert 0.04 < miss < 0.06
@@ -234,6 +234,15 @@ def test_blocking_counts_what_is_held_but_not_against_the_hand(scene: BulletWorl
     tall = Object("tall", "cereal", "breakfast_cereal.stl", robot.get_link_position(LEFT))
     robot.attach(tall, LEFT)
     assert tall not in btr.blocking(milk, robot, LEFT)
+
+
+def test_what_the_other_hand_holds_meets_nothing_by_this_reach(scene: BulletWorld) -> None:
+    robot, cereal = scene.robot, scene.get_object("cereal")
+    tall = Object("tall", "cereal", "breakfast_cereal.stl", [1.5, 1.4, 0.85])  # half in the counter
+    robot.attach(tall, LEFT)
+    found = btr.blocking(cereal, robot, RIGHT)
+    assert found == []
+    assert found.evidence["reached"] is True
 
 
 def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld) -> None:

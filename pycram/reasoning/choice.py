@@ -1,0 +1,191 @@
+"""Which grasp is taken, and with which posture of the arm: the one that touches least (thesis 4.4.6)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Final
+
+from pycram.reasoning import reach
+from pycram.reasoning.grasps import Grasp, candidates
+from pycram.reasoning.outline import middle
+from pycram.reasoning.reach import Solver
+from pycram.reasoning.rehearsal import Rehearsal
+from recorder.geometry import IDENTITY
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+
+    from pycram.objects import Object
+    from pycram.reasoning.reach import Reach
+    from pycram.reasoning.rehearsal import Foreseen
+
+    Cost = tuple[bool, float, float, float]
+    Rank = tuple[Cost, int, int]
+
+_FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
+
+
+@dataclass(frozen=True, slots=True)
+class GraspPlan:
+    """A grasp with the posture for it.
+
+    Attributes:
+        grasp: the grasp, None if nothing reaches.
+        reach: the posture; the nearest miss if nothing reaches.
+        obstacles: what the arm would touch there, deepest first, and how.
+        own: pairs of the robot's own links that would touch, if that is why nothing reaches.
+    """
+
+    grasp: Grasp | None
+    reach: Reach | None
+    obstacles: Mapping[Object, Mapping[str, object]] = field(default_factory=dict)
+    own: Sequence[tuple[str, str]] = ()
+
+    def evidence(self) -> dict[str, object]:
+        """As records carry it."""
+        told: dict[str, object] = {"reached": self.grasp is not None}
+        if self.grasp is not None:
+            told |= {"grasp": self.grasp.name, "position": self.grasp.position, "orientation": self.grasp.orientation}
+        if self.reach is not None:
+            told |= self.reach.evidence()
+        if self.own:
+            told["touches_itself"] = [list(pair) for pair in self.own]
+        return told | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
+
+
+def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = None) -> GraspPlan:
+    """The grasp that touches least.
+
+    Args:
+        body: the object.
+        robot: the robot, as it stands.
+        link: an arm's tool frame, or any other link, which then just has to get to the object's middle.
+        names: the sides that are allowed; all by default.
+    """
+    arm = robot.description.arm_of(link) if robot.description else None
+    solver = Solver(robot, link)
+    if arm is None:
+        at = middle(body)
+        found = [(Grasp("any", at, IDENTITY[1], 0.0), solver.postures(at, None))]
+    else:
+        grasps = candidates(body, robot, arm, names)
+        targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
+        ways = solver.at_once(targets)
+        if not any(ways):  # what has to be searched for is at the edge of what the arm can: for need only
+            ways = solver.searched(targets)
+        found = list(zip(grasps, ways, strict=True))
+    reaching = [(grasp, [way for way in ways if way.reached(reach.THRESHOLD)]) for grasp, ways in found]
+    reaching = [(grasp, ways) for grasp, ways in reaching if ways]
+    if not reaching:
+        missed = (way for _, ways in found for way in ways)
+        return GraspPlan(None, min(missed, key=lambda way: way.posture.position_error, default=None))
+    opened = arm.gripper.positions("open") if arm else {}
+    with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
+        return _Choice(body, rehearsal, reaching, opened, rehearsal.beyond(solver.joints)).made()
+
+
+class _Choice:
+    """The choice of the posture that touches least; of several the first.
+
+    The hand is where it is whatever the arm does, so it is looked at once for each grasp: if it alone is worse than
+    what was found already, no posture for that grasp will do. Grasps that are good for the hand come first.
+
+    Args:
+        body: the object, which the open hand shouldn't be in.
+        rehearsal: of the robot.
+        options: grasps, each with the postures for it.
+        opened: joint values of the open gripper.
+        hand: links that all postures for a grasp bring to one place.
+    """
+
+    def __init__(
+        self,
+        body: Object,
+        rehearsal: Rehearsal,
+        options: Sequence[tuple[Grasp, Sequence[Reach]]],
+        opened: Mapping[str, float],
+        hand: Collection[str],
+    ) -> None:
+        self._body = body
+        self._rehearsal = rehearsal
+        self._options = options
+        every = [{**way.posture.positions, **opened} for _, ways in options for way in ways]
+        foreseen = iter(rehearsal.foresee(every))  # all at once: it takes little longer than one
+        self._foreseen = [list(itertools.islice(foreseen, len(ways))) for _, ways in options]
+        self._hand = hand
+        self._arm = rehearsal.moving() - set(hand)
+        self._least: Rank = ((True, math.inf, math.inf, math.inf), 0, 0)
+        self._chosen: tuple[Foreseen, GraspPlan] | None = None
+        self._bent: tuple[Rank, GraspPlan] | None = None
+
+    def made(self) -> GraspPlan:
+        """The grasp, its posture, and what is touched there."""
+        waiting: list[tuple[Cost, int, dict[Object, float]]] = []
+        for number, postures in enumerate(self._foreseen):
+            self._rehearsal.take(postures[0])
+            depths: dict[Object, float] = {}
+            cost = self._cost(depths, self._hand, (self._least[0], number, 0))
+            if cost <= _FREE:
+                self._look(number, depths)
+            elif (cost, number, 0) < self._least:
+                heappush(waiting, (cost, number, depths))
+            if self._least[0] <= _FREE:
+                waiting.clear()
+                break
+        while waiting:
+            cost, number, depths = heappop(waiting)
+            if (cost, number, 0) < self._least:
+                self._look(number, depths)
+        if self._chosen is None:
+            return self._bent[1] if self._bent else GraspPlan(None, None)
+        posture, plan = self._chosen
+        self._rehearsal.take(posture)
+        obstacles = self._rehearsal.touched()
+        obstacles.pop(self._body, None)
+        return replace(plan, obstacles=obstacles)
+
+    def _look(self, number: int, hand: Mapping[Object, float]) -> None:
+        """Looks at all postures for one grasp, of which it is known what the hand touches, and how deep, m."""
+        grasp, ways = self._options[number]
+        bound = self._told(hand)
+        for place, (way, posture) in enumerate(zip(ways, self._foreseen[number], strict=True)):
+            self._rehearsal.take(posture)
+            rank = (self._cost(dict(hand), self._arm, self._least), number, place)
+            if rank >= self._least:
+                continue
+            own = self._rehearsal.touches_itself()
+            if not own:
+                self._least, self._chosen = rank, (posture, GraspPlan(grasp, way))
+            elif self._bent is None or rank[1:] > self._bent[0][1:]:
+                self._bent = rank, GraspPlan(None, way, own=own)
+            if self._least[0] <= bound:
+                return
+
+    def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Rank) -> Cost:
+        """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
+
+        Args:
+            depths: of what is touched, m; what these links touch is added.
+            links: the robot's links that are looked at.
+            enough: as soon as it is as bad, the rest doesn't matter.
+
+        Returns:
+            Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
+        """
+        cost = self._told(depths)
+        for other, touch in self._rehearsal.hits(links):
+            if -touch.distance > depths.get(other, 0.0):
+                depths[other] = -touch.distance
+                cost = self._told(depths)
+                if cost > enough[0]:
+                    break
+        return cost
+
+    def _told(self, depths: Mapping[Object, float]) -> Cost:
+        counted = [hit for hit in depths if hit is not self._body]
+        furniture = sum(hit.fixed for hit in counted)
+        deep = sum(sorted(depths[hit] for hit in counted))
+        return self._body in depths, furniture, len(counted) - furniture, deep
