@@ -16,7 +16,7 @@ from pycram.failures import ChangeRefused, WorldClosed
 from pycram.world_lock import WorldLock
 from recorder import journal, records, span
 from recorder.interrupts import Uninterrupted
-from recorder.way import callers, way_here
+from recorder.way import callers, plan_line, way_here
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 CHANGES_PER_KEYFRAME: Final = 100
 
 _AT_REST: Final = (0.0,) * 6
-#: What these do is on record as theirs; in all other tasks, and outside of any, it is the plan's own code that acts.
-_MOTIONS: Final = frozenset({"motion", "process-module"})
 
 
 class Reading(NamedTuple):
@@ -120,11 +118,14 @@ def _differs(a: Iterable[float], b: Iterable[float], tolerance: float) -> bool:
 
 
 def _sign(record: records.Mutation) -> None:
-    """Writes into a change that the plan's own code makes where in the plan that is."""
-    task = span.current()
-    if journal.is_aside() or (task is not None and task.kind in _MOTIONS):
+    """Writes into a change where in the plan it is made, unless the task that it is part of tells that."""
+    if journal.is_aside():
         return
-    way = way_here(task.source if task is not None else None)
+    task = span.current()
+    asked = task.source if task is not None else None
+    if asked is not None and plan_line() in (asked.line, ("", 0)):
+        return
+    way = way_here(asked)
     record.source_file, record.source_line = way.line
     record.callers.extend(callers(way.lines))
 

@@ -31,7 +31,8 @@ def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
     (held,) = found.carried
     assert held.step == mutation(small, "attach_body")
     assert [task.name for task in held.causes.tasks] == ["carry"]
-    assert found.causes.line.text == 'with span("motion", "carry", {"object": milk}):'
+    assert found.causes.tasks[0].line.text == 'with span("motion", "carry", {"object": milk}):'
+    assert found.causes.line.text == "cereal.set_position([0.5, 0.2, 0.13])"
     assert found.causes.line.function == "main"
     assert found.distance == pytest.approx(0.283, abs=5e-3)
     assert blame(small, "cereal", carried).how == "command"
@@ -43,7 +44,7 @@ def test_lines_that_were_told_are_not_told_again(small: Log, capsys: pytest.Capt
     assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert sum(line.startswith("called from ") and line.endswith("main()") for line in told) == 1
-    assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in main, as above"]
+    assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in <module>, as above"]
 
 
 def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log) -> None:
@@ -113,6 +114,29 @@ def test_lines_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
     ]
     assert [[task.name for task in each.tasks] for each in told] == [[], ["seq"], []]
     assert told[1].tasks[0].line.text == "with seq:"
+
+
+OF_A_BRANCH = """
+from pycram.bullet_world import BulletWorld, Object
+from pycram.language import par
+
+def lift(ball):
+    ball.set_position([0, 0, 1])
+
+with BulletWorld():
+    ball = Object("ball", "ball", "apple.stl")
+    with par as block:
+        block(lift, ball)
+"""
+
+
+def test_within_a_task_the_line_is_that_of_the_change(tmp_path: Path) -> None:
+    (tmp_path / "plan.py").write_text(OF_A_BRANCH)
+    assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
+    with replay.open(tmp_path / "x.mcap") as log:
+        told = blame(log, "ball").causes
+    assert [line.text for line in told.way] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]
+    assert told.tasks[0].line.text == "block(lift, ball)"
 
 
 @pytest.mark.slow
