@@ -103,7 +103,8 @@ class RerunSink:
         patience = 0.0 if self._looked_in_vain else max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now)
         self._thread.join(patience)
         behind = self._thread.is_alive() and not self._looked_in_vain and self._hand_over()
-        if self._wish.kind is Kind.SERVE and not self._thread.is_alive() and self._process.poll() is None:
+        ended = not self._thread.is_alive()
+        if self._wish.kind is Kind.SERVE and (behind or ended) and self._process.poll() is None:
             atexit.register(_stop, self._process)
         elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
@@ -111,9 +112,9 @@ class RerunSink:
         self._connection.close()
         self.missed = self._records - self._taken
         if self.missed:
-            told = (
-                f"the viewer is {self.missed} of {self._records} records behind; it has {LINGERING:.0f} s to take them"
-            )
+            served = self._wish.kind is Kind.SERVE
+            time_left = "the time that it is served" if served else f"{LINGERING:.0f} s"
+            told = f"the viewer is {self.missed} of {self._records} records behind; it has {time_left} to take them"
             lost = f"the viewer missed {self.missed} of {self._records} records"
             print(f"recorder: {told if behind else lost}; the file has them all", file=sys.stderr)
 
@@ -126,6 +127,8 @@ class RerunSink:
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
+        if self._wish.kind is Kind.SERVE:  # pages have all the time until this process ends
+            return self._process.poll() is None
         if self._process.stdin is not None:
             self._process.stdin.close()  # from now on its time runs
         _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]

@@ -51,6 +51,13 @@ Path("begun").touch()
 """
 
 
+HURRY = """
+from recorder import rerun_sink
+rerun_sink._TO_START = dict.fromkeys(rerun_sink.Kind, 0.0)
+rerun_sink._AT_THE_END = 0.0
+"""
+
+
 class Ended:
     """What a plan has left."""
 
@@ -159,10 +166,7 @@ def test_a_plan_that_ends_before_the_viewer_s_library_is_loaded_is_shown_whole(
     plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
 ) -> None:
     server = serve()
-    hurry = (
-        "from recorder import rerun_sink\nrerun_sink._TO_START = dict.fromkeys(Kind, 0.0)\nrerun_sink._AT_THE_END = 0.0"
-    )
-    ended = plan(f"from recorder.viewer.audience import Kind\n{hurry}", f"connect:{server.url}").end()
+    ended = plan(HURRY, f"connect:{server.url}").end()
     count = ended.check()
     assert ended.missed() == (count, count), "they are behind when it ends"
     rows = afterwards(ended.log, tmp_path / "afterwards.rrd")
@@ -258,8 +262,9 @@ def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan]
 
 
 @pytest.mark.usefixtures("usual_ports")
-def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, until) -> None:
-    (tmp_path / "plan.py").write_text(SCENE)
+@pytest.mark.parametrize("code", ["", HURRY], ids=["in time", "later than the plan"])
+def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, code: str) -> None:
+    (tmp_path / "plan.py").write_text(SCENE + code)
     ours, theirs = pty.openpty()  # somebody sits there
     mark = uuid.uuid4().hex
     process = subprocess.Popen(
@@ -272,11 +277,10 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent.parent), "PYCRAM_TEST": mark},
     )
     assert process.stderr is not None
-    said = []
-    for line in process.stderr:
-        said.append(line)
-        if "the page stays until Ctrl-C" in line:
-            break
+    said: list[str] = []
+    while not ("the page stays until Ctrl-C" in "".join(said) and "live at" in "".join(said)):
+        said.append(process.stderr.readline())
+        assert said[-1], said
     address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
     assert address, said
     assert answers(urllib.request.unquote(address[2]))
