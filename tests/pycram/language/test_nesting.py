@@ -14,7 +14,7 @@ from pycram.failures import UsageError
 from pycram.language import State, failure_handling, finally_, par, seq, timeout
 from pycram.nesting import BlocksMixed
 from pycram.open_block import current_block
-from tests.pycram.language.gates import Gate, S, succeeds
+from tests.pycram.language.gates import C, F, Gate, S, succeeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -122,3 +122,15 @@ def test_blocks_in_context_managers() -> None:
         stack.enter_context(seq)(done.append, 4)
     assert sorted(done) == [1, 2, 3, 4]
     assert (s.state, t.state, u.state) == (S, S, S)
+
+
+def test_a_block_that_an_exit_stack_ends_before_a_later_one_is_refused() -> None:
+    gate = Gate()
+    stack = ExitStack()
+    first = stack.enter_context(par())
+    with pytest.raises(BlocksMixed), seq:
+        first(gate.pass_through)
+        stack.close()
+    assert [branch.state for branch in first.branches] == [F, C]  # the later one, and what it left waiting
+    assert current_block() is None
+    assert current_scope() is None
