@@ -32,8 +32,14 @@ if TYPE_CHECKING:
 _WIDER: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
 _PARALLEL: Final = 1e-5  # added to cosines: parallel edges have no cross product, but rounding gives them one
 _MANY: Final = 8  # pieces of a link, as of a bowl's wall, that get one box for all
-_NEXT: Final = (1, 2, 0)  # of three axes
-_NEXT_BUT_ONE: Final = (2, 0, 1)
+
+# Of the cross product of edge i of one box and edge j of another, for 3 * i + j, with k and l the axes after i, m and n
+# those after j: k, l, (k, j), (l, j); and of the four terms of both boxes' sizes along it the edges and the cosines.
+_I, _J = np.divmod(np.arange(9), 3)
+_K, _L, _M, _N = (_I + 1) % 3, (_I + 2) % 3, (_J + 1) % 3, (_J + 2) % 3
+_KJ, _LJ = 3 * _K + _J, 3 * _L + _J
+_SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
+_COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,10 +196,11 @@ def _overlap(
     apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
     apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
-    # cross products of edge i of the one and edge j of the other (n, i, j)
-    distance = way[:, _NEXT_BUT_ONE, None] * turn[:, _NEXT] - way[:, _NEXT, None] * turn[:, _NEXT_BUT_ONE]
-    reach = halves[:, _NEXT, None] * cosines[:, _NEXT_BUT_ONE] + halves[:, _NEXT_BUT_ONE, None] * cosines[:, _NEXT]
-    reach += other_halves[:, None, _NEXT] * cosines[:, :, _NEXT_BUT_ONE]
-    reach += other_halves[:, None, _NEXT_BUT_ONE] * cosines[:, :, _NEXT]
-    apart |= (np.abs(distance) > reach).any(axis=(1, 2))
+    # cross products of edge i of the one and edge j of the other (n, 3 * i + j)
+    turn, cosines = turn.reshape(-1, 9), cosines.reshape(-1, 9)
+    distance = way.take(_L, axis=1) * turn.take(_KJ, axis=1)
+    distance -= way.take(_K, axis=1) * turn.take(_LJ, axis=1)
+    sizes = np.concatenate([halves, other_halves], axis=1).take(_SIZES, axis=1)
+    reach = (sizes * cosines.take(_COSINES, axis=1)).reshape(-1, 4, 9).sum(axis=1)
+    apart |= (np.abs(distance) > reach).any(axis=1)
     return ~apart

@@ -46,6 +46,7 @@ class ClosedForm:
         upper: upper limits, rad; pi where there are none.
         bounded: which joints have limits.
         span: least and greatest distance of the wrist from the shoulder, m.
+        shoulders: (n, 3) where joint 1 brings the shoulder all over its range.
     """
 
     origins: Array
@@ -57,6 +58,7 @@ class ClosedForm:
     upper: Array
     bounded: Flags
     span: tuple[float, float]
+    shoulders: Array
 
     @classmethod
     def of(
@@ -85,7 +87,9 @@ class ClosedForm:
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
         slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between those that are looked at
         span = float(spans.min()) - slack, float(spans.max()) + slack
-        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded, span)
+        q1 = np.linspace(lower[0], upper[0], _STEPS)
+        shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
+        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded, span, shoulders)
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
         """Postures for targets.
@@ -137,8 +141,7 @@ class ClosedForm:
         Returns:
             Postures (n, 7) and their strains (n,).
         """
-        step = (self.upper[0] - self.lower[0]) / (_STEPS - 1)
-        values = (misses[:, :1] + np.linspace(-step, step, _FINER)).ravel()
+        values = (misses[:, :1] + np.linspace(-self._step, self._step, _FINER)).ravel()
         tried = np.unique(np.clip(values, self.lower[0], self.upper[0]))
         (found,), (strain,) = self._judged(1, *self._at_poses(position[None], turn[None], tried))
         return found, strain
@@ -169,13 +172,10 @@ class ClosedForm:
         """
         hand = self.wrist - self.tool[:3, 3]
         goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
-        q1 = np.linspace(self.lower[0], self.upper[0], _STEPS)
-        centre = self.origins[0][:, None]
-        away = np.repeat(goals.T, len(q1), axis=1) - centre
-        away = subproblems.turned(self.axes[0], np.tile(-q1, len(goals)), away) + centre - self.shoulder[:, None]
-        far = np.sqrt((away * away).sum(axis=0)).reshape(len(goals), -1)
+        away = goals[:, None] - self.shoulders
+        far = np.sqrt((away * away).sum(axis=2))
         # between the values that are looked at, the shoulder moves by less than this
-        slack = _radius(self.shoulder, self.origins[0], self.axes[0]) * float(q1[1] - q1[0]) / 2
+        slack = _radius(self.shoulder, self.origins[0], self.axes[0]) * self._step / 2
         if turns is None:
             slack += float(np.linalg.norm(hand))
         short, long = self.span
@@ -243,6 +243,11 @@ class ClosedForm:
         strain = np.concatenate([strain, strain]) + short
         arm = np.concatenate([q1] * 4), q2.ravel(), q3.ravel(), np.concatenate([q4, q4])
         return arm, np.concatenate([strain, strain])
+
+    @property
+    def _step(self) -> float:
+        """From one value of joint 1 that is tried to the next, rad."""
+        return float(self.upper[0] - self.lower[0]) / (_STEPS - 1)
 
     def _tried(self, joint: int, steps: int, home: Array) -> Array:
         """Values of a joint all over its range, and the one that it has."""

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram import cargo
-from pycram.reasoning.articulation import Articulation
-from pycram.reasoning.boxes import meeting, overlapping, together
+from pycram.reasoning.boxes import meeting, together
+from pycram.reasoning.limbs import Limbs, arm_depths
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
@@ -34,7 +33,6 @@ DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, d
 _OWN_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
 _STANDING: Final = 0.9  # of a normal's length pointing up
 _FEET: Final = 0.02  # m above the ground
-_BESIDE: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,32 +79,28 @@ class Rehearsal:
         self._bodies = bodies = self._twin.sync()
         self._body = bodies[robot.name]
         self._joints = tuple(joints)
-        self._moving = set(robot.links) if everything else set(cargo.moved_links(robot.urdf, self._joints))
+        self._limbs = limbs = self._twin.known(
+            robot,
+            (Limbs, self._joints, everything),
+            lambda copy: Limbs(self._engine, copy, robot, self._twin.boxes(robot), self._joints, everything=everything),
+        )
         self._held = [(other, bodies[other.name], link, pose) for other, link, pose in _held(robot)]
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
         self._obstacles = [other for other in world.objects if other not in skipped]
-        self._depth = _arm_depths(robot, self._joints)
-        self._articulation = self._twin.known(
-            robot, self._joints, lambda copy: Articulation(self._engine, copy, robot.urdf, self._joints)
-        )
-        self._now = dict(zip(robot.joints, self._engine.joints(self._body)[0], strict=True))
-        self._stand = self._at_base = self._engine.pose(self._body)
-        self._whole = self._twin.boxes(robot)
-        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in self._moving]
-        carriers = self._articulation.carriers
-        self._carried = np.array([carriers[link] for link in self._whole.links], dtype=np.intp)
-        moving = np.array([link in self._moving for link in self._whole.links], dtype=bool)
-        self._owners = [(robot, link, link) for link in self._whole.links if link in self._moving]
+        self._at_base = limbs.stand
+        held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in limbs.moving]
+        self._owners = [(robot, link, link) for link in limbs.boxes.links]
         self._at = {other: link for other, _, link, _ in self._held}
         self._owners += [(other, own, link) for other, boxes, link in held for own in boxes.links]
-        self._mine = together([self._whole.chosen(moving), *(boxes for _, boxes, _ in held)])
-        self._carriers = np.array([carriers[link] for _, _, link in self._owners], dtype=np.intp)
+        carriers = limbs.articulation.carriers
+        loaded = [carriers[link] for _, boxes, link in held for _ in boxes.links]
+        self._carriers = np.concatenate([limbs.carriers, np.array(loaded, dtype=np.intp)])
+        self._mine = together([limbs.boxes, *(boxes for _, boxes, _ in held)])
         around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
-        self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(self._articulation.joints) + 1, 4, 4)))
+        self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(limbs.articulation.joints) + 1, 4, 4)))
         self._there = False
-        self._own: tuple[NDArray[np.intp], NDArray[np.intp]] | None = None
 
     def __enter__(self) -> Self:
         return self
@@ -123,10 +117,10 @@ class Rehearsal:
             postures: joint values in rad or m by name; the others stay.
             base: pose of the robot's base in them; it stays by default.
         """
-        moved = self._articulation.moved(postures)
+        moved = self._limbs.articulation.moved(postures)
         there = moved
         if base is not None:
-            there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._stand))) @ moved
+            there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._limbs.stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
         found: list[dict[Pair, None]] = [{} for _ in postures]  # in order, each once
         for posture, box, other in zip(*meeting(centers, axes, self._mine.halves, self._others), strict=True):
@@ -155,10 +149,10 @@ class Rehearsal:
         if pair in taken.seen:
             return taken.seen[pair]
         if not self._there:
-            if (taken.base or self._stand) != self._at_base:
-                self._at_base = taken.base or self._stand
+            if (taken.base or self._limbs.stand) != self._at_base:
+                self._at_base = taken.base or self._limbs.stand
                 engine.set_pose(self._body, self._at_base)
-            engine.pose_joints(self._body, {**{name: self._now[name] for name in self._joints}, **taken.positions})
+            engine.pose_joints(self._body, {**self._limbs.now, **taken.positions})
             for _, body, link, pose in self._held:
                 engine.set_pose(body, geometry.multiply(engine.link_pose(self._body, link), pose))
             self._there = True
@@ -200,32 +194,15 @@ class Rehearsal:
 
     def touches_itself(self) -> list[tuple[str, str]]:
         """Pairs of its own links, more than a shoulder apart, that overlap in the posture that it has taken."""
-        whole = self._whole
-        centers, axes = whole.carried(self._taken.moved[None, self._carried])
-        firsts, seconds = self._own_pairs()
-        met = overlapping(centers[0], axes[0], whole.halves, firsts, seconds)
-        pairs = dict.fromkeys((whole.links[firsts[pair]], whole.links[seconds[pair]]) for pair in met)
         return [
             (link, other)
-            for link, other in pairs
+            for link, other in self._limbs.meeting(self._taken.moved)
             if any(touch.distance <= -_OWN_DEPTH for touch in self._look((self.robot, link, self.robot, other)))
         ]
 
-    def _own_pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Boxes of its links, one of which moves, that hang on numbers of joints more than a shoulder apart."""
-        if self._own is None:
-            links = self._whole.links
-            moving = np.array([link in self._moving for link in links], dtype=bool)
-            depths = np.array([self._depth[link] for link in links])
-            names = np.array(links)
-            told = moving[:, None] & (np.abs(depths[:, None] - depths) > _BESIDE)
-            firsts, seconds = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
-            self._own = firsts, seconds
-        return self._own
-
     def moving(self) -> set[str]:
         """The robot's links that are looked at."""
-        return set(self._moving)
+        return set(self._limbs.moving)
 
     def beyond(self, joints: Collection[str]) -> set[str]:
         """The robot's links that hang on all of some joints: with an arm's joints its hand.
@@ -233,7 +210,8 @@ class Rehearsal:
         Args:
             joints: names of some of those that will be moved, one after the other.
         """
-        counts = _arm_depths(self.robot, joints)
+        urdf, named = self.robot.urdf, tuple(joints)
+        counts = self._twin.known(self.robot, (arm_depths, named), lambda _: arm_depths(urdf, named))
         return {link for link, depth in counts.items() if depth == len(joints)}
 
     def settled(self, link: str | None) -> set[str]:
@@ -242,8 +220,8 @@ class Rehearsal:
         Args:
             link: stays at one pose as well, as the hand in all postures for one grasp.
         """
-        depths = {0} if link is None else {0, self._depth[link]}
-        return {other for other, depth in self._depth.items() if depth in depths}
+        depths = {0} if link is None else {0, self._limbs.depth[link]}
+        return {other for other, depth in self._limbs.depth.items() if depth in depths}
 
 
 def _in_turn(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
@@ -263,16 +241,6 @@ def _told(touches: list[Touch]) -> dict[str, object]:
         "by": sorted({touch.link_b for touch in touches}),
         "depth": max(-touch.distance for touch in touches),
     }
-
-
-def _arm_depths(robot: Object, joints: Iterable[str]) -> dict[str, int]:
-    """How many of the joints each link hangs on."""
-    named = set(joints)
-    depth: dict[str, int] = {}
-    for link in robot.urdf.links:  # parents come before their children
-        joint = robot.urdf.parent_joint(link)
-        depth[link] = 0 if joint is None else depth[joint.parent] + (joint.name in named)
-    return depth
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
