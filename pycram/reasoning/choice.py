@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
     from pycram.objects import Object
     from pycram.reasoning.reach import Reach
-    from pycram.reasoning.rehearsal import Foreseen
 
     Cost = tuple[bool, float, float, float]
-    Rank = tuple[Cost, int, int]
 
 _FREE: Final = (False, 0, 0, 0.0)  # what a posture costs that touches nothing
+_NEVER: Final = (True, math.inf, math.inf, math.inf)  # more than any posture costs
+_HAND: Final = -1  # the place of the hand alone, before all postures for the same grasp
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +90,9 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
 class _Choice:
     """The choice of the posture that touches least; of several the first.
 
-    The hand is where it is whatever the arm does, so it is looked at once for each grasp: if it alone is worse than
-    what was found already, no posture for that grasp will do. Grasps that are good for the hand come first.
+    It goes on with the one that costs least by what is known of it, and looks at the next pair of links there, until
+    that one is known completely: no other can cost less then. The hand is where it is whatever the arm does, so it is
+    looked at once for each grasp, and what it costs is what all postures for that grasp cost at least.
 
     Args:
         body: the object, which the open hand shouldn't be in.
@@ -117,60 +118,40 @@ class _Choice:
         self._foreseen = [list(itertools.islice(foreseen, len(ways))) for _, ways in options]
         self._hand = hand
         self._arm = rehearsal.moving() - set(hand)
-        self._least: Rank = ((True, math.inf, math.inf, math.inf), 0, 0)
-        self._chosen: tuple[Foreseen, GraspPlan] | None = None
-        self._bent: tuple[Rank, GraspPlan] | None = None
 
     def made(self) -> GraspPlan:
         """The grasp, its posture, and what is touched there."""
-        waiting: list[tuple[Cost, int, dict[Object, float]]] = []
-        for number, postures in enumerate(self._foreseen):
-            self._rehearsal.take(postures[0])
-            depths: dict[Object, float] = {}
-            cost = self._cost(depths, self._hand, (self._least[0], number, 0))
-            if cost <= _FREE:
-                self._look(number, depths)
-            elif (cost, number, 0) < self._least:
-                heappush(waiting, (cost, number, depths))
-            if self._least[0] <= _FREE:
-                waiting.clear()
-                break
+        waiting: list[tuple[Cost, int, int, dict[Object, float]]] = []
+        waiting.extend((_FREE, number, _HAND, {}) for number in range(len(self._options)))
+        bent: tuple[int, int, GraspPlan] = -1, 0, GraspPlan(None, None)
         while waiting:
-            cost, number, depths = heappop(waiting)
-            if (cost, number, 0) < self._least:
-                self._look(number, depths)
-        if self._chosen is None:
-            return self._bent[1] if self._bent else GraspPlan(None, None)
-        posture, plan = self._chosen
-        self._rehearsal.take(posture)
-        obstacles = self._rehearsal.touched()
-        obstacles.pop(self._body, None)
-        return replace(plan, obstacles=obstacles)
-
-    def _look(self, number: int, hand: Mapping[Object, float]) -> None:
-        """Looks at all postures for one grasp, of which it is known what the hand touches, and how deep, m."""
-        grasp, ways = self._options[number]
-        bound = self._told(hand)
-        for place, (way, posture) in enumerate(zip(ways, self._foreseen[number], strict=True)):
+            _, number, place, depths = heappop(waiting)
+            posture = self._foreseen[number][max(place, 0)]
             self._rehearsal.take(posture)
-            rank = (self._cost(dict(hand), self._arm, self._least), number, place)
-            if rank >= self._least:
+            least = waiting[0][:3] if waiting else (_NEVER, 0, 0)
+            cost = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
+            if (cost, number, place) > least:
+                heappush(waiting, (cost, number, place, depths))
                 continue
-            own = self._rehearsal.touches_itself()
-            if not own:
-                self._least, self._chosen = rank, (posture, GraspPlan(grasp, way))
-            elif self._bent is None or rank[1:] > self._bent[0][1:]:
-                self._bent = rank, GraspPlan(None, way, own=own)
-            if self._least[0] <= bound:
-                return
+            grasp, ways = self._options[number]
+            if place == _HAND:
+                for each in range(len(ways)):
+                    heappush(waiting, (cost, number, each, dict(depths)))
+            elif own := self._rehearsal.touches_itself():
+                bent = max(bent, (number, place, GraspPlan(None, ways[place], own=own)), key=lambda found: found[:2])
+            else:
+                obstacles = self._rehearsal.touched()
+                obstacles.pop(self._body, None)
+                return GraspPlan(grasp, ways[place], obstacles)
+        return bent[2]
 
-    def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Rank) -> Cost:
+    def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
         """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
 
         Args:
             depths: of what is touched, m; what these links touch is added.
             links: the robot's links that are looked at.
-            enough: as soon as it is as bad, the rest doesn't matter.
+            enough: as soon as it is worse, the rest doesn't matter yet.
 
         Returns:
             Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
@@ -180,7 +161,7 @@ class _Choice:
             if -touch.distance > depths.get(other, 0.0):
                 depths[other] = -touch.distance
                 cost = self._told(depths)
-                if cost > enough[0]:
+                if cost > enough:
                     break
         return cost
 

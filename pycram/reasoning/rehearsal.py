@@ -140,8 +140,9 @@ class Rehearsal:
         """
         if not isinstance(positions, Foreseen):
             (positions,) = self.foresee([positions], base)
-        self._taken = positions
-        self._there = False
+        if positions is not self._taken:
+            self._taken = positions
+            self._there = False
 
     def _look(self, pair: Pair) -> list[Touch]:
         """Where two links touch; the twin's robot is put there only for this."""
