@@ -112,8 +112,8 @@ class Outline:
             (len(scans), count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
         where, enter, leave = self._met(scans, (0, 2, 1), count, zs)
-        low = _each(np.minimum, where, enter.min(axis=2), len(scans), np.inf)
-        high = _each(np.maximum, where, leave.max(axis=2), len(scans), -np.inf)
+        low = _each(np.minimum, where, enter.min(axis=1), len(scans), np.inf)
+        high = _each(np.maximum, where, leave.max(axis=1), len(scans), -np.inf)
         return np.where((low <= high)[:, :, None], np.stack([low, high], axis=2), np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
@@ -130,8 +130,8 @@ class Outline:
         """
         where, enter, leave = self._met(scans, (2, 1, 0), count, ys)
         first = _each(np.minimum, where, np.where(enter > 0.0, enter, np.inf), len(scans), np.inf)
-        last = _each(np.maximum, where, np.where(leave > 0.0, leave, -np.inf), len(scans), -np.inf).max(axis=2)
-        inside = np.where(np.isfinite(first).all(axis=2), first.min(axis=2), np.nan)
+        last = _each(np.maximum, where, np.where(leave > 0.0, leave, -np.inf), len(scans), -np.inf).max(axis=1)
+        inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
         return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
     def _met(
@@ -147,39 +147,48 @@ class Outline:
 
         Returns:
             For each of n scans with a piece that is near: the number of the scan (n,), those of one side by side, and
-            (n, count, len(vs)), m: w at which each line enters and leaves the piece; inf and -inf where it misses it.
+            (n, len(vs), count), m: w at which each line enters and leaves the piece; inf and -inf where it misses it.
         """
         firsts = np.array([scan.first for scan in scans])
         steps = np.array([scan.step for scan in scans])
-        world_T_frame = np.array([geometry.pose_matrix(scan.frame) for scan in scans])
-        axes, origins = world_T_frame[:, :3, order], world_T_frame[:, :3, 3]
+        axes = geometry.to_matrices(np.array([scan.frame[1] for scan in scans]))[:, :, order]
+        origins = np.array([scan.frame[0] for scan in scans])
         at = (self._centers - origins[:, None]) @ axes[:, :, :2]
         ends = np.stack([firsts, firsts + (count - 1) * steps], axis=1)
         low = np.stack([ends.min(axis=1), np.full(len(scans), min(vs))], axis=1)[:, None]
         high = np.stack([ends.max(axis=1), np.full(len(scans), max(vs))], axis=1)[:, None]
         reach = np.abs(np.einsum("fxu,kxe->fkue", axes[:, :, :2], self._edges)).sum(axis=3)
         near = ((at >= low - reach) & (at <= high + reach)).all(axis=2)
-        where, _ = np.nonzero(near)
+        where, which = np.nonzero(near)
+        ends = at[where, which, 0] + np.array([[-1.0], [1.0]]) * reach[where, which, 0]
+        ends = (ends - firsts[where]) / np.where(steps == 0.0, _ALONG, steps)[where]
+        begins = np.clip(np.ceil(ends.min(axis=0)), 0, count - 1).astype(np.intp)
+        width = int((np.clip(np.floor(ends.max(axis=0)), 0, count - 1) - begins).max(initial=0)) + 1
+        begins = np.minimum(begins, count - width)  # of the places along u where lines can meet a piece at all
         pieces = self._solids.pieces
-        scan, plane = np.nonzero(near[:, pieces])
-        number = (np.cumsum(near) - 1).reshape(near.shape)[scan, pieces[plane]]
-        u, v, along = (self._normals @ axes)[scan, plane].T
+        kept = near[:, pieces]
+        scan, _ = np.nonzero(kept)
+        number = (np.cumsum(near) - 1).reshape(near.shape)[:, pieces][kept]
+        u, v, along = (self._normals @ axes)[kept].T
         # a plane that lines go along is left far away by those within, and was left long ago by those without
         along = np.where(np.abs(along) < _ALONG, _ALONG, along)
-        room = (self._offsets - origins @ self._normals.T)[scan, plane]
-        factors = np.stack([room - u * firsts[scan], -u * steps[scan], -v], axis=1) / along[:, None]
-        lines = np.empty((3, count, len(vs)))
-        lines[0], lines[1], lines[2] = 1.0, np.arange(count)[:, None], vs
+        room = (self._offsets - origins @ self._normals.T)[kept]
+        begin = firsts[scan] + begins[number] * steps[scan]
+        factors = np.stack([room - u * begin, -u * steps[scan], -v], axis=1) / along[:, None]
+        lines = np.empty((3, len(vs), width))
+        lines[0], lines[1], lines[2] = 1.0, np.arange(width), np.reshape(vs, (-1, 1))
         found = []
         for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both
             counts = np.bincount(number[side], minlength=len(where))
-            most = int(counts.max(initial=1))
-            rows = (np.cumsum(counts) - counts)[:, None] + np.minimum(np.arange(most), counts[:, None] - 1)
-            meets = factors[side][rows] @ lines.reshape(3, -1)
-            found.append(nearest(meets, axis=1).reshape(-1, count, len(vs)))
-        enter, leave = found
-        missed = enter > leave
-        enter[missed], leave[missed] = np.inf, -np.inf
+            most = np.arange(counts.max(initial=1))[:, None]
+            rows = np.cumsum(counts) - counts + np.minimum(most, counts - 1)
+            meets = factors[side].take(rows.ravel(), axis=0) @ lines.reshape(3, -1)
+            found.append(nearest(meets.reshape(len(most), len(where), len(vs), width), axis=0))
+        met = found[0] <= found[1]
+        enter, leave = np.full((2, len(where), len(vs), count), [[[[np.inf]]], [[[-np.inf]]]])
+        pairs, beside = np.arange(len(where))[:, None, None], np.arange(len(vs))[:, None]
+        cells = pairs, beside, begins[:, None, None] + np.arange(width)
+        enter[cells], leave[cells] = np.where(met, found[0], np.inf), np.where(met, found[1], -np.inf)
         return where, enter, leave
 
 
