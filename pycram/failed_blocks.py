@@ -46,7 +46,7 @@ class BranchesFailed(PlanFailure):
 
     @property
     def block(self) -> str:
-        """What the block is: "par", "try_all", ... A property, since the failures' type may have another of this name."""
+        """What the block is: "par", ... A property, since the type of its failures may have another one."""
         return str(vars(self)["block"])
 
     @property
