@@ -8,13 +8,14 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import told_failure
 from replay import words
 from replay.advice import asked_again, commands
 from replay.cli import FINE, INCOMPLETE, USAGE
 from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
-from replay.plain import plain_record, told_failure
+from replay.plain import plain_record
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
