@@ -9,11 +9,12 @@ rises (its traceback and context) can be set all the same.
 from __future__ import annotations
 
 import functools
+from types import MemberDescriptorType
 from typing import TYPE_CHECKING, Final
 from weakref import WeakSet
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from typing_extensions import Self
 
@@ -30,7 +31,8 @@ class PycramError(Exception):
     @property
     def data(self) -> Mapping[str, object]:
         """The error's fields by name."""
-        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
+        fields = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
+        return {name: value for name, value in (fields | vars(self)).items() if not name.startswith("_")}
 
 
 class PlanFailure(PycramError):
@@ -39,6 +41,19 @@ class PlanFailure(PycramError):
 
 class UsageError(PycramError):
     """The program is wrong; plans must not handle it."""
+
+
+def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
+    """The slots in which an error holds fields, as dataclasses with ``slots=True`` do.
+
+    Args:
+        error: the error.
+    """
+    for base in type(error).__mro__:
+        if issubclass(base, PycramError):
+            for slot in vars(base).values():
+                if isinstance(slot, MemberDescriptorType) and hasattr(error, slot.__name__):
+                    yield slot
 
 
 #: What Python notes on an exception while that rises; context managers do so too, those of contextlib among them.

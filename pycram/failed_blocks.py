@@ -10,7 +10,7 @@ import functools
 import traceback
 from typing import TYPE_CHECKING
 
-from pycram.error_families import PlanFailure, PycramError
+from pycram.error_families import PlanFailure, PycramError, slots_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -22,14 +22,7 @@ class BranchesFailed(PlanFailure):
     It can be caught as what they are: where all of them are ``Unreachable``, ``except Unreachable`` catches it, and it
     has the fields of the first of them; where they differ, as what they have in common, ``PlanFailure`` at last. So who
     catches it by a type has handled all that went wrong, and no failure of another type vanishes beside it.
-
-    Attributes:
-        block: what the block is: "par", "try_all", ...
-        failures: what its branches and its body raised, in order.
     """
-
-    block: str
-    failures: tuple[PlanFailure, ...]
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
         """Makes an instance that is also of the types that all failures have in common."""
@@ -43,9 +36,24 @@ class BranchesFailed(PlanFailure):
         members = tuple(failures)
         fields = vars(self)  # not by assignments: it may be of a type that refuses them
         if len(type(self).__bases__) > 1:
-            fields.update(vars(next(_leaves(members))))
+            first = next(_leaves(members))
+            fields.update(vars(first))
+            for slot in slots_of(first):
+                if isinstance(self, slot.__objclass__):
+                    slot.__set__(self, slot.__get__(first))
         fields.update(block=block, failures=members)
         self.__cause__ = members[0] if len(members) == 1 else Tracebacks(members)
+
+    @property
+    def block(self) -> str:
+        """What the block is: "par", ... A property, since the type of its failures may have another one."""
+        return str(vars(self)["block"])
+
+    @property
+    def failures(self) -> tuple[PlanFailure, ...]:
+        """What its branches and its body raised, in order."""
+        failures: tuple[PlanFailure, ...] = vars(self)["failures"]
+        return failures
 
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
+from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task, told_failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -69,10 +69,10 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Run.STARTED:
         return f"{record.name} started", Log.INFO
     if record.phase == Run.THREAD_FAILED:
-        return f"thread {record.thread} failed: {record.failure.type}: {record.failure.message}", Log.ERROR
+        return f"thread {record.thread} failed: {told_failure(record.failure)}", Log.ERROR
     if record.succeeded:
         return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", Log.INFO
-    return f"{record.name} failed: {record.failure.type}: {record.failure.message}", Log.ERROR
+    return f"{record.name} failed: {told_failure(record.failure)}", Log.ERROR
 
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
@@ -87,7 +87,7 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
         return f"{name} succeeded in {took}", Log.INFO
     if record.status == Task.CANCELLED:
         return f"{name} was cancelled after {took}", Log.WARNING
-    return f"{name} failed after {took}: {record.failure.type}: {record.failure.message}", Log.ERROR
+    return f"{name} failed after {took}: {told_failure(record.failure)}", Log.ERROR
 
 
 def mutation_text(record: Mutation) -> str:

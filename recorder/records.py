@@ -92,6 +92,7 @@ __all__ = [
     "failure",
     "message",
     "to_json",
+    "told_failure",
 ]
 
 Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
@@ -237,6 +238,15 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
         data=arguments(data) if isinstance(data, Mapping) else [],
         traceback=_sound("".join(lines)),
     )
+
+
+def told_failure(failure: Failure) -> str:
+    """A failure by its type, and its message if it has one.
+
+    Args:
+        failure: as a record carries it.
+    """
+    return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
 def _sound(text: str) -> str:

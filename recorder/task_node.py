@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Enum, IntEnum
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
@@ -34,6 +34,11 @@ class State(IntEnum):
     def word(self) -> str:
         """As a word: "created", "running", "succeeded", "failed" or "cancelled"."""
         return self.name.lower()
+
+    def __str__(self) -> str:
+        return f"State.{self.name}"
+
+    __format__ = Enum.__format__  # else it would be a number there
 
 
 @dataclass(frozen=True, slots=True)

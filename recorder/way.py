@@ -71,7 +71,8 @@ def way_here(outer: Way | None = None) -> Way:
         before = outer.before if outer.thread == thread else outer.lines
     if not journal.recording():
         return Way(tuple(_lines(1)) or before[-1:], before[-1:], thread)
-    lines = (*before, *_lines(sys.maxsize))
+    here = _lines(sys.maxsize)
+    lines = (*before, *(here[1:] if here[:1] == [*before[-1:]] else here))  # a lambda begins where it was asked for
     if len(lines) > MOST:
         lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
     _sources.attach(lines)

@@ -60,7 +60,8 @@ def breakdown(log: Log, found: Failures | None = None) -> Breakdown | None:
         return Breakdown(task.end, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     chain = _chain(end.failure, Source(log))
-    began = _began(failed, chain)
+    earlier = [task for task in failed.origins if task.end < end.seq]  # the plan may go on, and fail alike
+    began = _began(earlier, chain)
     if began is None:
         return Breakdown(end.seq if thread else final_of(log), None, end.failure, thread, chain)
     task, first = began
@@ -86,7 +87,7 @@ def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
     return (*chain, Raised(failure.type, failure.message, last.lines))
 
 
-def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
+def _began(origins: Sequence[Attempt], chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
     """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
 
     What was raised before that had been dealt with, even if Python goes on telling it. Of all that failed in a block it
@@ -94,7 +95,7 @@ def _began(found: Failures, chain: Sequence[Raised]) -> tuple[Attempt, int] | No
     """
     for number in range(len(chain) - 1, -1, -1):
         error = chain[number].type, chain[number].message
-        told = [task for task in found.origins if any(outer.error == error for outer in task.around())]
+        told = [task for task in origins if any(outer.error == error for outer in task.around())]
         if told:
             return next((task for task in reversed(told) if task.error == error), told[-1]), number
     return None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from google.protobuf.descriptor import FieldDescriptor
     from google.protobuf.message import Message
 
-    from recorder.records import Failure, Record
+    from recorder.records import Record
     from replay.state import Body, State, World
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
@@ -25,11 +25,6 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 def kind_of(record: Record) -> str:
     """What kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
     return TOPICS[type(record)].removeprefix("/")
-
-
-def told_failure(failure: Failure) -> str:
-    """A failure by its type, and its message if it has one."""
-    return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
 def plain_record(record: Record) -> dict[str, Plain]:

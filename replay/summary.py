@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Run
-from replay.plain import told_failure
+from recorder.records import STEPS_PER_SECOND, Run, told_failure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

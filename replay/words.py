@@ -9,8 +9,8 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
 from recorder.log_lines import text_of
-from recorder.records import STEPS_PER_SECOND, Event, Query, Task
-from replay.plain import plain_arguments, plain_json, told_failure
+from recorder.records import STEPS_PER_SECOND, Event, Query, Task, told_failure
+from replay.plain import plain_arguments, plain_json
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -212,7 +212,7 @@ def line(record: Record) -> str:
     if isinstance(record, Event):
         told = f"event {call(record.name, plain_arguments(record.arguments))}"
         return f"{told}, {len(record.handlers)} handlers" if record.handlers else told
-    return text_of(record)[0]
+    return "; ".join(text_of(record)[0].splitlines())
 
 
 # --- queries ---------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 import rerun as rr
 
 from recorder.log_lines import by_name, values
+from recorder.records import told_failure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +69,7 @@ def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
 
 
 def _page(record: Query) -> str:
-    failed = f"raised {record.failure.type}: {record.failure.message}" if record.HasField("failure") else ""
+    failed = f"raised {told_failure(record.failure)}" if record.HasField("failure") else ""
     lines = [
         f"## {record.name}({values(record.arguments)})",
         f"**{failed or by_name(record.answer_json)}**",

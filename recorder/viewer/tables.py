@@ -10,7 +10,7 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder.log_lines import by_name, values
-from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task
+from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, told_failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ RECORDS: Final = "records"
 
 
 def _failure(record: Task | Query | Run) -> str:
-    return f"{record.failure.type}: {record.failure.message}" if record.HasField("failure") else ""
+    return told_failure(record.failure) if record.HasField("failure") else ""
 
 
 def _status(record: Task) -> str:

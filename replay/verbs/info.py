@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from replay.lives import title
 from replay.outlet import tell, tell_json
 from replay.summary import summary
+from replay.words import one_line
 
 if TYPE_CHECKING:
     import argparse
@@ -43,8 +44,8 @@ def _lines(log: Log, facts: Summary) -> list[tuple[str, str]]:
         ("started", f"{facts.started:%Y-%m-%d %H:%M:%S} UTC"),
         ("took", f"{facts.seconds:.3f} s"),
         ("outcome", facts.outcome),
-        ("failure", facts.failure),
-        *(("", f"thread {thread} failed: {failure}") for thread, failure in facts.threads),
+        ("failure", one_line(facts.failure)),
+        *(("", f"thread {thread} failed: {one_line(failure)}") for thread, failure in facts.threads),
         ("steps", f"0 to {facts.records - 1}: {counts}"),
         ("worlds", _worlds(facts)),
         ("files", f"{facts.attachments} attached"),

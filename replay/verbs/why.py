@@ -8,13 +8,14 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import told_failure
 from replay import words
 from replay.advice import asked_again, commands
 from replay.cli import FINE, INCOMPLETE, USAGE
 from replay.errors import Damaged
 from replay.outlet import remark, results_only, tell, tell_json
 from replay.pictures import write_pictures
-from replay.plain import plain_record, told_failure
+from replay.plain import plain_record
 from replay.steps import HINT
 from replay.verbs import diff
 from replay.why import heading, why
@@ -220,7 +221,7 @@ def _first_words(found: Why, task: Attempt) -> Iterator[str]:
 
 
 def _call(task: Attempt) -> str:
-    return words.call(task.started.name, task.parameters)
+    return words.task(task.started.kind, task.started.name, task.parameters)
 
 
 def _running(found: Why) -> Iterator[str]:
@@ -276,8 +277,7 @@ def _tasks(found: Why) -> Iterator[str]:
         else:
             took = words.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
-        called = words.task(task.started.kind, task.started.name, task.parameters)
-        yield f"{'  ' * depth}{called}  [steps {task.started.seq}-{task.end}, {state}]"
+        yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in told_failure(found.task.failure).splitlines())
     told = {each.task for each in found.tries}  # in a section of their own
@@ -371,9 +371,9 @@ def _asked(found: Why) -> Iterator[str]:
 
 def _changed(found: Why) -> Iterator[str]:
     if found.task is not None:
-        name = found.task.motion.started.name
+        started = found.task.motion.started
         if found.same is None:
-            yield f"No {name} succeeded before."
+            yield f"No {words.task(started.kind, started.name, {})} succeeded before."
         else:
             yield from _since(found.same)
     if found.last is not None and (found.same is None or found.same.task is not found.last.task):

@@ -30,6 +30,22 @@ class BigSpill(Spill):
     people: int = 3
 
 
+@dataclass(frozen=True, slots=True)
+class Crack(PlanFailure):
+    """A failure that keeps its fields in slots, one of them with a name of a block's failure."""
+
+    depth: float
+    block: str = "cup"
+
+
+class Jam(PlanFailure):
+    """A failure that works out something by a name of a block's failure."""
+
+    @property
+    def failures(self) -> str:
+        return "two drawers"
+
+
 @dataclass(frozen=True)
 class Misuse(UsageError):
     """A frozen usage error."""
@@ -39,6 +55,14 @@ class Misuse(UsageError):
 
 def spill() -> None:
     raise BigSpill(0.5)
+
+
+def crack() -> None:
+    raise Crack(0.25)
+
+
+def jam() -> None:
+    raise Jam
 
 
 def misuse() -> None:
@@ -102,3 +126,21 @@ def test_a_block_of_frozen_failures_is_of_their_type() -> None:
     assert isinstance(failed, Spill)
     assert failed.block == "par"
     assert [type(one) for one in failed.failures] == [BigSpill, BigSpill]
+
+
+def test_a_block_of_failures_with_slots_has_their_fields() -> None:
+    with pytest.raises(Crack) as raised:
+        par(crack, crack)
+    failed = raised.value
+    assert failed.depth == 0.25
+    assert failed.block == "par"
+    assert failed.failures[0].data == {"depth": 0.25, "block": "cup"}  # type: ignore[attr-defined]
+
+
+def test_a_block_of_failures_with_a_property_of_its_own_names_tells_them_all() -> None:
+    with pytest.raises(Jam) as raised:
+        par(jam, jam)
+    failed = raised.value
+    assert isinstance(failed, BranchesFailed)
+    assert [type(one) for one in failed.failures] == [Jam, Jam]
+    assert str(failed) == "par failed: Jam: ; Jam: "

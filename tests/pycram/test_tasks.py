@@ -218,6 +218,28 @@ def test_text_json_dot_and_picture(log: Path, capsys: pytest.CaptureFixture[str]
         assert capsys.readouterr().out == expected
 
 
+def test_failures_of_many_lines_or_none_keep_trees_and_logs_in_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.mcap"
+    with recorder.record(file):
+        for words in ("first\nsecond", ""):
+            with pytest.raises(PlanFailure), span("plan", "tidy up"):
+                raise PlanFailure(words)
+    told = [line.lstrip("> ") for line in tasks.tree().text().splitlines()]
+    assert told[1:3] == ["PlanFailure: first", "second"]
+    assert told[4:] == ["PlanFailure"]
+    assert main(["log", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [int(line.split()[0]) for line in lines] == list(range(6))
+    assert lines[2].endswith("PlanFailure: first; second")
+    assert lines[4].endswith("PlanFailure")
+
+
+def test_a_state_is_told_by_its_name() -> None:
+    assert [str(State.FAILED), f"{State.FAILED}"] == ["State.FAILED"] * 2
+
+
 def test_a_log_s_tree_needs_no_physics_engine(log: Path) -> None:
     program = f"""
 import sys

@@ -101,6 +101,14 @@ def test_a_thread_goes_on_from_where_it_was_asked_for(tmp_path: Path) -> None:
     assert functions(file, "kick") == [here, "do"]
 
 
+def test_a_lambda_s_line_stands_once_where_it_was_asked_for_in_that_line(tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    with recorder.record(file, source=__file__), par as block:
+        block(lambda: do("push"))
+    here = inspect.currentframe().f_code.co_name
+    assert functions(file, "push") == [here, "do"]
+
+
 def test_a_thread_of_the_plan_s_own_begins_its_own_way(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__), span("motion", "outer"):
@@ -150,7 +158,7 @@ def test_modules_of_the_plan_s_own_go_with_the_recording(ran: Path, capsys: pyte
         assert [(line.function, line.text) for line in found.way] == [
             ("<module>", "tidy(ball)"),
             ("tidy", "helpers.put(ball, 2)"),
-            ("put", 'with span("motion", "put"):'),
+            ("put", "ball.set_position([0, 0, height])"),
         ]
     assert main(["blame", str(ran), "ball"]) == 0
     said = capsys.readouterr().out.splitlines()

@@ -76,6 +76,26 @@ def test_why_tells_of_a_failed_thread_and_the_plan_s_line(
     assert main(["verify", str(file)]) == 0
 
 
+def test_what_fails_alike_after_a_thread_has_ended_does_not_explain_it(
+    quiet: list[threading.ExceptHookArgs], tmp_path: Path
+) -> None:
+    failure = PlanFailure("the ball slipped")
+
+    def lift(name: str) -> None:
+        with span("motion", name):
+            raise failure
+
+    with recorder.record(tmp_path / "x.mcap"):
+        helper = threading.Thread(target=lift, args=("in the thread",))
+        helper.start()
+        helper.join()
+        with pytest.raises(PlanFailure):
+            lift("afterwards")
+    with replay.open(tmp_path / "x.mcap") as log:
+        assert why(log).task.started.name == "in the thread"
+    assert len(quiet) == 1
+
+
 def test_what_failed_in_a_thread_is_followed_to_its_task(
     quiet: list[threading.ExceptHookArgs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
