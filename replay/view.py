@@ -22,7 +22,7 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.asset import AssetFile
 from recorder.errors import RecordingError
-from recorder.viewer.audience import ViewerGone, Wish, answers
+from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
 from recorder.viewer.windows import APPLICATION, open_window
@@ -182,10 +182,10 @@ def check(url: str | None) -> None:
     if url is None:
         return
     try:
-        there = answers(Wish.parse(url).url)
+        place = Wish.parse(f"{Kind.CONNECT.value}:{url}").url
     except RecordingError as error:
-        raise ReplayError(str(error)) from error
-    if not there:
+        raise ReplayError(f"{url} is no address of a viewer; one on this machine is {address(PORT)}") from error
+    if not answers(place):
         raise ReplayError(f"no viewer answers at {url}; start one: rerun")
 
 

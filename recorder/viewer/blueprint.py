@@ -68,7 +68,7 @@ def _see(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
 def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
     """The task tree and queries, and below them what is told in lines, curves and tables."""
     top = _below(root)
-    log = [f"{top}/{LOG}/**", *(f"{top}/{world}/{FAILURES}" for world in worlds)]
+    log = [f"{top}/{LOG}/**", *(f"{_below(root, world)}/{FAILURES}" for world in worlds)]
     return rrb.Vertical(
         rrb.Tabs(
             rrb.GraphView(origin=f"{top}/tasks/{GRAPH}", name="Task tree"),
@@ -89,7 +89,7 @@ def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
 
 
 def _scene(root: str, world: str, middle: Vector) -> rrb.Spatial3DView:
-    path = new_entity_path([*([root] if root else []), world])
+    path = _below(root, world)
     x, y, z = (place + way for place, way in zip(middle, _FROM, strict=True))
     return rrb.Spatial3DView(
         origin="/",
@@ -101,5 +101,7 @@ def _scene(root: str, world: str, middle: Vector) -> rrb.Spatial3DView:
     )
 
 
-def _below(root: str) -> str:
-    return new_entity_path([root]) if root else ""
+def _below(*parts: str) -> str:
+    """What the paths of entities below these begin with; worlds and recordings can be called anything."""
+    named = [part for part in parts if part]
+    return new_entity_path(named) if named else ""

@@ -52,7 +52,7 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
     from replay.view import cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
-    if options.save:
+    if options.save is not None:
         file = Path(options.save)
         if file.suffix != ".rrd":
             raise ReplayError(f"{file}: what the viewer opens is called .rrd")
@@ -64,7 +64,7 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
         file = Path(tempfile.gettempdir()) / f"{names}.rrd"
         convert(logs, file)
     told: dict[str, object] = {"file": str(file)}
-    if options.open or not options.save:
+    if options.open or options.save is None:
         told["viewer"] = show(file, step, options.connect)
     return told
 

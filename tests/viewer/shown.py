@@ -89,3 +89,16 @@ def in_world(frames: dict[str, tuple[str, Pose]], name: str, root: str = "world"
         name, up = frames[name]
         pose = geometry.multiply(up, pose)
     return pose
+
+
+def looked_for(file: Path) -> set[str]:
+    """What the views of any of a file's layouts ask for: paths of entities, and patterns of paths."""
+    reader = RrdReader(file)
+    tables = [
+        chunk.to_record_batch()
+        for layout in reader.blueprints()
+        for chunk in reader.stream(store=layout)
+        if chunk.entity_path.endswith("/ViewContents")
+    ]
+    asked = [row for table in tables for row in table.column("ViewContents:query").to_pylist()]
+    return {one for row in asked for one in row}

@@ -28,7 +28,7 @@ from recorder.span import Span
 from replay import ask
 from replay.cli import main
 from tests.viewer.conftest import rows_of
-from tests.viewer.shown import Shown, in_world
+from tests.viewer.shown import Shown, in_world, looked_for
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -197,6 +197,17 @@ def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
     shown = view(log, tmp_path / "log.rrd")
     failed = [values["TextLog:text"] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
     assert failed == [["grasp: PlanFailure: too heavy"]] * 2
+
+
+def test_the_log_has_failures_of_worlds_however_they_are_called(tmp_path: Path) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
+    with recorder.record(log):
+        for name in ("my kitchen", "a/b", "$origin"):
+            with BulletWorld(name=name), pytest.raises(PlanFailure), Span("task", "lift"):
+                fail()
+    failures = {entity for entity in view(log, file).rows if entity.endswith("/failures")}
+    assert len(failures) == 3
+    assert failures <= looked_for(file)
 
 
 def test_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
@@ -405,6 +416,9 @@ def test_two_recordings_side_by_side(tmp_path: Path) -> None:
         (["--web", "--save", "x.rrd"], "give it alone"),
         (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
         (["--connect", "somewhere"], "no address of a viewer"),
+        (["--connect", "spawn"], "no address of a viewer"),
+        (["--connect", "connect"], "no address of a viewer"),
+        (["--save", ""], "called .rrd"),
         (["missing.mcap", "--save", "x.rrd"], "No such file"),
     ],
 )
