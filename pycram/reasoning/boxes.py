@@ -193,9 +193,11 @@ def _overlap(
     turn = back @ other_axes  # the other's axes in the box's frame
     way = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
-    apart: NDArray[np.bool_] = (np.abs(way) > halves + (cosines @ other_halves[:, :, None])[:, :, 0]).any(axis=1)
+    overlap: NDArray[np.bool_] = (np.abs(way) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0]).all(axis=1)
+    left = np.flatnonzero(overlap)  # the few that the box's own axes don't separate
+    turn, way, cosines, halves, other_halves = (part[left] for part in (turn, way, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]
-    apart |= (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
+    apart = (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
     # cross products of edge i of the one and edge j of the other (n, 3 * i + j)
     turn, cosines = turn.reshape(-1, 9), cosines.reshape(-1, 9)
     distance = way.take(_L, axis=1) * turn.take(_KJ, axis=1)
@@ -203,4 +205,5 @@ def _overlap(
     sizes = np.concatenate([halves, other_halves], axis=1).take(_SIZES, axis=1)
     reach = (sizes * cosines.take(_COSINES, axis=1)).reshape(-1, 4, 9).sum(axis=1)
     apart |= (np.abs(distance) > reach).any(axis=1)
-    return ~apart
+    overlap[left[apart]] = False
+    return overlap

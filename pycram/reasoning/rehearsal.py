@@ -100,7 +100,7 @@ class Rehearsal:
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
         self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(limbs.articulation.joints) + 1, 4, 4)))
-        self._there = False
+        self._there = self._moved = False
 
     def __enter__(self) -> Self:
         return self
@@ -108,7 +108,8 @@ class Rehearsal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
+        if self._moved:
+            self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
     def foresee(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Foreseen]:
         """Finds out what could touch in postures, all at once.
@@ -150,6 +151,7 @@ class Rehearsal:
         if pair in taken.seen:
             return taken.seen[pair]
         if not self._there:
+            self._moved = True
             if (taken.base or self._limbs.stand) != self._at_base:
                 self._at_base = taken.base or self._limbs.stand
                 engine.set_pose(self._body, self._at_base)

@@ -8,6 +8,7 @@ about how many rad are missing, 0 for solutions.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,14 +36,22 @@ def turned(axis: Array, angle: Array, vector: Array) -> Array:
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
     """What of vectors lies along an axis, what across it, and the latter turned on by a right angle."""
-    along = axis[:, None] * (axis @ vector)
-    return along, vector - along, _cross(axis) @ vector
+    along, aside, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
+    return along, aside, beside
 
 
-def _cross(axis: Array) -> Array:
-    """The matrix (3, 3) of the cross product with a vector: np.cross takes five times as long for so few."""
-    x, y, z = axis.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+@lru_cache(maxsize=256)
+def _split(axis: bytes) -> Array:
+    """The matrix (9, 3) of these parts, for an axis that comes again and again."""
+    x, y, z = unit = np.frombuffer(axis)
+    along = np.outer(unit, unit)
+    return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
+
+
+def _dot(some: Array, others: Array) -> Array:
+    """Scalar products, column by column."""
+    products: Array = np.einsum("in,in->n", some, others)
+    return products
 
 
 def angle_between(axis: Array, start: Array, end: Array) -> Array:
@@ -54,7 +63,7 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
         end: the vector after; what of both lies along the axis doesn't count.
     """
     _, aside, beside = _parts(axis, start)
-    result: Array = np.arctan2((beside * end).sum(axis=0), (aside * end).sum(axis=0))
+    result: Array = np.arctan2(_dot(beside, end), _dot(aside, end))
     return result
 
 
@@ -70,8 +79,8 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     Returns:
         Angles (2, n) about the outer and about the inner axis, of both solutions, and their strain (n,).
     """
-    lengths = (start * start).sum(axis=0)
-    end = end * np.sqrt(lengths / np.maximum((end * end).sum(axis=0), 1e-12))
+    lengths = _dot(start, start)
+    end = end * np.sqrt(lengths / np.maximum(_dot(end, end), 1e-12))
     between = float(first @ second)
     square = 1.0 - between * between
     along_first, along_second = first @ end, second @ start
@@ -79,7 +88,7 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     b = (along_second - between * along_first) / square
     rest = (lengths - a * a - b * b - 2.0 * a * b * between) / square
     middle = first[:, None] * a + second[:, None] * b
-    aside = (_cross(first) @ second)[:, None] * np.sqrt(np.maximum(rest, 0.0))
+    aside = _parts(first, second)[2] * np.sqrt(np.maximum(rest, 0.0))
     way = np.concatenate([middle + aside, middle - aside], axis=1)
     inner = angle_between(second, twice(start), way)
     outer = -angle_between(first, twice(end), way)
@@ -111,8 +120,8 @@ def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)
     apart = axis @ (start - end)
-    straight = np.arctan2((beside * b).sum(axis=0), (a * b).sum(axis=0))
-    lengths = (a * a).sum(axis=0), (b * b).sum(axis=0)
+    straight = np.arctan2(_dot(beside, b), _dot(a, b))
+    lengths = _dot(a, a), _dot(b, b)
     cosine = (lengths[0] + lengths[1] - distance * distance + apart * apart) / np.maximum(
         2.0 * np.sqrt(lengths[0] * lengths[1]), 1e-12
     )
