@@ -6,6 +6,7 @@ touch in all of them (:mod:`pycram.reasoning.boxes`); the engine looks closely o
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -42,16 +43,18 @@ class Foreseen:
     Attributes:
         positions: joint values in rad or m by name; the others stay.
         base: pose of the robot's base; None where it stands.
-        pairs: links that move, with whose they are, and the others that they could touch.
+        meets: (n,) numbers of boxes that move, and of the others that they meet.
         moved: (joints + 1, 4, 4) how the joints carry things there.
         seen: touches of the pairs that have been looked at.
+        pairs: links that move, with whose they are, and the others that they could touch; once it has been taken.
     """
 
     positions: Mapping[str, float]
     base: Pose | None
-    pairs: tuple[Pair, ...]
+    meets: tuple[NDArray[np.intp], NDArray[np.intp]]
     moved: NDArray[np.float64]
     seen: dict[Pair, list[Touch]] = field(default_factory=dict)
+    pairs: list[Pair] = field(default_factory=list)
 
 
 class Rehearsal:
@@ -99,7 +102,9 @@ class Rehearsal:
         around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
         self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
-        self._taken = Foreseen({}, None, (), np.broadcast_to(np.eye(4), (len(limbs.articulation.joints) + 1, 4, 4)))
+        none = np.zeros(0, dtype=np.intp)
+        still = np.broadcast_to(np.eye(4), (len(limbs.articulation.joints) + 1, 4, 4))
+        self._taken = Foreseen({}, None, (none, none), still)
         self._there = self._moved = False
 
     def __enter__(self) -> Self:
@@ -123,13 +128,11 @@ class Rehearsal:
         if base is not None:
             there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._limbs.stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
-        found: list[dict[Pair, None]] = [{} for _ in postures]  # in order, each once
-        for posture, box, other in zip(*meeting(centers, axes, self._mine.halves, self._others), strict=True):
-            mover, link, _ = self._owners[box]
-            found[posture][mover, link, self._whose[other], self._others.links[other]] = None
+        posture, box, other = meeting(centers, axes, self._mine.halves, self._others)
+        ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
-            Foreseen(positions, base, _in_turn(pairs), way)
-            for positions, pairs, way in zip(postures, found, moved, strict=True)
+            Foreseen(positions, base, (box[start:end], other[start:end]), way)
+            for positions, (start, end), way in zip(postures, ends, moved, strict=True)
         ]
 
     def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
@@ -144,6 +147,16 @@ class Rehearsal:
         if positions is not self._taken:
             self._taken = positions
             self._there = False
+            if not positions.pairs:
+                positions.pairs.extend(_in_turn(self._pairs(*positions.meets)))
+
+    def _pairs(self, boxes: NDArray[np.intp], others: NDArray[np.intp]) -> Iterable[Pair]:
+        """The links that boxes are around, with those of others; in order, each pair once."""
+        found: dict[Pair, None] = {}
+        for box, other in zip(boxes.tolist(), others.tolist(), strict=True):
+            mover, link, _ = self._owners[box]
+            found[mover, link, self._whose[other], self._others.links[other]] = None
+        return found
 
     def _look(self, pair: Pair) -> list[Touch]:
         """Where two links touch; the twin's robot is put there only for this."""
