@@ -11,12 +11,14 @@ import threading
 import pytest
 
 from pycram import nesting, tasks
+from pycram.binding import Binding
 from pycram.cancellation import current_scope
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
 from pycram.nested_blocks import Deferred
 from pycram.open_block import current_block
 from recorder import journal
 from recorder.span import span
+from recorder.tasks import State
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
 
 
@@ -90,6 +92,37 @@ def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
             q(succeeds)
     assert current_block() is None
     assert current_scope() is None
+
+
+@pytest.mark.parametrize("moment", ["__enter__", "__exit__"])
+@pytest.mark.parametrize("number", range(4))
+def test_ctrl_c_while_a_block_binds_or_frees_its_context_leaves_nothing_bound(
+    moment: str, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bind = getattr(Binding, moment)
+    left = [number]
+
+    def interrupted(binding: Binding[object], *told: object) -> None:
+        here = threading.current_thread() is threading.main_thread()
+        hit = here and left == [0]
+        if here and left:
+            left[0] -= 1
+        if moment == "__enter__":
+            bind(binding, *told)
+        if hit:
+            signal.raise_signal(signal.SIGINT)
+        if moment == "__exit__":
+            bind(binding, *told)
+
+    monkeypatch.setattr(Binding, moment, interrupted)
+    with pytest.raises(KeyboardInterrupt), par as s, seq as q:
+        q(succeeds)
+        s(succeeds)
+    assert left[0] < 0
+    assert current_block() is None
+    assert current_scope() is None
+    assert journal.task_id.get() == 0
+    assert tasks.tree().find(status=State.RUNNING) == []
 
 
 def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
