@@ -3,10 +3,13 @@
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import sys
 import threading
+from contextlib import _GeneratorContextManager
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,6 +23,9 @@ from recorder import journal
 from recorder.span import span
 from recorder.tasks import State
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_interrupting_the_body_stops_the_branches() -> None:
@@ -94,15 +100,32 @@ def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
     assert current_scope() is None
 
 
-@pytest.mark.parametrize("moment", ["__enter__", "__exit__"])
-@pytest.mark.parametrize("number", range(4))
-def test_ctrl_c_while_a_block_binds_or_frees_its_context_leaves_nothing_bound(
-    moment: str, number: int, monkeypatch: pytest.MonkeyPatch
+def plan_of_blocks() -> None:
+    with par as s, seq as q:
+        q(succeeds)
+        s(succeeds)
+
+
+def plan_of_attempts() -> None:
+    for attempt in failure_handling(1):
+        with attempt:
+            succeeds()
+
+
+@pytest.mark.parametrize(
+    ("plan", "kind", "moment", "number"),
+    [
+        *itertools.product([plan_of_blocks], [Binding], ["__enter__", "__exit__"], range(4)),
+        (plan_of_attempts, _GeneratorContextManager, "__exit__", 0),
+    ],
+)
+def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
+    plan: Callable[[], None], kind: type, moment: str, number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bind = getattr(Binding, moment)
+    bind = getattr(kind, moment)
     left = [number]
 
-    def interrupted(binding: Binding[object], *told: object) -> None:
+    def interrupted(binding: object, *told: object) -> None:
         here = threading.current_thread() is threading.main_thread()
         hit = here and left == [0]
         if here and left:
@@ -114,10 +137,9 @@ def test_ctrl_c_while_a_block_binds_or_frees_its_context_leaves_nothing_bound(
         if moment == "__exit__":
             bind(binding, *told)
 
-    monkeypatch.setattr(Binding, moment, interrupted)
-    with pytest.raises(KeyboardInterrupt), par as s, seq as q:
-        q(succeeds)
-        s(succeeds)
+    monkeypatch.setattr(kind, moment, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plan()
     assert left[0] < 0
     assert current_block() is None
     assert current_scope() is None
