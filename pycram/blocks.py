@@ -193,11 +193,12 @@ class Block(OpenBlock):
     def __enter__(self) -> Self:
         checkpoint()
         try:
-            if self._owns_span:
-                self._exits.enter_context(self._span)
-            self._exits.enter_context(entered(self.scope))
-            self._exits.enter_context(hosted(None if self.rule.plain else self))
-            self._state = State.RUNNING
+            with Uninterrupted():  # what has begun is known to be
+                if self._owns_span:
+                    self._exits.enter_context(self._span)
+                self._exits.enter_context(entered(self.scope))
+                self._exits.enter_context(hosted(None if self.rule.plain else self))
+                self._state = State.RUNNING
         except BaseException as stopped:  # Ctrl-C: there will be no body
             self._leave(stopped)
             raise
@@ -299,7 +300,8 @@ class Block(OpenBlock):
         """Ends the block's node of the task tree as the block ended."""
         if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
             self._span.error = BranchesFailed(self.name, self.failures)
-        self._exits.__exit__(type(error) if error is not None else None, error, None)
+        with Uninterrupted():  # an exit stack that is broken off forgets what it was about to end
+            self._exits.__exit__(type(error) if error is not None else None, error, None)
 
 
 class _Waiting(Uninterrupted):

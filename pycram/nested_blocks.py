@@ -23,6 +23,7 @@ from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
 from pycram.failures import PlanFailure
 from pycram.open_block import OpenBlock, hosted
+from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State
 
@@ -154,11 +155,12 @@ class Deferred(OpenBlock):
         self.readings.append(self._asked.end)
         try:
             self._around.start(self.name, self._work, dropped=self._asked.close, span=self._span)
-            self._exits.enter_context(self._span.entered())
-            self._exits.enter_context(entered(self._block.scope))
-            self._exits.enter_context(hosted(self))
+            with Uninterrupted():
+                self._exits.enter_context(self._span.entered())
+                self._exits.enter_context(entered(self._block.scope))
+                self._exits.enter_context(hosted(self))
         except BaseException:  # told to stop, or Ctrl-C: there will be no body
-            self._exits.close()
+            self._leave()
             self._asked.end()
             raise
         return self
@@ -166,13 +168,17 @@ class Deferred(OpenBlock):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        self._exits.close()
+        self._leave()
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
             self._block.scope.cancel()  # the program is wrong, or the user wants out
         self._asked.end(error if isinstance(error, Exception) else None)
         if isinstance(error, Cancelled):  # by its own block, which is decided: the outer body goes on
             return self._outer is None or not self._outer.cancelled
         return error is None or isinstance(error, PlanFailure)
+
+    def _leave(self) -> None:
+        with Uninterrupted():
+            self._exits.close()
 
 
 class _Asked:

@@ -45,6 +45,7 @@ from pycram.failed_blocks import leaves_uncleaned
 from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.nesting import Nested
 from pycram.open_block import alone
+from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.way import plan_line
 
@@ -304,9 +305,10 @@ class _Run:
         changed: Parameters | None = None
         if isinstance(error, Retry) and error.attempt is self._attempt:
             handled, changed = error.error or error, error.changed
-        if self._span is not None:
-            self._span.finish(handled)
-        self._exits.close()
+        with Uninterrupted():  # an exit stack that is broken off forgets what it was about to end
+            if self._span is not None:
+                self._span.finish(handled)
+            self._exits.close()
         return self._attempts.ended(error, handled, changed)
 
 

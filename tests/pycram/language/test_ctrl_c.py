@@ -3,21 +3,29 @@
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import sys
 import threading
+from contextlib import _GeneratorContextManager
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram import nesting, tasks
+from pycram.binding import Binding
 from pycram.cancellation import current_scope
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
 from pycram.nested_blocks import Deferred
 from pycram.open_block import current_block
 from recorder import journal
 from recorder.span import span
+from recorder.tasks import State
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 
 def test_interrupting_the_body_stops_the_branches() -> None:
@@ -90,6 +98,53 @@ def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
             q(succeeds)
     assert current_block() is None
     assert current_scope() is None
+
+
+def plan_of_blocks() -> None:
+    with par as s, seq as q:
+        q(succeeds)
+        s(succeeds)
+
+
+def plan_of_attempts() -> None:
+    for attempt in failure_handling(1):
+        with attempt:
+            succeeds()
+
+
+@pytest.mark.parametrize(
+    ("plan", "kind", "moment", "number"),
+    [
+        *itertools.product([plan_of_blocks], [Binding], ["__enter__", "__exit__"], range(4)),
+        (plan_of_attempts, _GeneratorContextManager, "__exit__", 0),
+    ],
+)
+def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
+    plan: Callable[[], None], kind: type, moment: str, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bind = getattr(kind, moment)
+    left = [number]
+
+    def interrupted(binding: object, *told: object) -> None:
+        here = threading.current_thread() is threading.main_thread()
+        hit = here and left == [0]
+        if here and left:
+            left[0] -= 1
+        if moment == "__enter__":
+            bind(binding, *told)
+        if hit:
+            signal.raise_signal(signal.SIGINT)
+        if moment == "__exit__":
+            bind(binding, *told)
+
+    monkeypatch.setattr(kind, moment, interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        plan()
+    assert left[0] < 0
+    assert current_block() is None
+    assert current_scope() is None
+    assert journal.task_id.get() == 0
+    assert tasks.tree().find(status=State.RUNNING) == []
 
 
 def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
