@@ -184,8 +184,11 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     graph = [values["GraphNodes:labels"] for _, values in shown.rows["/tasks/graph"]]
     assert any("fail \u2717" in labels for labels in graph)
     assert all(labels[0] == "lift" for labels in graph)
-    failed = [values["TextLog:text"][0] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
-    assert failed[0] == "fail: PlanFailure: too heavy"
+    failed = [(at, values["TextLog:text"]) for at, values in shown.rows["/w/failures"] if "TextLog:text" in values]
+    (step, *_), told = failed[0]
+    assert told == [f"#{step} fail: PlanFailure: too heavy"]
+    for entity in ("/log/task", "/log/mutation"):
+        assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
 
 
 def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
@@ -195,8 +198,9 @@ def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
             with pytest.raises(PlanFailure), Span("task", "lift"), Span("task", "grasp"):
                 fail()
     shown = view(log, tmp_path / "log.rrd")
-    failed = [values["TextLog:text"] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
-    assert failed == [["grasp: PlanFailure: too heavy"]] * 2
+    rows = shown.rows["/w/failures"]
+    failed = [values["TextLog:text"][0].partition(" ")[2] for _, values in rows if "TextLog:text" in values]
+    assert failed == ["grasp: PlanFailure: too heavy"] * 2
 
 
 def test_the_log_has_failures_of_worlds_however_they_are_called(tmp_path: Path) -> None:
