@@ -402,6 +402,17 @@ def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
 
 
+def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
+    sink = McapSink(log, {})
+    with replay.open(whole) as recording:
+        for record in recording:
+            sink.write(TOPICS[type(record)], record, record.SerializeToString())
+    sink.close()
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
+    assert "/cup.urdf is damaged (it isn't there)" in capsys.readouterr().err
+
+
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
     one, other = small(tmp_path / "one.mcap"), small(tmp_path / "other.mcap", 3.0)
     file = tmp_path / "both.rrd"
