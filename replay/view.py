@@ -177,8 +177,11 @@ def cached(log: Log) -> Path:
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = Path(tempfile.gettempdir()) / beside.name
+    missing = log.missing
     convert([log], beside)
     known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
+    if log.missing != missing:
+        known = 0  # that something is damaged was found on the way: it is to be found, and said, each time
     os.utime(beside, ns=(known, known))
     return beside
 

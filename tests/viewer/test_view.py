@@ -403,6 +403,8 @@ def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
     whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
     sink = McapSink(log, {})
     with replay.open(whole) as recording:
@@ -411,6 +413,10 @@ def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: 
     sink.close()
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
     assert "/cup.urdf is damaged (it isn't there)" in capsys.readouterr().err
+    for _ in range(2):
+        with replay.open(log) as recording:
+            cached(recording)
+            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
 
 
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
