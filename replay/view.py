@@ -176,7 +176,7 @@ def cached(log: Log) -> Path:
     if beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software):
         return beside
     if not os.access(log.path.parent, os.W_OK):
-        beside = Path(tempfile.gettempdir()) / beside.name
+        beside = aside(beside.name)
     missing = log.missing
     convert([log], beside)
     known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
@@ -184,6 +184,25 @@ def cached(log: Log) -> Path:
         known = 0  # that something is damaged was found on the way: it is to be found, and said, each time
     os.utime(beside, ns=(known, known))
     return beside
+
+
+def aside(name: str) -> Path:
+    """Where a file goes that isn't kept beside its recording: in the user's own folder among those for temporary files.
+
+    Nobody can replace another user's file there, and several users view the same recordings.
+
+    Args:
+        name: of the file.
+
+    Raises:
+        ReplayError: there can't be such a folder.
+    """
+    folder = Path(tempfile.gettempdir()) / f"pycram-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise ReplayError(f"{folder}: can't be made: {error.strerror or error}") from error
+    return folder / name
 
 
 def _sources() -> Iterator[Path]:

@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -355,6 +356,25 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
     with replay.open(log) as recording:
         assert cached(recording).stat().st_mtime_ns > made
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
+
+
+def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(os, "access", lambda *_: False)  # the recording lies where nobody may write
+    made = set()
+    for user in (1, 2):
+        monkeypatch.setattr(os, "getuid", lambda user=user: user)
+        with replay.open(log) as recording:
+            file = cached(recording)
+        assert file.stat().st_size
+        assert file.parent.parent == temporary
+        assert file.parent.stat().st_mode & 0o777 == 0o700
+        made.add(file)
+    assert len(made) == 2
 
 
 def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
