@@ -22,6 +22,7 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.asset import AssetFile
 from recorder.errors import RecordingError
+from recorder.records import Keyframe, Mutation
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import side_by_side
 from recorder.viewer.translator import Translator
@@ -29,8 +30,9 @@ from recorder.viewer.windows import APPLICATION, open_window
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterator, Sequence
 
+    from recorder.records import Record
     from replay.log import Log
 
 _TO_LOAD: Final = 20.0  # s for the viewer to load a file
@@ -126,12 +128,29 @@ def _translate(log: Log, translator: Translator) -> None:
                 translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
         except _NONSENSE as error:
             raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
+    there = {name.partition("/")[0] for name in log.assets}
     for record in log:
+        for name in _absent(record, there):  # filters of other tools leave attachments out
+            log.assets.hurt[name] = "it isn't there"
         try:
             translator.show(record)
         except _NONSENSE as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
     translator.finish()
+
+
+def _absent(record: Record, there: Container[str]) -> list[str]:
+    """Files that a record's bodies are made of and the recording doesn't have; the first of each body.
+
+    Args:
+        record: any.
+        there: sums of the files that it has.
+    """
+    bodies = record.loaded[:] if isinstance(record, Keyframe) else []
+    if isinstance(record, Mutation) and record.HasField("load_body"):
+        bodies = [record.load_body]
+    absent = [[asset for asset in body.assets[:] if asset.sha256 not in there] for body in bodies]
+    return [f"{lacks[0].sha256}/{Path(lacks[0].path).name}" for lacks in absent if lacks]
 
 
 def _roots(logs: Sequence[Log]) -> list[str]:
@@ -157,11 +176,33 @@ def cached(log: Log) -> Path:
     if beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software):
         return beside
     if not os.access(log.path.parent, os.W_OK):
-        beside = Path(tempfile.gettempdir()) / beside.name
+        beside = aside(beside.name)
+    missing = log.missing
     convert([log], beside)
     known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
+    if log.missing != missing:
+        known = 0  # that something is damaged was found on the way: it is to be found, and said, each time
     os.utime(beside, ns=(known, known))
     return beside
+
+
+def aside(name: str) -> Path:
+    """Where a file goes that isn't kept beside its recording: in the user's own folder among those for temporary files.
+
+    Nobody can replace another user's file there, and several users view the same recordings.
+
+    Args:
+        name: of the file.
+
+    Raises:
+        ReplayError: there can't be such a folder.
+    """
+    folder = Path(tempfile.gettempdir()) / f"pycram-{os.getuid()}"
+    try:
+        folder.mkdir(mode=0o700, exist_ok=True)
+    except OSError as error:
+        raise ReplayError(f"{folder}: can't be made: {error.strerror or error}") from error
+    return folder / name
 
 
 def _sources() -> Iterator[Path]:

@@ -1,4 +1,8 @@
-"""What happened, a line each, with levels; one entity for each kind of record, so that kinds can be hidden."""
+"""What happened, a line each, with levels; one entity for each kind of record, so that kinds can be hidden.
+
+Lines begin with the step, which is what people type: the viewer's own column of times has room for two digits, and
+tells another time line when one is chosen.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +45,17 @@ class Lines:
         kind = type(record)
         if kind is Keyframe or (isinstance(record, Task) and record.phase == Task.ASKED):
             return
-        self._lines[kind].add(now, (text, _LEVELS[level]))
+        self._lines[kind].add(now, (numbered(text, now), _LEVELS[level]))
+
+
+def numbered(text: str, now: Moment) -> str:
+    """A line of the log.
+
+    Args:
+        text: what happened.
+        now: when.
+    """
+    return f"#{now.step} {text}"
 
 
 def _texts(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

@@ -11,6 +11,7 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Task
+from recorder.viewer.lines import numbered
 from recorder.viewer.marks import BLUE, RED, Marks, arrow, line, points
 from recorder.viewer.places import eye, numbers, robot, target, values_of
 
@@ -90,7 +91,8 @@ class Targets:
         if told == self._told:
             return
         self._told = told
-        shapes: list[rr.AsComponents] = [rr.TextLog(f"{record.name}: {told[0]}: {told[1]}", level="ERROR")]
+        line_of_log = numbered(f"{record.name}: {told[0]}: {told[1]}", now)
+        shapes: list[rr.AsComponents] = [rr.TextLog(line_of_log, level="ERROR")]
         told_of = target(self._scene, record.world, values_of(record.failure.data))
         place = told_of or goal or self._above_robot(record.world)
         if place is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import webbrowser
 from contextlib import ExitStack
@@ -49,7 +48,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
 
 
 def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view import cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view import aside, cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
     if options.save is not None:
@@ -61,7 +60,7 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
         file = cached(logs[0])
     else:
         names = "_".join(log.path.stem for log in logs)
-        file = Path(tempfile.gettempdir()) / f"{names}.rrd"
+        file = aside(f"{names}.rrd")
         convert(logs, file)
     told: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:

@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -184,8 +185,11 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     graph = [values["GraphNodes:labels"] for _, values in shown.rows["/tasks/graph"]]
     assert any("fail \u2717" in labels for labels in graph)
     assert all(labels[0] == "lift" for labels in graph)
-    failed = [values["TextLog:text"][0] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
-    assert failed[0] == "fail: PlanFailure: too heavy"
+    failed = [(at, values["TextLog:text"]) for at, values in shown.rows["/w/failures"] if "TextLog:text" in values]
+    (step, *_), told = failed[0]
+    assert told == [f"#{step} fail: PlanFailure: too heavy"]
+    for entity in ("/log/task", "/log/mutation"):
+        assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
 
 
 def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
@@ -195,8 +199,9 @@ def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
             with pytest.raises(PlanFailure), Span("task", "lift"), Span("task", "grasp"):
                 fail()
     shown = view(log, tmp_path / "log.rrd")
-    failed = [values["TextLog:text"] for _, values in shown.rows["/w/failures"] if "TextLog:text" in values]
-    assert failed == [["grasp: PlanFailure: too heavy"]] * 2
+    rows = shown.rows["/w/failures"]
+    failed = [values["TextLog:text"][0].partition(" ")[2] for _, values in rows if "TextLog:text" in values]
+    assert failed == ["grasp: PlanFailure: too heavy"] * 2
 
 
 def test_the_log_has_failures_of_worlds_however_they_are_called(tmp_path: Path) -> None:
@@ -353,6 +358,25 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
 
 
+def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(os, "access", lambda *_: False)  # the recording lies where nobody may write
+    made = set()
+    for user in (1, 2):
+        monkeypatch.setattr(os, "getuid", lambda user=user: user)
+        with replay.open(log) as recording:
+            file = cached(recording)
+        assert file.stat().st_size
+        assert file.parent.parent == temporary
+        assert file.parent.stat().st_mode & 0o777 == 0o700
+        made.add(file)
+    assert len(made) == 2
+
+
 def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
     from replay.view import cached  # noqa: PLC0415
 
@@ -396,6 +420,23 @@ def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     sink.close()
     assert main(["view", str(log), "--save", str(file)]) == 3
     assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
+
+
+def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
+    sink = McapSink(log, {})
+    with replay.open(whole) as recording:
+        for record in recording:
+            sink.write(TOPICS[type(record)], record, record.SerializeToString())
+    sink.close()
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
+    assert "/cup.urdf is damaged (it isn't there)" in capsys.readouterr().err
+    for _ in range(2):
+        with replay.open(log) as recording:
+            cached(recording)
+            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
 
 
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
