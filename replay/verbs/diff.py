@@ -214,9 +214,14 @@ def _run_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
         yield ""
         yield "at the end, first -> second:"
         yield from (f"  {line}" for line in lines(compared.world, whole=whole))
-    told = _outcome(first), _outcome(second)
+    told = _ended(first), _ended(second)
     yield ""
     yield f"both {told[0]}" if told[0] == told[1] else f"the first {told[0]}; the second {told[1]}"
+
+
+def _ended(run: Summary) -> str:
+    """What a run did in the end, as one says it of one and of two."""
+    return {"cut off": "broke off", "running": "had not ended"}.get(run.outcome) or _outcome(run)
 
 
 def _outcome(run: Summary) -> str:

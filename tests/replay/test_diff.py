@@ -146,6 +146,7 @@ def test_of_a_recording_that_was_cut_nobody_can_tell_that_it_differs(
         said = capsys.readouterr()
         assert "has no such record" in said.out or "they part" in said.out
         assert "incomplete" in said.err
+        assert "broke off" in said.out.splitlines()[-1]
 
 
 def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
