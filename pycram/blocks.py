@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
@@ -130,11 +130,12 @@ class Block(OpenBlock):
     def _begin(self, branch: Branch) -> None:
         name = f"{self.name}-{len(self.branches)} {branch.name}"
         try:
-            branch.span.ask()
             branch.thread = threading.Thread(target=branch.context.run, args=(self._run, branch), name=name)
             branch.thread.start()
         except Exception as error:  # noqa: BLE001  no more threads, or a full disk: the block raises it
             branch.thread = None
+            with suppress(OSError):  # a full disk, again
+                branch.span.ask()
             branch.span.finish(error)
             self._settle(branch, State.FAILED, error=error)
 

@@ -207,12 +207,14 @@ class Span:
             parent=self.parent,
             kind=self.kind,
             name=self.name,
-            parameters=arguments(self.parameters) if self.parameters else None,
             source_file=file,
             source_line=line,
-            callers=callers(way.lines),
             attempt=self.attempt,
         )
+        if self.parameters:
+            record.parameters.extend(arguments(self.parameters))
+        if len(way.lines) > 1:
+            record.callers.extend(callers(way.lines))
         self._emit(record)
 
     def _emit(self, record: Task) -> None:

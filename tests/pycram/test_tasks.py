@@ -133,7 +133,7 @@ def test_a_plan_looks_at_itself_while_it_runs() -> None:
     assert seen["siblings"] == [State.FAILED, State.RUNNING]
 
 
-def test_the_parent_is_right_across_threads_and_asked_for_is_created() -> None:
+def test_the_parent_is_right_across_threads() -> None:
     seen = []
 
     class Looking(MotionDesignator):
@@ -152,15 +152,45 @@ def test_the_parent_is_right_across_threads_and_asked_for_is_created() -> None:
             ProcessModule.perform(Looking([("type", "gaze")]))
     assert sorted(seen) == ["p/par/gaze/Module", "p/par/seq/gaze/Module"]
     root = tasks.tree().roots[-1]
-    motion = root.children[0].children[0]
-    assert motion.kind == "motion"
-    assert motion.asked is not None
-    assert motion.created.wall_ns <= motion.start.wall_ns
-    assert __file__ in motion.source
+    at_once, in_order = root.children[0].children
+    assert (at_once.kind, in_order.kind) == ("motion", "block")
+    assert at_once.asked is None
+    (waiting,) = in_order.children
+    for node in (at_once, in_order, waiting):
+        assert node.created.wall_ns <= node.start.wall_ns
+        assert __file__ in node.source
+
+
+def test_what_is_asked_for_is_created_until_it_starts() -> None:
+    with pursue as s:
+        s(lambda: None)
+        s.branches[0].wait()
+        s(lambda: None)  # too late
+    late = tasks.tree().roots[-1].children[1]
+    assert late.status is State.CANCELLED
+    assert late.start is None
+    assert __file__ in late.source
     fresh = Tree()
-    fresh.apply(motion.asked)
+    fresh.apply(late.asked)
     assert fresh.roots[0].status is State.CREATED
     assert fresh.roots[0].start is None
+
+
+def test_a_branch_that_gets_no_thread_is_on_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "threads.mcap"
+
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with recorder.record(file), monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            par(lambda: None)
+    with replay.open(file) as log:
+        (branch,) = log.tree().find(kind="branch")
+    assert branch.status is State.FAILED
+    assert __file__ in branch.source
+    assert main(["verify", str(file)]) == 0
 
 
 def test_a_plan_that_runs_for_days_keeps_its_last_tasks() -> None:
