@@ -1,8 +1,8 @@
 """Writes records into an MCAP file that survives the death of its process.
 
 What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
-after its first record, and at once when a failure was recorded. Chunks are handed to the operating system unbuffered;
-from there on only the machine itself could lose them.
+after its first record, and at once when a failure or the start of the run was recorded. Chunks are handed to the
+operating system unbuffered; from there on only the machine itself could lose them.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class McapSink:
                 self._take_companions(record)
             self._count += 1
             self._pending += 1
-            if self._pending >= _MOST_RECORDS or self._size > _CHUNK or _is_end(record):
+            if self._pending >= _MOST_RECORDS or self._size > _CHUNK or _is_vital(record):
                 with self._guarded():
                     self._flush()
             elif self._pending == 1:
@@ -262,11 +262,11 @@ def _told(error: OSError) -> str:
     return error.strerror or str(error)
 
 
-def _is_end(record: Record) -> bool:
-    """Whether a record must not get lost: a failure, or the end of the run."""
+def _is_vital(record: Record) -> bool:
+    """Whether a record must not get lost: a failure, the start of the run, without which no file opens, or its end."""
     if isinstance(record, Task):
         return record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
-    return isinstance(record, Run) and record.phase != Run.STARTED
+    return isinstance(record, Run)
 
 
 def _descriptors(message: type[Message]) -> bytes:

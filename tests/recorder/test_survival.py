@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Task
+from recorder.records import Run, Task
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -79,6 +79,21 @@ def test_a_killed_process_loses_little_and_no_failure(tmp_path: Path) -> None:
     assert most_records <= 50
     # the flush comes 50 ms after a record; twice that leaves room for a scheduler with two busy cores
     assert longest <= 0.1
+
+
+def test_a_process_that_is_killed_at_once_leaves_a_file_that_opens(tmp_path: Path) -> None:
+    file = tmp_path / "short.mcap"
+    program = """
+import os, signal, sys
+import recorder
+with recorder.record(sys.argv[1]):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    ended = subprocess.run([sys.executable, "-c", program, str(file)], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    with replay.open(file) as log:
+        assert [type(record) for record in log] == [Run]
+        assert not log.complete
 
 
 def test_a_full_disk_is_told_at_once_and_the_plan_goes_no_further(tmp_path: Path) -> None:
