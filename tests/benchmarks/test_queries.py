@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import statistics
 import sys
-import time
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -23,6 +22,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.camera import FAR, NEAR
 from pycram.engine import bullet
 from recorder import geometry
+from tests.benchmarks.timing import ratio, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -49,17 +49,10 @@ def kitchen() -> Iterator[Object]:
     made.world.exit()
 
 
-def seconds(action: Callable[[], object]) -> float:
-    start = time.thread_time()
-    action()
-    return time.thread_time() - start
-
-
-def ratio(query: Callable[[], object], unit: Callable[[], object], times: int = 11) -> float:
+def cost_of(query: Callable[[], object], unit: Callable[[], object], times: int = 11) -> float:
     """What a query costs, in units that are measured in turn with it."""
     query()
-    pairs = [(seconds(query), seconds(unit)) for _ in range(times)]
-    return min(pair[0] for pair in pairs) / min(pair[1] for pair in pairs)
+    return ratio(lambda: seconds(query), lambda: seconds(unit), times)
 
 
 def units(world: BulletWorld) -> dict[str, Callable[[], object]]:
@@ -115,10 +108,10 @@ def test_what_queries_cost(kitchen: Object) -> None:
     rows = {"stable": (lambda: btr.stable(milk), "step", 40.0)}  # before anything falls nearby
     costs = {}
     for name, (query, of, goal) in rows.items():
-        costs[name] = ratio(query, unit[of]), of, goal
+        costs[name] = cost_of(query, unit[of]), of, goal
     rows = queries(kitchen)
     for name, (query, of, goal) in rows.items():
-        costs[name] = ratio(query, unit[of]), of, goal
+        costs[name] = cost_of(query, unit[of]), of, goal
     for name, (cost, of, goal) in costs.items():
         print(f"{name:24} {cost:7.2f} {of}s, goal {goal:g}")
     missed = {name: cost for name, (cost, _, goal) in costs.items() if cost > 3.5 * goal}
@@ -146,7 +139,7 @@ def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:
             for arm in (LEFT, RIGHT):
                 found = btr.blocking(body, robot, arm)
                 kind = "blocked" if found else "free" if found.evidence["reached"] else "out of reach"
-                costs[kind].append(ratio(lambda body=body, arm=arm: btr.blocking(body, robot, arm), unit, 3))
+                costs[kind].append(cost_of(lambda body=body, arm=arm: btr.blocking(body, robot, arm), unit, 3))
         for body in things:
             body.remove()
     print()
@@ -164,11 +157,11 @@ def test_what_is_far_away_costs_little(kitchen: Object) -> None:
     world.get_object("falling").remove()
     del asked["stable, falls"]
     unit = units(world)["IK call"]  # which sees nothing of other bodies
-    before = {name: ratio(query, unit) for name, query in asked.items()}
+    before = {name: cost_of(query, unit) for name, query in asked.items()}
     for index in range(MANY):
         Object(f"far_{index}", "box", "milk.stl", [20 + index % 7, 20 + index // 7, 0.098])
     world.simulate(0.1)
-    after = {name: ratio(query, unit) for name, query in asked.items()}
+    after = {name: cost_of(query, unit) for name, query in asked.items()}
     print()
     for name, cost in after.items():
         print(f"{name:24} {before[name]:7.2f} IK calls, with {MANY} far things {cost:7.2f}: {cost / before[name]:.2f}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -15,6 +14,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from replay.verify import verify
+from tests.benchmarks.timing import ratio, seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,13 +26,6 @@ import set_the_table
 pytestmark = pytest.mark.slow
 
 MOST = 1.2  # of the run's own time
-
-
-def seconds(action: Callable[[], object]) -> float:
-    """Of this process' own work: others may share the machine."""
-    start = time.process_time()
-    action()
-    return time.process_time() - start
 
 
 def demo() -> None:
@@ -79,10 +72,6 @@ def test_verifying_costs_hardly_more_than_the_run(plan: Callable[[], None], tmp_
             assert verify(log).exact
 
     plan()  # what is made once: files laid out, code compiled
-    ratios = []
-    for _ in range(3):
-        run = seconds(record)
-        again = seconds(check)
-        ratios.append(again / run)
-        print(f"\n{plan.__name__}: run {run:.2f} s, verified in {again:.2f} s, ratio {again / run:.2f}")
-    assert min(ratios) <= MOST
+    cost = ratio(lambda: seconds(check), lambda: seconds(record), rounds=3, most=MOST)
+    print(f"\n{plan.__name__}: verified in {cost:.2f} of the run's time")
+    assert cost <= MOST
