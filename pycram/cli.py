@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from pycram.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
 from recorder.mcap_sink import versions
-from recorder.records import message
+from recorder.records import told_error
 from recorder.viewer.audience import Kind, Wish
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
             print(end.code, file=sys.stderr)
     except PlanFailure as failure:
         traceback.print_exc()
-        print(f"\npycram: the plan failed: {type(failure).__name__}: {message(failure)}", file=sys.stderr)
+        print(f"\npycram: the plan failed: {told_error(failure)}", file=sys.stderr)
         code = _FAILED
     except KeyboardInterrupt:
         print("\npycram: interrupted", file=sys.stderr)
@@ -135,7 +135,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
         kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
-        print(f"\npycram: the plan {kind}: {type(error).__name__}: {message(error)}", file=sys.stderr)
+        print(f"\npycram: the plan {kind}: {told_error(error)}", file=sys.stderr)
         code = _FAILED
     finally:
         sys.argv, sys.path[:] = before

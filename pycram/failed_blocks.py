@@ -11,6 +11,7 @@ import traceback
 from typing import TYPE_CHECKING
 
 from pycram.error_families import PlanFailure, PycramError, slots_of
+from recorder.records import told_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -67,7 +68,9 @@ class BranchesFailed(PlanFailure):
         return {**super().data, "failures": told}
 
     def __str__(self) -> str:
-        told = (str(failure) if isinstance(failure, BranchesFailed) else _told(failure) for failure in self.failures)
+        told = (
+            str(failure) if isinstance(failure, BranchesFailed) else told_error(failure) for failure in self.failures
+        )
         return f"{self.block} failed: {'; '.join(told)}"
 
 
@@ -80,7 +83,7 @@ class NotCleanedUp(PlanFailure):
     """
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
-        super().__init__(f"{action}, done as the plan was told to stop, failed: {_told(failure)}")
+        super().__init__(f"{action}, done as the plan was told to stop, failed: {told_error(failure)}")
         self.action = action
         self.failure = failure
         self.__cause__ = failure
@@ -109,10 +112,6 @@ class Tracebacks(PycramError):
             lines.append(f"{number} of {len(self.failures)}")
             lines += ["  | " + line for line in "".join(traceback.format_exception(failure)).splitlines()]
         return "\n".join(lines)
-
-
-def _told(failure: PlanFailure) -> str:
-    return f"{type(failure).__name__}: {failure}"
 
 
 def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:

@@ -8,6 +8,7 @@ later too, and refused.
 from __future__ import annotations
 
 import sys
+from abc import ABC, abstractmethod
 from contextlib import ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
@@ -57,7 +58,7 @@ class _Begun(NamedTuple):
     stretch: AbstractContextManager[object]
 
 
-class Nested(Generic[Value]):
+class Nested(ABC, Generic[Value]):
     """Something for a ``with`` statement that has to end in its turn; may be used again, also within itself.
 
     Ctrl-C may come between the end of the body and that of the stretch. Whoever notices ends what was left open.
@@ -73,9 +74,9 @@ class Nested(Generic[Value]):
         """
         self._name = name
 
+    @abstractmethod
     def _opened(self) -> AbstractContextManager[Value]:
         """What begins and ends in truth; a new one each time."""
-        raise NotImplementedError
 
     def __enter__(self) -> Value:
         around = self._open.get()

@@ -46,6 +46,7 @@ from pycram.failures import BadArgument, PlanFailure, UsageError
 from pycram.nesting import Nested
 from pycram.open_block import alone
 from recorder.interrupts import Uninterrupted
+from recorder.records import told_error
 from recorder.span import Span
 from recorder.way import plan_line
 
@@ -378,7 +379,7 @@ class _Attempts:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
             if last is not None and not _told_to_stop():
-                told = f"the loop was left after attempt {self._number} had failed: {type(last).__name__}: {last}"
+                told = f"the loop was left after attempt {self._number} had failed: {told_error(last)}"
                 warnings.warn_explicit(told, FailureLeft, *plan_line())
 
     def finish(self, error: BaseException | None) -> None:

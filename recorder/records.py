@@ -188,7 +188,7 @@ def to_json(value: object) -> str:
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))
     except Exception as error:  # noqa: BLE001  the user's own __repr__ and __record__, and lists that hold themselves
-        return json.dumps({"untold": type(value).__qualname__, "because": f"{type(error).__name__}: {error}"})
+        return json.dumps({"untold": type(value).__qualname__, "because": told_error(error)})
     return text
 
 
@@ -215,6 +215,16 @@ def message(error: BaseException) -> str:
         return str(error)
     except Exception as untold:  # noqa: BLE001  the error's own __str__
         return f"<it can't be told: {type(untold).__qualname__}>"
+
+
+def told_error(error: BaseException) -> str:
+    """An exception by its type, and its message if it has one.
+
+    Args:
+        error: the exception.
+    """
+    said = message(error)
+    return f"{type(error).__name__}: {said}" if said else type(error).__name__
 
 
 def failure(error: BaseException, *, trace: bool = True) -> Failure:

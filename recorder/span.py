@@ -121,20 +121,8 @@ class Span:
         if self._ended:
             return
         ended = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
-        world, sim_step = journal.now()
-        record = Task(
-            world=world,
-            sim_step=sim_step,
-            task=self.id,
-            thread=threading.current_thread().name,
-            phase=_FINISHED,
-            status=Task.SUCCEEDED if error is None else ended,
-            parent=self.parent,
-            kind=self.kind,
-            name=self.name,
-            attempt=self.attempt,
-            duration_ns=time.perf_counter_ns() - self._start if self._start else 0,
-        )
+        record = self._record(_FINISHED, Task.SUCCEEDED if error is None else ended)
+        record.duration_ns = time.perf_counter_ns() - self._start if self._start else 0
         recorded = journal.recording()
         if recorded:
             if self.solution:
@@ -194,10 +182,17 @@ class Span:
         return self.source
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
-        way = self._way()
-        file, line = way.line
+        record, way = self._record(phase, status), self._way()
+        record.source_file, record.source_line = way.line
+        record.callers.extend(callers(way.lines))
+        if self.parameters:
+            record.parameters.extend(arguments(self.parameters))
+        self._emit(record)
+
+    def _record(self, phase: Task.Phase, status: Task.Status) -> Task:
+        """What every record of it says."""
         world, sim_step = journal.now()
-        record = Task(
+        return Task(
             world=world,
             sim_step=sim_step,
             task=self.id,
@@ -207,15 +202,8 @@ class Span:
             parent=self.parent,
             kind=self.kind,
             name=self.name,
-            source_file=file,
-            source_line=line,
             attempt=self.attempt,
         )
-        if self.parameters:
-            record.parameters.extend(arguments(self.parameters))
-        if len(way.lines) > 1:
-            record.callers.extend(callers(way.lines))
-        self._emit(record)
 
     def _emit(self, record: Task) -> None:
         if not self.parent and record.phase != _FINISHED:

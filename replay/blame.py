@@ -215,7 +215,7 @@ class _Search:
 
     def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
         """Whether a change is more than coming to rest, or than arithmetic."""
-        if _commanded(record) == self._body:
+        if commanded(record) == self._body:
             return True
         return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
 
@@ -312,8 +312,12 @@ def _is_physics(record: Mutation | Keyframe) -> bool:
     return isinstance(record, Mutation) and record.WhichOneof("command") in ("simulate", "set_realtime")
 
 
-def _commanded(record: Mutation | Keyframe) -> str:
-    """The body that a command is about."""
+def commanded(record: Mutation | Keyframe) -> str:
+    """The body that a record's command is about; empty if it is about none.
+
+    Args:
+        record: what changed a world, or told all of it.
+    """
     command = record.WhichOneof("command") if isinstance(record, Mutation) else None
     return str(getattr(getattr(record, command), "body", "")) if command else ""
 
@@ -338,13 +342,13 @@ def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachmen
         return "physics", []
     if record.HasField("reset"):
         return "reset", []
-    commanded = _commanded(record)
-    if commanded == body:
+    cause = commanded(record)
+    if cause == body:
         return "command", []
     chain: list[Attachment] = []
     seen = {body}
     at = body
-    while at != commanded:
+    while at != cause:
         held = world.carrier(at)
         if held is None or held.carrier in seen:
             return "along", []

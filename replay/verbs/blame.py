@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Keyframe
 from replay import words
-from replay.blame import blame
+from replay.blame import blame, commanded
 from replay.outlet import tell, tell_json
 from replay.plain import plain_record
 from replay.steps import HINT
@@ -142,7 +142,7 @@ def _headline(found: Blame) -> str:
     by = {
         "command": "was moved",
         "carried": f"was carried by {found.carried[-1].held.carrier}" if found.carried else "was carried",
-        "along": f"moved along with {_commanded(found)}",
+        "along": f"moved along with {commanded(found.record)}",
         "physics": "moved in simulation",
         "reset": "moved when the world was reset",
     }
@@ -150,12 +150,6 @@ def _headline(found: Blame) -> str:
         before, after = words.apart(found.before, found.after)
         return f"{name} {by[found.how]}: from {before} to {after}"
     return f"{name} {by[found.how]}: {_size(found)} to {where}"
-
-
-def _commanded(found: Blame) -> str:
-    """The body that the command was about."""
-    command = found.record.WhichOneof("command") if not isinstance(found.record, Keyframe) else None
-    return str(getattr(getattr(found.record, command), "body", "")) if command else ""
 
 
 def _value(value: Pose | float) -> str:

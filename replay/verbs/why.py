@@ -8,7 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import told_failure
+from recorder.records import told_error, told_failure
 from replay import words
 from replay.advice import asked_again, commands
 from replay.cli import FINE, INCOMPLETE, USAGE
@@ -66,7 +66,7 @@ def _pictures(log: Log, found: Why, folder: str | None) -> tuple[int, list[str]]
         with results_only():
             return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
-        remark(f"no pictures: {type(error).__name__}: {error}")
+        remark(f"no pictures: {told_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []
 
 

@@ -143,4 +143,4 @@ def test_a_block_of_failures_with_a_property_of_its_own_names_tells_them_all() -
     failed = raised.value
     assert isinstance(failed, BranchesFailed)
     assert [type(one) for one in failed.failures] == [Jam, Jam]
-    assert str(failed) == "par failed: Jam: ; Jam: "
+    assert str(failed) == "par failed: Jam; Jam"
