@@ -4,7 +4,7 @@ The viewer and what feeds it are processes of their own. So two things are told 
 process, which is what counts where cores are free; and its wall time, in which the others show where cores are few, or
 are halves of one. So there is a third run, beside a process that does nothing but compute on another core, which is
 what that alone costs on this machine. A viewer without a graphics card draws with all cores that it finds; therefore there is one
-that only takes what it gets, and one that draws.
+that only takes what it gets, and one that draws. Both are as polite as one that ``--rerun`` starts.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ import set_the_table
 pytestmark = pytest.mark.slow
 
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))
-ROUNDS = 3
+GOAL = 1.15  # of the demo without recording and viewer
+ROUNDS, PATIENCE = 3, 6
+POLITE = ["nice", "-n", "10"]  # as what feeds the viewer, and the viewer that it starts
 
 
 @contextmanager
@@ -47,7 +49,7 @@ def viewer(*options: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     """How to connect to a viewer, and its process."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    command = [BINARY, *options, "--port", str(port), "--bind", "127.0.0.1"]
+    command = [*POLITE, BINARY, *options, "--port", str(port), "--bind", "127.0.0.1"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         pause, deadline = threading.Event(), time.monotonic() + 30
@@ -88,8 +90,8 @@ def least(costs: list[Cost], what: Callable[[Cost], float]) -> float:
 
 @contextmanager
 def busy_core() -> Iterator[None]:
-    """A process that computes, as polite as the one that feeds the viewer."""
-    process = subprocess.Popen(["nice", "-n", "10", sys.executable, "-c", "while True: pass"])
+    """A process that computes."""
+    process = subprocess.Popen([*POLITE, sys.executable, "-c", "while True: pass"])
     try:
         yield
     finally:
@@ -105,22 +107,22 @@ def busy_core() -> Iterator[None]:
 def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str]) -> None:
     demo()  # what is made once: files laid out, code compiled
     bare, beside, watched = [], [], []
-    for i in range(ROUNDS):
+    processor = clock = float("inf")
+    while len(bare) < ROUNDS or (max(processor, clock) > GOAL and len(bare) < PATIENCE):
         bare.append(demo())
         with busy_core():
             beside.append(demo())
         with viewer(*options) as (url, _):
-            watched.append(demo(tmp_path / f"{i}.mcap", url))
-    processor = least(watched, lambda cost: cost.processor) / least(bare, lambda cost: cost.processor)
-    alone, shared, shown = (least(costs, lambda cost: cost.planned) for costs in (bare, beside, watched))
-    print(f"\n{options[0]}: the demo, recorded and watched, against neither")
+            watched.append(demo(tmp_path / f"{len(bare)}.mcap", url))
+        processor = least(watched, lambda cost: cost.processor) / least(bare, lambda cost: cost.processor)
+        alone, shared, shown = (least(costs, lambda cost: cost.planned) for costs in (bare, beside, watched))
+        clock = shown / alone
+    print(f"\n{options[0]}: the demo, recorded and watched, against neither, in {len(bare)} rounds; goal {GOAL}")
     print(f"processor time of its process: {processor:.2f}")
-    print(
-        f"by the clock, up to the plan's end: {shown / alone:.2f}; against one beside a busy core: {shown / shared:.2f}"
-    )
+    print(f"by the clock, up to the plan's end: {clock:.2f}; against one beside a busy core: {shown / shared:.2f}")
     print(f"its end takes {least(watched, lambda cost: cost.end):.2f} s more")
-    assert processor < 2.5  # 1.15 is the goal, for both; a viewer that draws in software takes the plan's cores, too
-    assert shown / alone < 4  # and they say little by the clock
+    assert processor < 2 * GOAL  # a viewer that draws in software takes the plan's cores, too
+    assert clock < 3 * GOAL  # and they say little by the clock
 
 
 @pytest.mark.long
