@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,7 +18,6 @@ from pycram.language import failure_handling, par, seq
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
 pytestmark = pytest.mark.slow
 
@@ -63,18 +66,34 @@ def six_attempts() -> None:
             pass
 
 
-def test_blocks(tmp_path: Path) -> None:
+def measure(file: Path) -> dict[str, float]:
+    """Milliseconds of each action, alone and recorded, and of finding one of many tasks."""
     actions = (three_threads, three_branches, in_order, six_attempts)
-    threads, *bare = milliseconds(*actions)
-    with recorder.record(tmp_path / "x.mcap"):
-        threads_then, *recorded = milliseconds(*actions)
-        (many,) = milliseconds(lambda: [tasks.tree().roots[-1].path for _ in range(100)], rounds=3, times=1)
-    threads = min(threads, threads_then)
-    print(f"\nthree bare threads {threads:.3f} ms")
-    for action, alone, on_record in zip(actions[1:], bare, recorded, strict=True):
-        ratio = on_record / threads
-        print(
-            f"{action.__name__:15} {alone:.3f} ms, recorded {on_record:.3f} ms ({ratio:.1f} times three bare threads)"
+    names = [action.__name__ for action in actions]
+    costs = dict(zip(names, milliseconds(*actions), strict=True))
+    with recorder.record(file):
+        recorded = dict(zip(names, milliseconds(*actions), strict=True))
+        (path,) = milliseconds(lambda: [tasks.tree().roots[-1].path for _ in range(100)], rounds=3, times=1)
+    costs["three_threads"] = min(costs["three_threads"], recorded.pop("three_threads"))
+    return costs | {f"{name}, recorded": cost for name, cost in recorded.items()} | {"a task's path": path / 100}
+
+
+def test_blocks(tmp_path: Path) -> None:
+    """In a process of its own: there the stack is that of a plan, not that of what runs the tests."""
+    goal, costs = 1.0, {}
+    for turn in range(5):  # noise only adds, and a fast moment comes sooner or later
+        told = subprocess.run(
+            [sys.executable, __file__, tmp_path / f"{turn}.mcap"], capture_output=True, text=True, check=True
         )
-    print(f"the path of the last of {len(tasks.tree().roots)} outermost tasks: {many / 100:.3f} ms")
-    assert recorded[0] < max(1.0, 5 * threads)  # ms; where three bare threads take longer than 0.2 ms, so may this
+        costs = {name: min(cost, costs.get(name, cost)) for name, cost in json.loads(told.stdout).items()}
+        if costs["three_branches, recorded"] < goal:
+            break
+    print()
+    for name, cost in costs.items():
+        print(f"{name:25} {cost:.3f} ms, {cost / costs['three_threads']:.1f} times three bare threads")
+    limit = max(goal, 5 * costs["three_threads"])  # where those take longer than 0.2 ms, so may this
+    assert costs["three_branches, recorded"] < limit
+
+
+if __name__ == "__main__":
+    print(json.dumps(measure(Path(sys.argv[1]))))
