@@ -8,25 +8,19 @@ from __future__ import annotations
 
 import contextlib
 import os
-import stat
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import TYPE_CHECKING
 
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.assets import Assets
 from replay.chunks import KINDS, Chunks, Kinds, kinds_of
-from replay.errors import Damaged, LogClosed, NoSuchStep, NotALog, Unreadable
+from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
+from replay.file import check_ours, is_locked, open_file
 from replay.fold import state_at
 from replay.index import Index
 from replay.lives import Life, lives_of
-from replay.places import MAGIC
 from replay.steps import step_of
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -41,8 +35,6 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "Log", "open_log"]
 
-_ALIKE: Final = len(MAGIC) - 2  # so many of the first bytes are right in a damaged file of the kind
-
 
 class Log:
     """A recording; opened by :func:`open_log`, which is ``replay.open``. Not for several threads at once.
@@ -55,11 +47,11 @@ class Log:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._file = _open(self.path)
+        self._file = open_file(self.path)
         try:
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
-            _check_ours(self.path, self._index)
+            check_ours(self.path, self._index)
             self._chunks = Chunks(self._index)
             self._steps = self._count()
         except BaseException:
@@ -109,7 +101,7 @@ class Log:
         """
         if self._file.closed and not self.closed:
             raise LogClosed(self.path)
-        return not self.closed and _is_locked(self._file)
+        return not self.closed and is_locked(self._file)
 
     @property
     def complete(self) -> bool:
@@ -314,73 +306,6 @@ class Log:
                 self._lost = max(0, last.seq + 1 - sum(self.counts().values()))
                 return last.seq + 1
         raise Unreadable(self.path, "has no record that can be read")
-
-
-def _open(path: Path) -> BinaryIO:
-    """Opens a file if it is MCAP's by its first bytes, or was before it was damaged.
-
-    Raises:
-        NotALog: it isn't there, or is something else.
-        Unreadable: it is empty, or cut off within these bytes.
-    """
-    try:
-        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the log closes it
-        try:
-            _check_start(path, file)
-        except BaseException:
-            file.close()
-            raise
-    except OSError as error:
-        raise NotALog(path, error.strerror or str(error)) from error
-    return file
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    """Opens a pipe at once too; otherwise it would wait for somebody who writes into it."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-
-
-def _check_start(path: Path, file: BinaryIO) -> None:
-    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        raise NotALog(path, "is no regular file; a recording is read here and there: write it to a file first")
-    start = file.read(len(MAGIC))
-    if len(start) < len(MAGIC) and MAGIC.startswith(start):
-        raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
-    alike = sum(one == other for one, other in zip(start, MAGIC, strict=False))
-    file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
-    if alike < _ALIKE and file.read() != MAGIC:
-        raise NotALog(path, "is no MCAP file")
-
-
-def _check_ours(path: Path, index: Index) -> None:
-    """Says what a file without any channel that we know is.
-
-    Raises:
-        NotALog: it is somebody else's.
-        Unreadable: it is of another release, or too damaged to say.
-    """
-    if kinds_of(index):
-        return
-    names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
-    if names:
-        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
-    if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
-        raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
-    raise Unreadable(path, "has no record that can be read")
-
-
-def _is_locked(file: BinaryIO) -> bool:
-    """Whether a recorder holds its lock on the file."""
-    if fcntl is None:
-        return False
-    try:
-        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # a file system without locks
-        return False
-    fcntl.flock(file.fileno(), fcntl.LOCK_UN)
-    return False
 
 
 def open_log(path: str | Path) -> Log:

@@ -45,8 +45,14 @@ def run(log: Log, options: argparse.Namespace) -> int:
             tell_json(plain_record(record) | {"text": line}, flush=options.follow)
         else:
             clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
-            tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {line}", flush=options.follow)
+            tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}", flush=options.follow)
     return 0
+
+
+def _world(log: Log, record: Record) -> str:
+    """Which world a record is about, where there is more than one."""
+    life = log.life_at(record.world, record.seq) if record.world and len(log.lives) > 1 else None
+    return f"{life.title}: " if life is not None else ""
 
 
 def follow(

@@ -130,6 +130,12 @@ def test_a_state_says_which_world_it_is_of(log: replay.Log, capsys: pytest.Captu
     assert json.loads(capsys.readouterr().out)["worlds"]["lab"]["life"] == 2
 
 
+def test_a_line_says_which_world_it_is_about(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", str(log.path), "--text", "load body ball"]) == 0
+    worlds = [line.split(" mutation ")[1].split(": ")[0] for line in capsys.readouterr().out.splitlines()]
+    assert worlds == ["lab", "hall", "lab (2nd of that name)"]
+
+
 def test_a_later_life_is_executed_again_by_itself(log: replay.Log) -> None:
     told = log.state_at("last").world("lab")
     with log.world_at("last", "lab", exact=True) as world:
