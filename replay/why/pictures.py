@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Vector
     from replay.log import Log
-    from replay.why import Why
+    from replay.why.explanation import Why
 
 
 def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:

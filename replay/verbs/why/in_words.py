@@ -1,150 +1,28 @@
-"""``why``: why a plan failed, in plain words first."""
+"""An explanation for people: what went wrong in plain words, then one section for each question that comes next."""
 
 from __future__ import annotations
 
 import builtins
 import math
 import shlex
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import told_error, told_failure
+from recorder.records import told_failure
 from replay import words
-from replay.advice import asked_again, commands
-from replay.cli import FINE, INCOMPLETE, USAGE
-from replay.errors import Damaged
-from replay.outlet import remark, results_only, tell, tell_json
-from replay.pictures import write_pictures
-from replay.plain import plain_record
-from replay.steps import HINT
 from replay.verbs import diff
-from replay.why import heading, why
+from replay.verbs.why.advice import asked_again, commands
+from replay.why.explanation import heading
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator
 
     from recorder.records import Failure
     from replay.failures import Attempt
-    from replay.log import Log
     from replay.source import Line
     from replay.why import Since, Thing, Try, Why
 
 _FIRST, _LAST = 2, 5  # so many attempts are told one by one
 _MOST: Final = 12  # lines of a difference
-
-
-def add(parser: argparse.ArgumentParser) -> None:
-    """Takes which failure."""
-    parser.add_argument("step", metavar="STEP", nargs="?", help=f"of another task that failed: {HINT}")
-    parser.add_argument(
-        "--pictures", metavar="DIR", help="write pictures of that moment: the robot's view, and one from the side"
-    )
-
-
-def run(log: Log, options: argparse.Namespace) -> int:
-    """Prints the explanation."""
-    found = why(log, options.step)
-    code, pictures = _pictures(log, found, options.pictures)
-    if options.json:
-        tell_json(facts(found) | {"pictures": pictures})
-    else:
-        tell("\n".join(lines(found, str(log.path))))
-        if pictures:
-            tell("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
-    return code
-
-
-def _pictures(log: Log, found: Why, folder: str | None) -> tuple[int, list[str]]:
-    """The pictures that were asked for; says why there are none if they can't be made."""
-    if folder is None:
-        return FINE, []
-    if found.failure is None:
-        remark("no pictures: nothing failed")
-        return FINE, []
-    try:
-        with results_only():
-            return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
-    except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
-        remark(f"no pictures: {told_error(error)}")
-        return INCOMPLETE if isinstance(error, Damaged) else USAGE, []
-
-
-# --- for machines ----------------------------------------------------------------------------------------------------
-
-
-def facts(found: Why) -> dict[str, object]:
-    """The explanation, for machines.
-
-    Args:
-        found: the explanation.
-    """
-    return {
-        "plan": found.run.plan,
-        "outcome": found.run.outcome,
-        "thread": found.thread,
-        "step": found.step,
-        "failure": found.failure and {"type": found.failure.type, "message": found.failure.message},
-        "raised": [
-            {"type": error.type, "message": error.message, "lines": [_line_facts(line) for line in error.lines]}
-            for error in found.raised
-        ],
-        "task": found.task and _task_facts(found.task),
-        "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
-        "line": _line_facts(found.way[-1]) if found.way else None,
-        "callers": [_line_facts(line) for line in found.way[:-1]],
-        "world": found.world and found.world.name,
-        "things": [
-            {
-                "object": thing.body.name,
-                "position": thing.body.position,
-                "orientation": thing.body.orientation,
-                "held_by": thing.held and thing.held.carrier,
-                "holds": [held.body for held in thing.holds],
-                "distance": thing.distance,
-                "bearing": thing.bearing,
-            }
-            for thing in found.things
-        ],
-        "absent": found.absent,
-        "tries": [
-            _task_facts(each.task.motion) | {"error": each.task.error, "robot": each.robot and each.robot.pose}
-            for each in found.tries
-        ],
-        "others": found.others,
-        "threads": [plain_record(each) for each in found.threads],
-        "asked": [
-            plain_record(asked.query)
-            | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
-            for asked in found.asked
-        ],
-        "earlier": found.earlier,
-        "same": found.same and _since_facts(found.same),
-        "last": found.last and _since_facts(found.last),
-        "running": [_task_facts(task) for task in found.running],
-    }
-
-
-def _line_facts(line: Line) -> dict[str, object]:
-    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
-
-
-def _task_facts(task: Attempt) -> dict[str, object]:
-    return {
-        "id": task.started.task,
-        "kind": task.started.kind,
-        "name": task.started.name,
-        "parameters": task.parameters,
-        "steps": [task.started.seq, task.finished and task.finished.seq],
-        "error": task.error,
-    }
-
-
-def _since_facts(since: Since) -> dict[str, object]:
-    return {"task": _task_facts(since.task), "difference": diff.facts(since.difference)}
-
-
-# --- for people ------------------------------------------------------------------------------------------------------
 
 
 def lines(found: Why, path: str) -> Iterator[str]:
