@@ -20,12 +20,12 @@ import threading
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
+from pycram.attempts import Retry
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failed_blocks import leaves_uncleaned
 from pycram.failures import BranchesFailed, PlanFailure
 from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
-from pycram.retries import Retry
 from recorder.interrupts import Uninterrupted
 from recorder.span import Span
 from recorder.tasks import State

@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from pycram.actions import name_of, run
+from pycram.attempts import Retry
 from pycram.cancellation import Cancelled, shielded
 from pycram.error_chain import chained, raise_unchanged
 from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
 from pycram.nesting import stretch
 from pycram.open_block import alone
-from pycram.retries import Retry
 from recorder.span import span
 
 if TYPE_CHECKING:

@@ -1,0 +1,242 @@
+"""Attempts at one thing, one after the other until one gets through; what follows a failure, their handling says."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+
+from pycram.cancellation import current_scope
+from pycram.error_chain import chained, raise_unchanged
+from pycram.failures import PlanFailure, UsageError
+from pycram.nesting import Nested
+from pycram.open_block import alone
+from recorder.interrupts import Uninterrupted
+from recorder.records import told_error
+from recorder.span import Span
+from recorder.way import plan_line
+
+if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+    from types import TracebackType
+
+    from pycram.retries import FailureHandling
+
+Parameters: TypeAlias = Mapping[str, Any]
+
+
+class RetriesUsedUp(PlanFailure):
+    """``retry`` was called without a failure at hand, and no retry was left.
+
+    Attributes:
+        retries: how many there had been.
+    """
+
+    def __init__(self, retries: int) -> None:
+        super().__init__(f"all {retries} retries are used up")
+        self.retries = retries
+
+
+class FailureLeft(RuntimeWarning):
+    """A plan left the loop of a failure handling after a failed attempt; the failure was neither handled nor raised."""
+
+
+class Retry(BaseException):
+    """Rises from ``retry`` to its attempt; nothing else catches it.
+
+    Attributes:
+        attempt: the attempt that is over.
+        changed: parameters that the next one is to have.
+        error: what was being handled.
+    """
+
+    def __init__(self, attempt: Attempt, changed: Parameters, error: BaseException | None) -> None:
+        super().__init__(f"attempt {attempt.number} is to be followed by another one")
+        self.attempt = attempt
+        self.changed = changed
+        self.error = error
+
+
+_attempt: ContextVar[Attempt | None] = ContextVar("pycram_attempt", default=None)
+
+
+def retry(**changed: object) -> NoReturn:
+    """Ends this attempt and begins the next one.
+
+    Args:
+        changed: parameters that the next one is to have.
+
+    Raises:
+        UsageError: there is no attempt here; or it is called while a usage error is handled, which comes out.
+    """
+    attempt = _attempt.get()
+    error = sys.exc_info()[1]
+    if isinstance(error, UsageError):
+        raise error
+    if attempt is None:
+        raise UsageError("retry() belongs into the body of `with attempt:` in `for attempt in failure_handling(5):`")
+    raise Retry(attempt, changed, error)
+
+
+class Attempt(Nested["Attempt"]):
+    """One run of what may be tried again.
+
+    Attributes:
+        number: which one, from 1.
+        parameters: what it is to use.
+        failures: those of the attempts before it.
+        used: whether its body has been run.
+    """
+
+    def __init__(self, attempts: Attempts, number: int, parameters: Parameters, failures: list[BaseException]) -> None:
+        """Makes an attempt.
+
+        Args:
+            attempts: the row of attempts that it is one of.
+            number: which one.
+            parameters: what it is to use.
+            failures: those of the attempts before it.
+        """
+        super().__init__("failure_handling")
+        self.number = number
+        self.parameters = parameters
+        self.failures = tuple(failures)
+        self.used = False
+        self._attempts = attempts
+
+    def __getitem__(self, name: str) -> Any:
+        """A parameter."""
+        return self.parameters[name]
+
+    def _opened(self) -> AbstractContextManager[Attempt]:
+        if self.used:
+            raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
+        self.used = True
+        return _Run(self, self._attempts)
+
+
+class _Run:
+    """The body of an attempt."""
+
+    def __init__(self, attempt: Attempt, attempts: Attempts) -> None:
+        self._attempt = attempt
+        self._attempts = attempts
+        self._span: Span | None = None
+        self._exits = ExitStack()
+
+    def __enter__(self) -> Attempt:
+        made = self._attempt
+        try:
+            with ExitStack() as entering:
+                entering.enter_context(self._attempts.entered())
+                self._span = Span("attempt", f"attempt {made.number}", parameters=made.parameters, attempt=made.number)
+                entering.enter_context(self._span)
+                token = _attempt.set(made)
+                entering.callback(lambda: _attempt.reset(token))
+                self._exits = entering.pop_all()
+        except BaseException as stopped:
+            self._attempts.finish(stopped)
+            raise
+        return made
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> bool:
+        handled = error
+        changed: Parameters | None = None
+        if isinstance(error, Retry) and error.attempt is self._attempt:
+            handled, changed = error.error or error, error.changed
+        with Uninterrupted():  # an exit stack that is broken off forgets what it was about to end
+            if self._span is not None:
+                self._span.finish(handled)
+            self._exits.close()
+        return self._attempts.ended(error, handled, changed)
+
+
+class Attempts:
+    """A row of attempts at one thing."""
+
+    def __init__(self, handling: FailureHandling) -> None:
+        self.over = False
+        self._handling = handling
+        self._parameters = handling.parameters
+        self._failures: list[BaseException] = []
+        self._span: Span | None = None
+        self._number = 0
+
+    def following(self) -> Attempt:
+        """The next attempt."""
+        self._number += 1
+        return Attempt(self, self._number, self._parameters, self._failures)
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
+        with alone():
+            if self._span is None:
+                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.told)
+                self._span.start()
+            with self._span.entered():
+                yield
+
+    def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
+        """Takes the end of an attempt.
+
+        Args:
+            error: what came out of its body.
+            handled: what it failed with; another one than ``error`` where the body said ``retry``.
+            changed: parameters that the next attempt is to have; None if the body didn't say ``retry``.
+
+        Returns:
+            Whether there is to be another one; else the error goes on.
+
+        Raises:
+            PlanFailure: the last failure, when the retries are used up.
+        """
+        if handled is None or (changed is None and not self._handling.handles(handled)):
+            self.finish(error)
+            return False
+        last = RetriesUsedUp(self._handling.retries) if isinstance(handled, Retry) else handled
+        final: BaseException = chained(last, reversed(self._failures))
+        if self._number <= self._handling.retries:
+            try:
+                with self.entered():
+                    changed = self._handling.recover(last) if changed is None else changed
+            except BaseException as wrong:  # noqa: BLE001  raised below
+                final = chained(wrong, [final])
+            else:
+                self._failures.append(last)
+                self._parameters = {**self._parameters, **changed}
+                return True
+        self.finish(final)
+        if final is not error:
+            raise_unchanged(final)
+        return False
+
+    def close(self) -> None:
+        """Ends the row if the plan has left it between two attempts; says so if the last of them failed."""
+        if not self.over:
+            last = self._failures[-1] if self._failures else None
+            self.finish(last)
+            if last is not None and not told_to_stop():
+                told = f"the loop was left after attempt {self._number} had failed: {told_error(last)}"
+                warnings.warn_explicit(told, FailureLeft, *plan_line())
+
+    def finish(self, error: BaseException | None) -> None:
+        """Ends the row.
+
+        Args:
+            error: what it failed with; None if an attempt succeeded.
+        """
+        self.over = True
+        if self._span is not None:
+            self._span.finish(error)
+
+
+def told_to_stop() -> bool:
+    """Whether the code here is to end, by a block around it or a timeout."""
+    scope = current_scope()
+    return scope is not None and scope.cancelled
