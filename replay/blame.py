@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
+    from replay.lives import Life
     from replay.log import Log
     from replay.state import Attachment, State, World
 
@@ -100,10 +101,10 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
     state = log.state_at(step)
     try:
         place, body, joint = _find(state, target, world)
-    except NoSuchName:
+    except NoSuchName as missing:
         gone = _removal(log, state, target, world)
         if gone is None:
-            raise
+            raise _of_closed_world(log, state, target, missing) or missing from None
         until = blame(log, target, gone.seq - 1, gone.world)
         return replace(_removed(log, gone, until), without=_without(state, gone.world, world))
     others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
@@ -119,7 +120,7 @@ def _without(state: State, found: str, named: str | None) -> str:
 
 def _removal(log: Log, state: State, target: str, world: str | None) -> Mutation | None:
     """The record that removed a body, or the one with that joint, from a world that is still open."""
-    lives = {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
+    lives = _open_lives(log, state)
     if world is not None and world not in lives:
         return None
     found = []
@@ -134,6 +135,28 @@ def _removal(log: Log, state: State, target: str, world: str | None) -> Mutation
                 found.append(record)
                 break
     return max(found, key=lambda record: record.seq, default=None)
+
+
+def _open_lives(log: Log, state: State) -> dict[str, Life | None]:
+    return {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
+
+
+def _of_closed_world(log: Log, state: State, target: str, missing: NoSuchName) -> NoSuchName | None:
+    """What to say of a body, or the one with that joint, that was in a world which had been closed by then."""
+    opened = _open_lives(log, state)
+    if not opened or len(log.lives) == len(opened):  # the error tells the former itself
+        return None
+    for body in _bodies(target):
+        for record in log.backwards(state.step, Mutation, naming=body):
+            life = log.life_at(record.world, record.seq)
+            if (
+                isinstance(record, Mutation)
+                and life not in (None, opened.get(record.world))
+                and body in log.state_at(record.seq).world(record.world).bodies
+            ):
+                hint = f"it was in {life.title}, which was closed later: --at {record.seq}, or an earlier step"
+                return NoSuchName("object", body, missing.known, hint)
+    return None
 
 
 def _bodies(target: str) -> list[str]:

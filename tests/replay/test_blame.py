@@ -209,6 +209,22 @@ def test_blame_in_the_kitchen(demo_log: Path) -> None:
         assert placed.carried[0].held.carrier == "pr2"
 
 
+def test_blame_knows_what_was_in_a_world_that_was_closed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "x.mcap"
+    with recorder.record(file):
+        with BulletWorld(name="lab"):
+            Object("cup", "cup", "cup.stl").set_position([0, 0, 1])
+        with BulletWorld(name="hall") as hall:
+            hall.simulate(0.1)
+    assert main(["blame", str(file), "cup"]) == 2
+    said = capsys.readouterr().err
+    assert "there is no object 'cup'; it was in lab, which was closed later: --at " in said
+    assert main(["blame", str(file), "cup", "--at", said.split("--at ")[1].split(",")[0]]) == 0
+    assert "cup was moved: by 1.000 m" in capsys.readouterr().out
+    assert main(["blame", str(file), "cap"]) == 2
+    assert "closed" not in capsys.readouterr().err
+
+
 def test_blame_names_the_world_where_the_one_opened_last_has_no_such_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
