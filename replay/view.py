@@ -24,17 +24,19 @@ from recorder.asset import AssetFile
 from recorder.errors import RecordingError
 from recorder.records import Keyframe, Mutation
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
-from recorder.viewer.blueprint import side_by_side
-from recorder.viewer.translator import Translator
+from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
+from recorder.viewer.translator import Translator, acts
 from recorder.viewer.windows import APPLICATION, open_window
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Sequence
+    from collections.abc import Container, Iterator, Mapping, Sequence
 
+    from recorder.geometry import Vector
     from recorder.records import Record
     from replay.log import Log
 
+_ALONE: Final = ""  # root of what isn't shown beside others
 _TO_LOAD: Final = 20.0  # s for the viewer to load a file
 _LOOK_AGAIN: Final = 0.1  # s
 _PATIENCE: Final = 60.0  # s for the last rows to be written
@@ -51,12 +53,13 @@ _NONSENSE: Final = (
 """What records raise that nobody could have written; models that are no XML are syntax errors."""
 
 
-def convert(logs: Sequence[Log], path: Path) -> None:
+def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
     """Writes recordings as one for the viewer; what is there already is replaced when all is written.
 
     Args:
         logs: one recording, or several that are shown side by side.
         path: the ``.rrd`` file.
+        at: the step that is looked at first; by default the beginning.
 
     Raises:
         ReplayError: it can't be written.
@@ -71,7 +74,7 @@ def convert(logs: Sequence[Log], path: Path) -> None:
         stream = rr.RecordingStream(APPLICATION)
         stream.save(name)
         with _without_collecting():
-            translate(logs, stream)
+            translate(logs, stream, at)
         stream.flush(timeout_sec=_PATIENCE)
         stream.disconnect()
         Path(name).chmod(0o644)
@@ -94,24 +97,44 @@ def _without_collecting() -> Iterator[None]:
             gc.enable()
 
 
-def translate(logs: Sequence[Log], stream: rr.RecordingStream) -> None:
+def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
     """Sends recordings to where the viewer gets its data from.
 
     Args:
         logs: one recording, or several that are shown side by side.
         stream: where they go.
+        at: the step that is looked at first; by default the beginning.
 
     Raises:
         Damaged: a record makes no sense.
     """
     stream.send_recording_name(_title(logs))
-    if len(logs) == 1:
-        _translate(logs[0], Translator(stream))
-        return
-    translators = {root: Translator(stream, root) for root in _roots(logs)}
+    roots = _roots(logs)
+    fronts = {root: _front(log, at) for root, log in zip(roots, logs, strict=True)}
+    _lay_out(stream, {root: {front: ORIGIN} if front else {} for root, front in fronts.items()}, fronts)
+    translators = {root: Translator(stream, root) for root in roots}
     for log, translator in zip(logs, translators.values(), strict=True):
         _translate(log, translator)
-    stream.send_blueprint(side_by_side({root: translator.worlds for root, translator in translators.items()}))
+    _lay_out(stream, {root: translator.worlds for root, translator in translators.items()}, fronts)
+
+
+def _lay_out(
+    stream: rr.RecordingStream, recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]
+) -> None:
+    if _ALONE in recordings:
+        stream.send_blueprint(blueprint(recordings[_ALONE], fronts[_ALONE]))
+    else:
+        stream.send_blueprint(side_by_side(recordings, fronts))
+
+
+def _front(log: Log, at: int | None = None) -> str:
+    """The world that is looked at: that of a step, or by default the first that the plan does something in; "" if none.
+
+    Steps without a world of their own are of that of the step before.
+    """
+    if at is None:
+        return next((record.world for record in log if acts(record)), "")
+    return next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "") or _front(log)
 
 
 def _title(logs: Sequence[Log]) -> str:
@@ -155,22 +178,30 @@ def _absent(record: Record, there: Container[str]) -> list[str]:
 
 def _roots(logs: Sequence[Log]) -> list[str]:
     """Names for recordings that are shown side by side: those of their files, if these are different."""
+    if len(logs) == 1:
+        return [_ALONE]
     names = [log.path.stem for log in logs]
     return names if len(set(names)) == len(names) else [f"{number}_{name}" for number, name in enumerate(names, 1)]
 
 
-def cached(log: Log) -> Path:
+def cached(log: Log, at: int | None = None) -> Path:
     """A recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
 
     Args:
         log: the recording.
+        at: the step that is looked at first; by default the beginning.
 
     Returns:
-        The file; in the folder for temporary files where beside the recording nothing can be written.
+        The file; in the folder for temporary files where beside the recording nothing can be written, and where the
+        step is of another world than the beginning.
 
     Raises:
         Damaged: a record makes no sense.
     """
+    if _front(log, at) != _front(log):
+        file = aside(f"{log.path.name}.rrd")
+        convert([log], file, at)
+        return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
     software = max(file.stat().st_mtime_ns for file in _sources())
     if beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software):

@@ -22,28 +22,31 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Vector
 
+ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # what the first one is called by default
 _FROM: Final = (-2.6, -2.6, 2.3)  # m, from where a world's middle is looked at
 
 
-def blueprint(worlds: Mapping[str, Vector]) -> rrb.Blueprint:
+def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
     """The layout for a recording.
 
     Args:
-        worlds: middles of its worlds, as far as they are known; the last one is in front.
+        worlds: middles of its worlds, as far as they are known.
+        front: name of the one in front; by default the first.
     """
-    left, right = _see("", worlds), _read("", worlds)
+    left, right = _see("", worlds, front), _read("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
-def side_by_side(recordings: Mapping[str, Mapping[str, Vector]]) -> rrb.Blueprint:
+def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
     """The layout for recordings that are to be compared.
 
     Args:
         recordings: middles of worlds, by the root of each recording's entities.
+        fronts: names of the worlds in front, by root too.
     """
     columns = [
-        rrb.Vertical(_see(root, worlds), _read(root, worlds), row_shares=[3, 2], name=root)
+        rrb.Vertical(_see(root, worlds, fronts[root]), _read(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()
     ]
     return _whole(rrb.Horizontal(*columns))
@@ -58,11 +61,12 @@ def _whole(views: rrb.Container) -> rrb.Blueprint:
     )
 
 
-def _see(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
+def _see(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
     """The scenes and the tasks over time."""
-    scenes = [_scene(root, world, middle) for world, middle in (worlds or {_WORLD: (0.0, 0.0, 0.0)}).items()]
+    scenes = [_scene(root, world, middle) for world, middle in (worlds or {_WORLD: ORIGIN}).items()]
+    tab = [*worlds].index(front) if front in worlds else 0
     lanes = rrb.StateTimelineView(origin=f"{_below(root)}/tasks/{LANES}", name="Tasks over time")
-    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=len(scenes) - 1), lanes, row_shares=[5, 2])
+    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=tab), lanes, row_shares=[5, 2])
 
 
 def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:

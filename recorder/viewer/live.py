@@ -129,13 +129,16 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
     translator = Translator(stream)
+    showing = _Showing(stream, translator)
+    showing.lay_out()
     batches.say(Word.READY)
-    showing = _Showing(translator)
     for batch in batches:
         shown = showing.show(batch)
+        showing.lay_out()
         _deliver(stream)
         batches.say(shown)
     translator.finish()
+    showing.lay_out()
     if wish.kind is Kind.SERVE:
         batches.say(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
@@ -146,9 +149,20 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
 class _Showing:
     """Translates batches; what can't be is left out, and said once."""
 
-    def __init__(self, translator: Translator) -> None:
+    def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
+        self._stream = stream
         self._translator = translator
+        self._laid_out = -1  # how many worlds
         self._told = False
+
+    def lay_out(self) -> None:
+        """Lays the view out: at the beginning, and anew when a plan begins to do something in another world."""
+        from recorder.viewer.blueprint import blueprint  # noqa: PLC0415
+
+        worlds = self._translator.worlds
+        if len(worlds) > self._laid_out:
+            self._laid_out = len(worlds)
+            self._stream.send_blueprint(blueprint(worlds, self._translator.front))
 
     def show(self, batch: list[Item]) -> int:
         """Translates a batch.

@@ -8,7 +8,6 @@ from recorder.frames import FrameTree
 from recorder.log_lines import text_of
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Query, Run, Task
 from recorder.viewer.answers import Answers
-from recorder.viewer.blueprint import blueprint
 from recorder.viewer.columns import Columns, Moment
 from recorder.viewer.graph import Graph
 from recorder.viewer.holds import Holds
@@ -39,15 +38,14 @@ class Translator:
 
     Args:
         stream: where it goes.
-        root: the entity that all others are below, and the prefix of all frames; "" for none. Whoever names one lays
-            the view out himself.
+        root: the entity that all others are below, and the prefix of all frames; "" for none.
 
     Attributes:
         worlds: middles of the worlds that plans did something in, when they began to.
+        front: the one where a plan goes on: of those that are still open the first; "" before there is one.
     """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
-        self._stream = stream
         self._columns = Columns(stream, root)
         self._frames = FrameTree()
         self._scene = Scene(self._columns, self._frames, f"{root}/" if root else "")
@@ -63,12 +61,12 @@ class Translator:
             Query: self._show_query,
             Run: self._show_run,
         }
-        self._root = root
         self.worlds: dict[str, Vector] = {}
+        self.front = ""
+        self._open: dict[str, None] = {}  # worlds that a plan did something in
         self._sim = 0  # ns, of the world that something happened in last
         self._waiting = 0  # records
         self._before = 0  # the clock at the record before
-        self._lay_out()
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file.
@@ -95,8 +93,13 @@ class Translator:
         show = self._shows.get(type(record))
         if show is not None:
             show(record, now)
-        if record.world not in self.worlds and not _builds(record):
-            self._meet(record.world)
+        if record.world and record.world not in self.worlds and not _builds(record):
+            self.worlds[record.world] = self._scene.middle(record.world)
+        if acts(record):
+            self._open[record.world] = None
+        elif _closes(record):
+            self._open.pop(record.world, None)
+        self.front = next(iter(self._open), self.front)
         self._before = record.wall_time_ns
         self._waiting += 1
         if self._waiting >= _BATCH:
@@ -135,26 +138,28 @@ class Translator:
         self._waiting = 0
 
     def finish(self) -> None:
-        """Ends: shows worlds too that nothing was done in, and sends what was gathered."""
+        """Ends: names worlds too that nothing was done in, and sends what was gathered."""
         for world in self._scene.bodies:
-            if world not in self.worlds:
-                self._meet(world)
+            self.worlds.setdefault(world, self._scene.middle(world))
         self.flush()
 
-    def _meet(self, world: str) -> None:
-        """Lays the view out anew when a plan first does something in a world: then it is known what is there."""
-        if world:
-            self.worlds[world] = self._scene.middle(world)
-            self._lay_out()
 
-    def _lay_out(self) -> None:
-        if not self._root:
-            self._stream.send_blueprint(blueprint(self.worlds))
+def acts(record: Record) -> bool:
+    """Whether a plan does something in a record's world, beyond making and closing it.
+
+    Args:
+        record: any.
+    """
+    return bool(record.world) and not (isinstance(record, Keyframe) or _builds(record) or _closes(record))
 
 
 def _builds(record: Record) -> bool:
     """Whether it belongs to the making of a world, before a plan does something in it."""
     return isinstance(record, Mutation) and record.WhichOneof("command") in _BUILDING
+
+
+def _closes(record: Record) -> bool:
+    return isinstance(record, Mutation) and record.HasField("close_world")
 
 
 def _moments(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:

@@ -55,13 +55,13 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
         file = Path(options.save)
         if file.suffix != ".rrd":
             raise ReplayError(f"{file}: what the viewer opens is called .rrd")
-        convert(logs, file)
+        convert(logs, file, step)
     elif len(logs) == 1:
-        file = cached(logs[0])
+        file = cached(logs[0], step)
     else:
         names = "_".join(log.path.stem for log in logs)
         file = aside(f"{names}.rrd")
-        convert(logs, file)
+        convert(logs, file, step)
     told: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
         told["viewer"] = show(file, step, options.connect)

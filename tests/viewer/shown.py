@@ -102,3 +102,17 @@ def looked_for(file: Path) -> set[str]:
     ]
     asked = [row for table in tables for row in table.column("ViewContents:query").to_pylist()]
     return {one for row in asked for one in row}
+
+
+def in_front(file: Path) -> set[str]:
+    """Names of the views that any of a file's layouts puts in front of others."""
+    reader = RrdReader(file)
+    names, fronts = {}, set()
+    for layout in reader.blueprints():
+        for chunk in reader.stream(store=layout):
+            table = chunk.to_record_batch()
+            told = {name: table.column(name).to_pylist()[-1] for name in table.schema.names if "Blueprint:" in name}
+            if "ViewBlueprint:display_name" in told:
+                names[chunk.entity_path] = told["ViewBlueprint:display_name"][0]
+            fronts |= {f"/{view}" for view in told.get("ContainerBlueprint:active_tab") or ()}
+    return {names[front] for front in fronts}
