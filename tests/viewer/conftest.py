@@ -172,8 +172,10 @@ class Headless:
         pausing = {"play_state": "paused"} if hasattr(self.client, "get_state") else {}
         self.client.set_time("step", sequence=step, **pausing)
 
-    def picture(self, file: Path) -> Image.Image:
-        self.client.save_screenshot(str(file))
+    def picture(self, file: Path, view: str = "") -> Image.Image:
+        """Draws a view that is in front, or all there is; views are there when something is loaded."""
+        ids = [one.view_id for one in self.state().views if one.name == view]
+        self.client.save_screenshot(str(file), *ids)
         with Image.open(file) as image:
             return image.convert("RGB")
 

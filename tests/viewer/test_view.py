@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import rerun as rr
-from PIL import Image
 
 import recorder
 import replay
@@ -32,6 +31,7 @@ from recorder.viewer.translator import Translator
 from replay import ask
 from replay.cli import main
 from tests.viewer.conftest import rows_of
+from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, alike, golden, robot_pixels, structure
 from tests.viewer.shown import Shown, in_front, in_world, looked_for
 
 if TYPE_CHECKING:
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from tests.viewer.conftest import Headless, Server
 
 REPO = Path(__file__).parent.parent.parent
-GOLDEN = Path(__file__).parent / "golden"
-MOMENTS = ("pick-up#1@end", "place#1@end", "pick-up#2@end", "place#3@end", "place#4@end")
 NEAR = 1e-5  # m; the viewer's numbers are 32 bits
 
 
@@ -518,7 +516,7 @@ def test_the_viewer_begins_with_the_world_of_the_step(
     until(headless.has_loaded, "it is loaded")
 
     def blue() -> bool:
-        red, _, blue = np.asarray(headless.picture(tmp_path / "seen.png"), dtype=int)[50:750, 5:1140].transpose(2, 0, 1)
+        red, _, blue = np.asarray(headless.picture(tmp_path / "seen.png", "try"), dtype=int).transpose(2, 0, 1)
         assert not (red > blue + 60).any(), "the other world's"
         return bool((blue > red + 60).any())
 
@@ -575,7 +573,7 @@ def test_the_viewer_shows_the_demo(
     until(headless.has_loaded, "it is loaded")
     state = headless.state()
     names = {view.name for view in state.views}
-    assert names >= {"world_1", "Tasks over time", "Task tree", "Query", "What it saw", "Log", "Heights", "Joints"}
+    assert names >= {WORLD, "Tasks over time", "Task tree", "Query", "What it saw", "Log", "Heights", "Joints"}
     assert names >= {"task", "mutation", "event", "fluent", "query"}
     with replay.open(demo) as log:
         steps = {name: log.step(f"task:{name}") for name in MOMENTS}
@@ -584,31 +582,10 @@ def test_the_viewer_shows_the_demo(
         headless.go_to(step)
 
         def seen(name: str = name, step: int = step) -> bool:
-            scene = headless.picture(tmp_path / f"{step}.png").crop((5, 50, 1140, 750))
+            scene = headless.picture(tmp_path / f"{step}.png", WORLD)
             likeness = {other: alike(structure(scene), picture) for other, picture in goldens.items()}
             nearest = max(likeness, key=lambda other: likeness[other])
-            return nearest == name and likeness[name] > 0.97 and robot_pixels(scene) > 2000
+            return nearest == name and likeness[name] > LIKENESS and robot_pixels(scene) > ROBOT
 
         until(seen, f"{name}, step {step}, looks like its golden picture", 30)
     assert not headless.complaints()
-
-
-def structure(picture: Image.Image) -> np.ndarray:
-    """What is where, without what another renderer would draw otherwise."""
-    return np.asarray(picture.convert("L").resize((142, 88), Image.Resampling.BOX), dtype=float)
-
-
-def alike(one: np.ndarray, other: np.ndarray) -> float:
-    """Correlation of two pictures: 1 if they are the same but for brightness and contrast."""
-    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
-
-
-def golden(name: str) -> np.ndarray:
-    with Image.open(GOLDEN / f"{name.replace('#', '_').replace('@', '_')}.png") as picture:
-        return structure(picture)
-
-
-def robot_pixels(scene: Image.Image) -> int:
-    """Pixels of the PR2's blue parts; nothing else in the kitchen is so blue."""
-    red, green, blue = np.asarray(scene, dtype=int).transpose(2, 0, 1)
-    return int(((blue > 90) & (red < 40) & (green < 40)).sum())

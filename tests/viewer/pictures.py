@@ -1,0 +1,83 @@
+"""The demo's scene as it looks at five moments: golden pictures, and how others are compared with them.
+
+Compared is what is where, in grey and coarse: releases of the viewer differ in what they draw around the scene, in the
+size that they leave it, and in the sky. After a change of how things look, draw the golden pictures anew with
+``python -m tests.viewer.pictures DEMO.mcap``, and look at each.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import replay
+from recorder.viewer.audience import free_port
+from replay.view import convert
+from tests.viewer.conftest import Headless, wait_until
+
+WORLD = "world_1"
+MOMENTS = ("pick-up#1@end", "place#1@end", "pick-up#2@end", "place#3@end", "place#4@end")
+ROBOT = 2000  # pixels of its blue parts, at least
+LIKENESS = 0.99  # between releases it is 0.999
+_GOLDEN = Path(__file__).parent / "golden"
+_SIZE = (132, 88)
+_SKY = 10  # rows of these, at the top
+
+
+def structure(scene: Image.Image) -> np.ndarray:
+    """What is where in the middle of a scene, which the viewer scales by its height."""
+    width, height = scene.size
+    reach = height * _SIZE[0] / _SIZE[1] / 2
+    middle = scene.convert("L").crop((round(width / 2 - reach), 0, round(width / 2 + reach), height))
+    return np.asarray(middle.resize(_SIZE, Image.Resampling.BOX), dtype=float)[_SKY:]
+
+
+def alike(one: np.ndarray, other: np.ndarray) -> float:
+    """Correlation of two pictures: 1 if they are the same but for brightness and contrast."""
+    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
+
+
+def golden(moment: str) -> np.ndarray:
+    """What is where at one of the moments."""
+    with Image.open(_file(moment)) as picture:
+        return np.asarray(picture, dtype=float)
+
+
+def robot_pixels(scene: Image.Image) -> int:
+    """Pixels of the PR2's blue parts; nothing else in the kitchen is so blue."""
+    red, green, blue = np.asarray(scene, dtype=int).transpose(2, 0, 1)
+    return int(((blue > 90) & (red < 40) & (green < 40)).sum())
+
+
+def _file(moment: str) -> Path:
+    return _GOLDEN / f"{moment.replace('#', '_').replace('@', '_')}.png"
+
+
+def _draw(demo: Path, folder: Path) -> None:
+    viewer = Headless(free_port(0))
+    try:
+        with replay.open(demo) as log:
+            convert([log], folder / "demo.rrd")
+            viewer.open(folder / "demo.rrd")
+            for moment in MOMENTS:
+                viewer.go_to(log.step(f"task:{moment}"))
+                pictures = [np.zeros(1)]
+
+                def rests(pictures: list[np.ndarray] = pictures) -> bool:
+                    scene = viewer.picture(folder / "scene.png", WORLD)
+                    pictures.append(structure(scene))
+                    return bool(robot_pixels(scene) > ROBOT and abs(pictures[-1] - pictures[-2]).max() < 1)
+
+                wait_until(rests, moment)
+                Image.fromarray(pictures[-1].round().astype(np.uint8)).save(_file(moment))
+    finally:
+        viewer.end()
+
+
+if __name__ == "__main__":
+    with tempfile.TemporaryDirectory() as folder:
+        _draw(Path(sys.argv[1]), Path(folder))
