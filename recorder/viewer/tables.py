@@ -35,8 +35,12 @@ def _word(words: EnumTypeWrapper, number: int) -> str:
     return words.Name(number).lower() if number in words.values() else str(number)
 
 
-def _source(record: Task) -> str:
+def _source(record: Task | Mutation) -> str:
     return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+
+
+def _callers(record: Task | Mutation) -> str:
+    return ", ".join([f"{caller.file or record.source_file}:{caller.line}" for caller in record.callers[:]])
 
 
 _TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
@@ -48,11 +52,12 @@ _TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
         "parameters": lambda record: values(record.parameters),
         "failure": _failure,
         "duration_ms": lambda record: record.duration_ns / 1e6,
-        "source": _source,
+        "callers": _callers,
     },
     Mutation: {
         "command": lambda record: str(record.WhichOneof("command") or "change"),
         "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
+        "callers": _callers,
     },
     Event: {
         "name": attrgetter("name"),
@@ -82,6 +87,9 @@ _TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
 }
 """Names of columns, and what they tell of a record."""
 
+_SOURCED: Final = (Task, Mutation)
+"""Types of records that tell the plan's line which made them: changes only where it isn't their task's."""
+
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _TELL)
 """Names of the tables."""
 
@@ -98,6 +106,7 @@ class Tables:
             kind: columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind))
             for kind in _TELL
         }
+        self._asked: dict[int, str] = {}  # lines of the plan that asked for the tasks that run
 
     def show(self, record: Record, text: str, now: Moment) -> None:
         """Shows a record.
@@ -109,17 +118,30 @@ class Tables:
         """
         series = self._series.get(type(record))
         if series is not None:
-            series.add(now, (record, text))
+            series.add(now, (record, text, self._source(record)))
+
+    def _source(self, record: Record) -> str:
+        """The plan's line that made a record, or asked for the task that did."""
+        if not isinstance(record, _SOURCED):
+            return ""
+        source = _source(record) or self._asked.get(record.task, "")
+        if isinstance(record, Task):
+            if record.phase == Task.FINISHED:
+                self._asked.pop(record.task, None)
+            else:
+                self._asked[record.task] = source
+        return source
 
 
 def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    records, texts = zip(*rows, strict=True)
+    records, texts, sources = zip(*rows, strict=True)
     told = {
         "world": [record.world for record in records],
         "task": [record.task for record in records],
         "thread": [record.thread for record in records],
         "text": texts,
         **{name: [*map(tell, records)] for name, tell in _TELL[kind].items()},
+        **({"source": sources} if kind in _SOURCED else {}),
     }
     components = {name: pa.array(column) for name, column in told.items()}
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import runpy
 import subprocess
 import sys
 import tempfile
@@ -191,6 +192,39 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     assert told == [f"#{step} fail: PlanFailure: too heavy"]
     for entity in ("/log/task", "/log/mutation"):
         assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
+
+
+PLAN = """\
+from pycram.bullet_world import BulletWorld, Object
+from recorder.span import Span
+
+def shove(cup):
+    cup.set_position([1, 0, 1])
+
+with BulletWorld(name="w"):
+    cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+    with Span("task", "tidy"):
+        shove(cup)
+    with Span("task", "paint"): cup.set_color([1, 0, 0, 1])
+"""
+
+
+def test_tables_tell_the_lines_of_the_plan(tmp_path: Path) -> None:
+    log, plan = tmp_path / "log.mcap", tmp_path / "plan.py"
+    plan.write_text(PLAN)
+    with recorder.record(log, source=plan):
+        runpy.run_path(str(plan))
+    rows = view(log, tmp_path / "log.rrd").rows
+    told = {}
+    for kind, what in (("Mutation", "command"), ("Task", "status")):
+        for _, values in rows[f"/records/{kind.lower()}"]:
+            names = (what, "source", "callers")
+            key, source, callers = (values[f"pycram.{kind}:{name}"][0].replace(str(plan), "plan") for name in names)
+            told[key] = (source, [caller for caller in callers.split(", ") if "plan:" in caller])  # else it's this test
+    assert told["load_body"] == ("plan:8", [])
+    assert told["move_body"] == ("plan:5", ["plan:10"])
+    assert told["set_color"] == ("plan:11", []), "where its task was asked for"
+    assert told["running"] == told["succeeded"] == ("plan:11", [])
 
 
 def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
