@@ -65,7 +65,7 @@ def _see(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
     """The scenes and the tasks over time."""
     scenes = [_scene(root, world, middle) for world, middle in (worlds or {_WORLD: ORIGIN}).items()]
     tab = [*worlds].index(front) if front in worlds else 0
-    lanes = rrb.StateTimelineView(origin=f"{_below(root)}/tasks/{LANES}", name="Tasks over time")
+    lanes = rrb.StateTimelineView(origin=f"{_below(root)}/{LANES}", name="Tasks over time")
     return rrb.Vertical(rrb.Tabs(*scenes, active_tab=tab), lanes, row_shares=[5, 2])
 
 

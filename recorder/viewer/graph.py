@@ -11,7 +11,8 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State, Tree
-from recorder.viewer.lanes import MARKS, rgb
+from recorder.viewer.lanes import MARKS
+from recorder.viewer.marks import BLUE, GREEN, GREY, RED, YELLOW
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -22,11 +23,18 @@ if TYPE_CHECKING:
 
 GRAPH: Final = "graph"
 _MARKS: Final = MARKS | {State.SUCCEEDED: " \u2713"}
+_COLORS: Final = {
+    State.SUCCEEDED: GREEN,
+    State.FAILED: RED,
+    State.CANCELLED: GREY,
+    State.RUNNING: BLUE,
+    State.CREATED: YELLOW,
+}
 _PLAN: Final = "plan"
 _KEPT: Final = 300  # tasks that are remembered
 _PARTS: Final = 7  # of a task that are shown
 _EVERY: Final = 1000  # after so many pictures, only each second one is drawn, then each third, ...
-_ACROSS: Final = 190.0  # px from a task to its parts
+_ACROSS: Final = 120.0  # px from a task to its parts
 _DOWN: Final = 34.0
 _LETTERS: Final = 24
 
@@ -57,12 +65,12 @@ class Graph:
         self._count += 1
         if self._count % (1 + self._count // _EVERY) and record.status != Task.FAILED:
             return
-        ids, labels, colors, places = [_PLAN], [self._plan or "plan"], [rgb(State.RUNNING)], [(0.0, 0.0)]
+        ids, labels, colors, places = [_PLAN], [self._plan or "plan"], [_COLORS[State.RUNNING]], [(0.0, 0.0)]
         edges = []
         for row, (depth, node) in enumerate(_shown(self._tree), 1):
             ids.append(str(node.id))
             labels.append(_label(node))
-            colors.append(rgb(node.status))
+            colors.append(_COLORS[node.status])
             places.append(((depth + 1) * _ACROSS, row * _DOWN))
             edges.append((str(node.parent.id) if node.parent is not None else _PLAN, ids[-1]))
         nodes = rr.GraphNodes(node_ids=ids, labels=labels, colors=colors, positions=places)

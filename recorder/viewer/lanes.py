@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from recorder.viewer.columns import Columns, Moment
 
-LANES: Final = "lanes"
+LANES: Final = "level"  # which is what the viewer titles them with
 _MOST_LOOKS: Final = 300  # names of tasks in one lane that have colours; from then on they go by their kinds
 MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
 _NOTHING: Final = ""
@@ -82,7 +82,7 @@ class Lanes:
         if state not in lane.looks:
             lane.looks[state] = (name + MARKS.get(status, ""), status)
             labels, shown = zip(*lane.looks.values(), strict=True)
-            colors = [rgb(one) for one in shown]
+            colors = [_rgb(one) for one in shown]
             self._columns.fix(lane.path, rr.StateConfiguration(values=list(lane.looks), labels=labels, colors=colors))
         self._columns.add(lane.path, _states, running.since, state)
 
@@ -90,16 +90,11 @@ class Lanes:
         key = (running.depth, running.slot)
         if key not in self._lanes:
             beside = f".{running.slot + 1}" if running.slot else ""
-            self._lanes[key] = _Lane(self._columns.path("tasks", LANES, f"{running.depth:02d}{beside}"))
+            self._lanes[key] = _Lane(self._columns.path(LANES, f"{running.depth}{beside}"))
         return self._lanes[key]
 
 
-def rgb(status: State) -> list[int]:
-    """The colour of a status.
-
-    Args:
-        status: how far a task is, or how it ended.
-    """
+def _rgb(status: State) -> list[int]:
     return [*bytes.fromhex(COLORS[status].removeprefix("#"))]
 
 

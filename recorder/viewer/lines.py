@@ -6,12 +6,14 @@ tells another time line when one is chosen.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import TOPICS, Keyframe, Task
+from recorder.viewer.marks import RED, YELLOW
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from recorder.viewer.columns import Columns, Moment
 
 LOG: Final = "log"
+_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # of lines; the viewer's own are of the level alone, and dark
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
 
 
@@ -58,6 +61,8 @@ def numbered(text: str, now: Moment) -> str:
     return f"#{now.step} {text}"
 
 
-def _texts(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+def _texts(rows: Sequence[tuple[Any, ...]]) -> list[rr.ComponentColumn]:
     text, level = zip(*rows, strict=True)
-    return rr.TextLog.columns(text=text, level=level)
+    colors = [_COLORS.get(one, []) for one in level]
+    colored = rr.TextLog.columns(color=[*chain.from_iterable(colors)]).partition([*map(len, colors)])
+    return [*rr.TextLog.columns(text=text, level=level), *colored]

@@ -14,10 +14,11 @@ if TYPE_CHECKING:
     from recorder.viewer.scene import Scene
 
 Color: TypeAlias = "tuple[int, int, int]"
-BLUE: Final[Color] = (60, 130, 230)
-GREEN: Final[Color] = (46, 158, 91)
-RED: Final[Color] = (208, 52, 44)
-YELLOW: Final[Color] = (217, 164, 0)
+BLUE: Final[Color] = (105, 170, 255)
+GREEN: Final[Color] = (80, 200, 125)
+RED: Final[Color] = (255, 105, 95)
+YELLOW: Final[Color] = (235, 185, 45)
+GREY: Final[Color] = (165, 165, 165)
 _DOT: Final = 0.02  # m
 _LINE: Final = 0.004
 

@@ -92,7 +92,7 @@ class Targets:
             return
         self._told = told
         line_of_log = numbered(f"{record.name}: {told[0]}: {told[1]}", now)
-        shapes: list[rr.AsComponents] = [rr.TextLog(line_of_log, level="ERROR")]
+        shapes: list[rr.AsComponents] = [rr.TextLog(line_of_log, level="ERROR", color=RED)]
         told_of = target(self._scene, record.world, values_of(record.failure.data))
         place = told_of or goal or self._above_robot(record.world)
         if place is not None:

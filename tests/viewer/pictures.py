@@ -1,12 +1,13 @@
 """The demo's scene as it looks at five moments: golden pictures, and how others are compared with them.
 
 Compared is what is where, in grey and coarse: releases of the viewer differ in what they draw around the scene, in the
-size that they leave it, and in the sky. After a change of how things look, draw the golden pictures anew with
-``python -m tests.viewer.pictures DEMO.mcap``, and look at each.
+size that they leave it, and in the sky. After a change of how things look, draw the golden pictures, and README's,
+anew with ``python -m tests.viewer.pictures``, and look at each.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -16,6 +17,7 @@ from PIL import Image
 
 import replay
 from recorder.viewer.audience import free_port
+from replay.cli import main
 from replay.view import convert
 from tests.viewer.conftest import Headless, wait_until
 
@@ -26,6 +28,9 @@ LIKENESS = 0.99  # between releases it is 0.999
 _GOLDEN = Path(__file__).parent / "golden"
 _SIZE = (132, 88)
 _SKY = 10  # rows of these, at the top
+_README = Path(__file__).parent.parent.parent / "docs" / "viewer.png"
+_MENU = 36  # pixels above what README shows
+_WIDE = 1440
 
 
 def structure(scene: Image.Image) -> np.ndarray:
@@ -57,27 +62,49 @@ def _file(moment: str) -> Path:
     return _GOLDEN / f"{moment.replace('#', '_').replace('@', '_')}.png"
 
 
-def _draw(demo: Path, folder: Path) -> None:
+def _draw(folder: Path) -> None:
+    """Draws the golden pictures, and README's of a failure."""
     viewer = Headless(free_port(0))
     try:
-        with replay.open(demo) as log:
+        with replay.open(_recorded("set_the_table", folder)) as log:
             convert([log], folder / "demo.rrd")
             viewer.open(folder / "demo.rrd")
             for moment in MOMENTS:
                 viewer.go_to(log.step(f"task:{moment}"))
-                pictures = [np.zeros(1)]
-
-                def rests(pictures: list[np.ndarray] = pictures) -> bool:
-                    scene = viewer.picture(folder / "scene.png", WORLD)
-                    pictures.append(structure(scene))
-                    return bool(robot_pixels(scene) > ROBOT and abs(pictures[-1] - pictures[-2]).max() < 1)
-
-                wait_until(rests, moment)
-                Image.fromarray(pictures[-1].round().astype(np.uint8)).save(_file(moment))
+                scene = _at_rest(viewer, folder, WORLD)
+                whole = Image.fromarray(structure(scene).round().astype(np.uint8))
+                whole.save(_file(moment))
+    finally:
+        viewer.end()
+    viewer = Headless(free_port(0))
+    try:
+        main(["view", str(_recorded("fails_to_reach", folder)), "--at", "failure", "--connect", viewer.url])
+        wait_until(viewer.has_loaded, "it is loaded")
+        seen = _at_rest(viewer, folder)
+        width, height = seen.size
+        seen.crop((0, _MENU, width, height)).resize((_WIDE, round((height - _MENU) * _WIDE / width))).save(_README)
     finally:
         viewer.end()
 
 
+def _recorded(demo: str, folder: Path) -> Path:
+    file = folder / f"{demo}.mcap"
+    subprocess.run([sys.executable, "-m", "pycram", "demo", demo, "--log", file], check=False, capture_output=True)
+    return file
+
+
+def _at_rest(viewer: Headless, folder: Path, view: str = "") -> Image.Image:
+    """The picture when the robot is there and nothing moves any more."""
+    pictures = [viewer.picture(folder / "seen.png", view)]
+
+    def rests() -> bool:
+        pictures.append(viewer.picture(folder / "seen.png", view))
+        return robot_pixels(pictures[-1]) > ROBOT and pictures[-1] == pictures[-2]
+
+    wait_until(rests, "it rests")
+    return pictures[-1]
+
+
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        _draw(Path(sys.argv[1]), Path(folder))
+        _draw(Path(folder))

@@ -171,19 +171,19 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
             block(list)
             block(fail)
     shown = view(log, tmp_path / "log.rrd")
-    lanes = {entity.rpartition("/")[2]: rows for entity, rows in shown.rows.items() if "/lanes/" in entity}
-    assert set(lanes) >= {"01", "02", "03"}
+    lanes = {entity.rpartition("/")[2]: rows for entity, rows in shown.rows.items() if entity.startswith("/level/")}
+    assert set(lanes) >= {"1", "2", "3"}
     last = max(step for rows in lanes.values() for (step, *_), _ in rows)
     states = {
-        lane: [now for step in range(last) if (now := shown.at(f"/tasks/lanes/{lane}", step).get("StateChange:state"))]
+        lane: [now for step in range(last) if (now := shown.at(f"/level/{lane}", step).get("StateChange:state"))]
         for lane in lanes
     }
-    assert ["seq succeeded"] in states["01"]
-    assert ["par failed"] in states["02"]
-    branches = [state for lane, told in states.items() if lane.startswith("03") for state in told]
+    assert ["seq succeeded"] in states["1"]
+    assert ["par failed"] in states["2"]
+    branches = [state for lane, told in states.items() if lane.startswith("3") for state in told]
     assert ["list succeeded"] in branches
     assert ["fail failed"] in branches
-    assert not any(state for lane in lanes if (state := shown.at(f"/tasks/lanes/{lane}", last)["StateChange:state"][0]))
+    assert not any(state for lane in lanes if (state := shown.at(f"/level/{lane}", last)["StateChange:state"][0]))
     graph = [values["GraphNodes:labels"] for _, values in shown.rows["/tasks/graph"]]
     assert any("fail \u2717" in labels for labels in graph)
     assert all(labels[0] == "lift" for labels in graph)
@@ -192,6 +192,10 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
     assert told == [f"#{step} fail: PlanFailure: too heavy"]
     for entity in ("/log/task", "/log/mutation"):
         assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
+    told_red = [
+        (values["TextLog:level"] == ["ERROR"], bool(values["TextLog:color"])) for _, values in shown.rows["/log/task"]
+    ]
+    assert {*told_red} == {(True, True), (False, False)}, "failures, and nothing else"
 
 
 PLAN = """\
