@@ -58,6 +58,12 @@ rerun_sink._AT_THE_END = 0.0
 """
 
 
+PATIENT = """
+from recorder import rerun_sink
+rerun_sink._TO_START = dict.fromkeys(rerun_sink.Kind, 60.0)
+"""
+
+
 class Ended:
     """What a plan has left."""
 
@@ -179,8 +185,11 @@ def test_what_can_not_be_shown_is_left_out(
     server = serve()
     nonsense = "records.Query(name='visible', picture=records.Picture(width=1, height=1, pixels=b'none'))"
     telling = f"journal.emit({nonsense}, world=world.name)"
-    code = f"from recorder import journal, records\n{telling}\n{telling}\nmove(50)"
-    ended = plan(code, f"connect:{server.url}").end()
+    code = f"from recorder import journal, records\n{telling}\n{telling}\nmove(50)\nwait_for('shown')"
+    running = plan(code, f"connect:{server.url}")
+    until(lambda: server.rows()["/records/mutation"] > 350, "all is on its way that is told before")
+    (running.folder / "shown").touch()
+    ended = running.end()
     assert ended.code == 0
     assert ended.err.count("something can't be shown") == 1
     assert ended.missed()[0] == 2
@@ -308,7 +317,7 @@ def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], por
 @pytest.mark.usefixtures("usual_ports")
 def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., Plan], display: str) -> None:
     with socket.create_server(("127.0.0.1", free_port(9876))):  # where it would listen is taken
-        running = plan("move(100)", "spawn", DISPLAY=display)
+        running = plan(f"{PATIENT}move(100)", "spawn", DISPLAY=display)
         ended = running.end()
     assert ended.code == 0, ended.err
     assert "missed" not in ended.err
@@ -318,7 +327,7 @@ def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., 
 
 @pytest.mark.usefixtures("usual_ports")
 def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
-    ended = plan("move(100)", "spawn").end()
+    ended = plan(f"{PATIENT}move(100)", "spawn").end()
     count = ended.check()
     assert "the viewer didn't open" in ended.err
     assert "DISPLAY" in ended.err
