@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import re
 import tempfile
 import threading
 import time
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 _ALONE: Final = ""  # root of what isn't shown beside others
 _TO_LOAD: Final = 20.0  # s for the viewer to load a file
 _LOOK_AGAIN: Final = 0.1  # s
+_MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that wrote it
+_HEADER: Final = 7
 _PATIENCE: Final = 60.0  # s for the last rows to be written
 _NONSENSE: Final = (
     ValueError,
@@ -204,7 +207,8 @@ def cached(log: Log, at: int | None = None) -> Path:
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
     software = max(file.stat().st_mtime_ns for file in _sources())
-    if beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software):
+    newer = beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software)
+    if newer and _is_of_this_release(beside):
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = aside(beside.name)
@@ -234,6 +238,13 @@ def aside(name: str) -> Path:
     except OSError as error:
         raise ReplayError(f"{folder}: can't be made: {error.strerror or error}") from error
     return folder / name
+
+
+def _is_of_this_release(file: Path) -> bool:
+    """Whether the viewer's library wrote a file as it is now: one that was put in its place can have older files."""
+    with file.open("rb") as opened:
+        written = opened.read(_HEADER)[_MAGIC:]
+    return [*written] == [int(part) for part in re.findall(r"\d+", rr.__version__)[: _HEADER - _MAGIC]]
 
 
 def _sources() -> Iterator[Path]:

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from recorder.viewer.scene import Scene
 
 Color: TypeAlias = "tuple[int, int, int]"
-BLUE: Final[Color] = (105, 170, 255)
-GREEN: Final[Color] = (80, 200, 125)
-RED: Final[Color] = (255, 105, 95)
-YELLOW: Final[Color] = (235, 185, 45)
-GREY: Final[Color] = (165, 165, 165)
+BLUE: Final[Color] = (75, 145, 245)  # all can be read on the viewer's dark ground, and on its light one
+GREEN: Final[Color] = (45, 165, 95)
+RED: Final[Color] = (242, 82, 72)
+YELLOW: Final[Color] = (205, 150, 0)
+GREY: Final[Color] = (140, 140, 140)
 _DOT: Final = 0.02  # m
 _LINE: Final = 0.004
 

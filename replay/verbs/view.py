@@ -26,14 +26,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
     parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
-    parser.add_argument("--web", action="store_true", help="in the browser, until Ctrl-C")
+    parser.add_argument("--web", action="store_true", help="in the browser, as it is at the end, until Ctrl-C")
     parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
 
 
 def run(log: Log, options: argparse.Namespace) -> int:
     """Shows or saves it, and prints where."""
     if options.web and (options.save or options.at or options.connect):
-        raise ReplayError("--web shows the recording in the browser from its beginning; give it alone")
+        raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, results_only():
         logs = [log, *([opened.enter_context(open_log(options.other))] if options.other else [])]
@@ -76,7 +76,7 @@ def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
 
     stream = rr.RecordingStream(APPLICATION)
     page = serve_page(stream)
-    translate(logs, stream)
+    translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
     stream.flush()
     if json_wanted:
         tell_json({"page": page}, flush=True)

@@ -397,6 +397,17 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
 
 
+def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    with replay.open(small(tmp_path / "log.mcap")) as recording:
+        kept = cached(recording)
+        whole, made = kept.read_bytes(), kept.stat().st_mtime_ns
+        kept.write_bytes(whole[:5] + bytes([whole[5] - 1]) + whole[6:])
+        os.utime(kept, ns=(made, made))  # software is installed with whatever dates
+        assert cached(recording).read_bytes()[:8] == whole[:8]
+
+
 def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.view import cached  # noqa: PLC0415
 
