@@ -78,7 +78,10 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
         stream.save(name)
         with _without_collecting():
             translate(logs, stream, at)
-        stream.flush(timeout_sec=_PATIENCE)
+        try:
+            stream.flush(timeout_sec=_PATIENCE)
+        except RuntimeError as error:  # the library has one type for all, and has said why
+            raise ReplayError(f"{path}: can't be written: {error}") from error
         stream.disconnect()
         Path(name).chmod(0o644)
         Path(name).replace(path)

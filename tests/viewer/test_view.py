@@ -408,6 +408,25 @@ def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Pa
         assert cached(recording).read_bytes()[:8] == whole[:8]
 
 
+@pytest.mark.slow
+def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
+    log = small(tmp_path / "log.mcap")
+    for words in ([], ["--save", "log.rrd"]):
+        command = [sys.executable, "-m", "replay", "view", str(log), *words]
+        told = subprocess.run(
+            ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", *command],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(REPO)},
+        )
+        assert told.returncode == 2
+        assert "log.rrd: can't be written" in told.stderr.replace(".mcap", "")
+        assert "Traceback" not in told.stderr
+    assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
+
+
 def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.view import cached  # noqa: PLC0415
 
