@@ -70,7 +70,7 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._looked_in_vain = False
+        self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self.missed = 0
@@ -100,11 +100,9 @@ class RerunSink:
         self._ended.set()
         self._backlog.close()
         now = time.monotonic()
-        patience = 0.0 if self._looked_in_vain else max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now)
-        self._thread.join(patience)
-        behind = self._thread.is_alive() and not self._looked_in_vain and self._hand_over()
-        ended = not self._thread.is_alive()
-        if self._wish.kind is Kind.SERVE and (behind or ended) and self._process.poll() is None:
+        settled = self._settled.wait(max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now))
+        behind = not settled and self._hand_over()
+        if self._wish.kind is Kind.SERVE and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process)
         elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
@@ -143,14 +141,16 @@ class RerunSink:
         """The thread's: one batch at a time."""
         try:
             while self._connection.recv() is not Word.READY:
-                self._looked_in_vain = True
-            self._looked_in_vain = False
+                self._settled.set()
+            self._settled.clear()
             while sent := self._send():
                 self._taken += self._connection.recv()
                 self._ended.wait(max(_RHYTHM, time.monotonic() - sent))  # where cores are few it uses half of one
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has said why; or it has got the rest
             self._backlog.clear()
+        finally:
+            self._settled.set()
 
     def _send(self) -> float | None:
         """Waits for a batch and sends it, an empty one at the end.

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import urllib.request
 import uuid
 from pathlib import Path
@@ -19,6 +20,7 @@ import pytest
 
 import recorder
 import replay
+from recorder import rerun_sink
 from recorder.viewer.audience import LINGERING, Kind, Wish, answers, free_port
 from replay.view import convert
 from tests.viewer.conftest import rows_of, wait_until
@@ -202,6 +204,16 @@ def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
     ended = plan("move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy").end()
     count = ended.check()
     assert ended.missed() == (count, count)
+
+
+def test_a_short_plan_waits_no_longer_than_it_takes_to_see_that_nobody_is_there(
+    tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rerun_sink, "_AT_THE_END", 90.0)
+    begun = time.monotonic()
+    with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
+        pass
+    assert time.monotonic() - begun < 60
 
 
 def test_something_else_has_the_port(plan: Callable[..., Plan]) -> None:
