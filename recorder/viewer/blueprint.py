@@ -63,10 +63,10 @@ def _whole(views: rrb.Container) -> rrb.Blueprint:
 
 def _see(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
     """The scenes and the tasks over time."""
-    scenes = [_scene(root, world, middle) for world, middle in (worlds or {_WORLD: ORIGIN}).items()]
-    tab = [*worlds].index(front) if front in worlds else 0
+    named = sorted((worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != front)  # its tab is in sight
+    scenes = [_scene(root, world, middle) for world, middle in named]
     lanes = rrb.StateTimelineView(origin=f"{_below(root)}/{LANES}", name="Tasks over time")
-    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=tab), lanes, row_shares=[5, 2])
+    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=0), lanes, row_shares=[5, 2])
 
 
 def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
