@@ -181,5 +181,5 @@ def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[theirs.fileno()],
-        env={"RUST_LOG": "off"} | os.environ,  # what matters it says itself
+        env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # what matters it says itself; the viewer was asked for
     )

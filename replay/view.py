@@ -27,7 +27,7 @@ from recorder.records import Keyframe, Mutation
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
 from recorder.viewer.translator import Translator, acts
-from recorder.viewer.windows import APPLICATION, open_window
+from recorder.viewer.windows import open_window, stream_to_viewer
 from replay.errors import Damaged, ReplayError
 
 if TYPE_CHECKING:
@@ -74,15 +74,15 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     os.close(handle)
     try:
-        stream = rr.RecordingStream(APPLICATION)
-        stream.save(name)
-        with _without_collecting():
-            translate(logs, stream, at)
-        try:
-            stream.flush(timeout_sec=_PATIENCE)
-        except RuntimeError as error:  # the library has one type for all, and has said why
-            raise ReplayError(f"{path}: can't be written: {error}") from error
-        stream.disconnect()
+        with stream_to_viewer() as stream:
+            stream.save(name)
+            with _without_collecting():
+                translate(logs, stream, at)
+            try:
+                stream.flush(timeout_sec=_PATIENCE)
+            except RuntimeError as error:  # the library has one type for all, and has said why
+                raise ReplayError(f"{path}: can't be written: {error}") from error
+            stream.disconnect()
         Path(name).chmod(0o644)
         Path(name).replace(path)
     except OSError as error:

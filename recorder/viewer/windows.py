@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -16,12 +17,24 @@ from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, Viewer
 from recorder.viewer.page import Page
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 APPLICATION: Final = "pycram"  # viewers remember a layout for each application
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
 _TRIES: Final = 5
 _PATIENCE: Final = 5.0  # s for a server to begin
+_SWITCH: Final = "RERUN"  # the variable that silences programs which log to viewers
+
+
+@contextlib.contextmanager
+def stream_to_viewer() -> Iterator[rr.RecordingStream]:
+    """What rows are sent by; also where the environment has viewers switched off, as this one was asked for."""
+    switched = os.environ.pop(_SWITCH, None)
+    try:
+        yield rr.RecordingStream(APPLICATION)
+    finally:
+        if switched is not None:
+            os.environ[_SWITCH] = switched
 
 
 def serve_page(stream: rr.RecordingStream) -> str:

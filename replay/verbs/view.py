@@ -69,20 +69,18 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
 
 
 def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
-    import rerun as rr  # noqa: PLC0415
-
-    from recorder.viewer.windows import APPLICATION, serve_page  # noqa: PLC0415
+    from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
     from replay.view import translate  # noqa: PLC0415
 
-    stream = rr.RecordingStream(APPLICATION)
-    page = serve_page(stream)
-    translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
-    stream.flush()
-    if json_wanted:
-        tell_json({"page": page}, flush=True)
-    else:
-        tell(page, flush=True)
-    remark("shown in the browser until Ctrl-C")
-    webbrowser.open(page)
-    threading.Event().wait()
+    with stream_to_viewer() as stream:
+        page = serve_page(stream)
+        translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
+        stream.flush()
+        if json_wanted:
+            tell_json({"page": page}, flush=True)
+        else:
+            tell(page, flush=True)
+        remark("shown in the browser until Ctrl-C")
+        webbrowser.open(page)
+        threading.Event().wait()
     return 0

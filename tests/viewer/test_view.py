@@ -427,6 +427,16 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
     assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
 
 
+def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    file = tmp_path / "log.rrd"
+    assert "/w/bodies/cup" in view(small(tmp_path / "log.mcap"), file).rows
+    assert "w" in in_front(file)
+    assert os.environ["RERUN"] == "off"
+
+
 def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.view import cached  # noqa: PLC0415
 
