@@ -36,11 +36,16 @@ def _word(words: EnumTypeWrapper, number: int) -> str:
 
 
 def _source(record: Task | Mutation) -> str:
-    return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+    return _line(record.source_file, record.source_line) if record.source_file else ""
 
 
 def _callers(record: Task | Mutation) -> str:
-    return ", ".join([f"{caller.file or record.source_file}:{caller.line}" for caller in record.callers[:]])
+    return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in record.callers[:]])
+
+
+def _line(file: str, line: int) -> str:
+    """A line by the file's name: columns are narrow."""
+    return f"{file.rpartition('/')[2]}:{line}"
 
 
 _TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
