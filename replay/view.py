@@ -103,14 +103,13 @@ def _without_collecting() -> Iterator[None]:
             gc.enable()
 
 
-def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None, stay: int | None = None) -> None:
+def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
     """Sends recordings to where the viewer gets its data from.
 
     Args:
         logs: one recording, or several that are shown side by side.
         stream: where they go.
         at: the step that is looked at first; by default the beginning.
-        stay: the step that a viewer goes back to which has followed what it is sent; none by default.
 
     Raises:
         Damaged: a record makes no sense.
@@ -122,19 +121,16 @@ def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = 
     translators = {root: Translator(stream, root) for root in roots}
     for log, translator in zip(logs, translators.values(), strict=True):
         _translate(log, translator)
-    _lay_out(stream, {root: translator.worlds for root, translator in translators.items()}, fronts, stay)
+    _lay_out(stream, {root: translator.worlds for root, translator in translators.items()}, fronts)
 
 
 def _lay_out(
-    stream: rr.RecordingStream,
-    recordings: Mapping[str, Mapping[str, Vector]],
-    fronts: Mapping[str, str],
-    stay: int | None = None,
+    stream: rr.RecordingStream, recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]
 ) -> None:
     if _ALONE in recordings:
-        stream.send_blueprint(blueprint(recordings[_ALONE], fronts[_ALONE], stay))
+        stream.send_blueprint(blueprint(recordings[_ALONE], fronts[_ALONE]))
     else:
-        stream.send_blueprint(side_by_side(recordings, fronts, stay))
+        stream.send_blueprint(side_by_side(recordings, fronts))
 
 
 def _front(log: Log, at: int | None = None) -> str:

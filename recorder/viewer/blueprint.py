@@ -27,43 +27,35 @@ _WORLD: Final = "world_1"  # what the first one is called by default
 _FROM: Final = (-2.6, -2.6, 2.3)  # m, from where a world's middle is looked at
 
 
-def blueprint(worlds: Mapping[str, Vector], front: str = "", stay: int | None = None) -> rrb.Blueprint:
+def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
     """The layout for a recording.
 
     Args:
         worlds: middles of its worlds, as far as they are known.
         front: name of the one in front; by default the first.
-        stay: the step to go back to, for viewers that have followed what they are sent and can't be told otherwise.
     """
     left, right = _see("", worlds, front), _read("", worlds)
-    return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]), stay)
+    return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
-def side_by_side(
-    recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str], stay: int | None = None
-) -> rrb.Blueprint:
+def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
     """The layout for recordings that are to be compared.
 
     Args:
         recordings: middles of worlds, by the root of each recording's entities.
         fronts: names of the worlds in front, by root too.
-        stay: the step to go back to; see :func:`blueprint`.
     """
     columns = [
         rrb.Vertical(_see(root, worlds, fronts[root]), _read(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()
     ]
-    return _whole(rrb.Horizontal(*columns), stay)
+    return _whole(rrb.Horizontal(*columns))
 
 
-def _whole(views: rrb.Container, stay: int | None) -> rrb.Blueprint:
-    time = rrb.TimePanel(timeline="step", state="collapsed")
-    if stay is not None:  # playing only this step again and again is the one way to say it in a layout
-        time.play_state, time.loop_mode = "playing", "selection"
-        time.time_selection = rrb.components.AbsoluteTimeRange(stay, stay)
+def _whole(views: rrb.Container) -> rrb.Blueprint:
     return rrb.Blueprint(
         views,
-        time,
+        rrb.TimePanel(timeline="step", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

@@ -26,19 +26,19 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
     parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
-    parser.add_argument("--web", action="store_true", help="in the browser, where it begins at the end, until Ctrl-C")
+    parser.add_argument("--web", action="store_true", help="in the browser, as it is at the end, until Ctrl-C")
     parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
 
 
 def run(log: Log, options: argparse.Namespace) -> int:
     """Shows or saves it, and prints where."""
-    if options.web and (options.save or options.connect):
-        raise ReplayError("--web shows the recording in the browser; give it without --save and --connect")
+    if options.web and (options.save or options.at or options.connect):
+        raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, results_only():
         logs = [log, *([opened.enter_context(open_log(options.other))] if options.other else [])]
         if options.web:
-            return _serve(logs, step, json_wanted=options.json)
+            return _serve(logs, json_wanted=options.json)
         told = _open(logs, step, options)
     if options.json:
         tell_json(told)
@@ -68,14 +68,13 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
     return told
 
 
-def _serve(logs: Sequence[Log], step: int | None, *, json_wanted: bool) -> int:
+def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
     from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
     from replay.view import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:
         page = serve_page(stream)
-        end = max(len(one) for one in logs) - 1  # where pages are that have followed what they are sent
-        translate(logs, stream, end if step is None else step, stay=step)
+        translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
         stream.flush()
         if json_wanted:
             tell_json({"page": page}, flush=True)

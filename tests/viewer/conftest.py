@@ -156,15 +156,6 @@ class Headless:
         self._call("open", "open_url", str(file))
         wait_until(self.has_loaded, f"{file.name} is loaded")
 
-    def follow(self, url: str) -> None:
-        """Shows what a server sends."""
-        self._call("open", "open_url", url)
-
-    def now(self) -> int | None:
-        """The time that it shows."""
-        (shown,) = self.state().recordings
-        return shown.current_time
-
     def has_loaded(self) -> bool:
         state = self.state()
         return not state.loading and any(recording.timelines for recording in state.recordings)

@@ -12,7 +12,6 @@ import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -605,38 +604,13 @@ def test_the_viewer_begins_with_the_world_of_the_step(
     until(blue, "the milk is seen", 30)
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("usual_ports")
-@pytest.mark.parametrize("at", [True, False])
-def test_a_page_begins_at_the_step_and_can_be_taken_elsewhere(
-    two_worlds: Path, headless: Headless, until: Callable[..., None], *, at: bool
-) -> None:
-    with replay.open(two_worlds) as log:
-        step = moved(log, "milk") if at else len(log) - 1
-    command = [sys.executable, "-m", "replay", "view", str(two_worlds), "--web", "--json", *(["--at", str(step)] * at)]
-    environment = os.environ | {"PYTHONPATH": str(REPO), "BROWSER": "true"}  # which opens nothing
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as serving:
-        try:
-            assert serving.stdout is not None
-            page = json.loads(serving.stdout.readline())["page"]
-            headless.follow(parse_qs(urlsplit(page).query)["url"][0])
-            until(headless.has_loaded, "it is loaded")
-            until(lambda: headless.now() == step, "it stands there", 30)
-            headless.go_to(5)
-            until(lambda: headless.now() == 5, "somebody goes elsewhere")
-            headless.picture(two_worlds.with_name("seen.png"))
-            assert headless.now() == 5
-        finally:
-            serving.kill()
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--save", "there.png"], "called .rrd"),
         (["--save", "no/such/folder/x.rrd"], "can't be written"),
         (["--at", "99999", "--save", "x.rrd"], "no step"),
-        (["--web", "--save", "x.rrd"], "give it without --save"),
+        (["--web", "--save", "x.rrd"], "give it alone"),
         (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
         (["--connect", "somewhere"], "no address of a viewer"),
         (["--connect", "spawn"], "no address of a viewer"),
