@@ -273,17 +273,20 @@ class Engine:
             (n, 3) positions in m, (n, 4) orientations xyzw.
         """
         indices = [body.links[link] for link in links]
-        moving = [index for index in indices if index >= 0]
+        distinct = sorted(set(indices))
+        moving = [index for index in distinct if index >= 0]
         states = (
             bullet.getLinkStates(body.id, moving, computeForwardKinematics=1, physicsClientId=self._client)
             if moving
             else ()
         )
-        base = self.pose(body)
-        poses = {index: (state[4], state[5]) for index, state in zip(moving, states, strict=True)}
-        found = [poses.get(index, base) for index in indices]
-        positions, orientations = [pose[0] for pose in found], [pose[1] for pose in found]
-        return np.array(positions).reshape(-1, 3), np.array(orientations).reshape(-1, 4)
+        poses = [(*state[4], *state[5]) for state in states]
+        if len(moving) < len(distinct):
+            at, turn = self.pose(body)
+            poses.insert(0, (*at, *turn))
+        numbers = {index: number for number, index in enumerate(distinct)}
+        found = np.array(poses).reshape(-1, 7).take([numbers[index] for index in indices], axis=0)
+        return found[:, :3], found[:, 3:]
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
         """Axis-aligned bounds of a link's shape in the world, current without a step."""

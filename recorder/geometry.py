@@ -34,12 +34,26 @@ Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
 """What the functions here take for a pose."""
 
-_Part: TypeAlias = "float | NDArray[np.float64]"
-
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
 _TINY = 1e-12
+
+# A rotation's matrix, row by row, less that of no rotation: which products of the parts of its quaternion make it.
+_FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
+_PRODUCTS = 2.0 * np.array(
+    [
+        [0, 0, 0, 0, -1, 0, 0, 0, -1],  # xx
+        [0, 1, 0, 1, 0, 0, 0, 0, 0],  # xy
+        [0, 0, 1, 0, 0, 0, 1, 0, 0],  # xz
+        [0, 0, 0, 0, 0, -1, 0, 1, 0],  # xw
+        [-1, 0, 0, 0, 0, 0, 0, 0, -1],  # yy
+        [0, 0, 0, 0, 0, 1, 0, 1, 0],  # yz
+        [0, 0, 1, 0, 0, 0, -1, 0, 0],  # yw
+        [-1, 0, 0, 0, -1, 0, 0, 0, 0],  # zz
+        [0, -1, 0, 1, 0, 0, 0, 0, 0],  # zw
+    ]
+)
 
 
 def product(a: Numbers, b: Numbers) -> Quaternion:
@@ -173,7 +187,14 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
     Returns:
         3 x 3, its columns are the turned axes.
     """
-    return _matrix(*rotation)
+    x, y, z, w = rotation
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+        ],
+    )
 
 
 def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -185,18 +206,9 @@ def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         (n, 3, 3).
     """
-    return np.moveaxis(_matrix(*rotations.T), 2, 0)
-
-
-def _matrix(x: _Part, y: _Part, z: _Part, w: _Part) -> NDArray[np.float64]:
-    """The one formula, for numbers and for arrays of them."""
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ],
-    )
+    products = rotations.take(_FIRST, axis=1) * rotations.take(_SECOND, axis=1)
+    matrices: NDArray[np.float64] = (products @ _PRODUCTS).reshape(-1, 3, 3) + np.eye(3)
+    return matrices
 
 
 def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:

@@ -35,7 +35,11 @@ def middle(body: Object) -> Vector:
     Args:
         body: the object.
     """
-    (x0, y0, z0), (x1, y1, z1) = body.get_AABB()
+    return _between(*body.get_AABB())
+
+
+def _between(low: Sequence[float], high: Sequence[float]) -> Vector:
+    (x0, y0, z0), (x1, y1, z1) = low, high
     return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
 
 
@@ -83,14 +87,17 @@ class Outline:
         low, high = body.get_AABB()
         self.low: Vector = (low[0], low[1], low[2])
         self.high: Vector = (high[0], high[1], high[2])
-        self.middle = middle(body)
-        self._solids = solids = solids_of(body.model.path)
+        self.middle = _between(low, high)
+        solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
         self._centers = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
         self._edges = turns * ((solids.high - solids.low) / 2 + 2 * _PADDED)[:, None]
-        self._normals = np.einsum("mij,mj->mi", turns[solids.pieces], solids.normals)
-        self._offsets = solids.offsets + (self._normals * positions[solids.pieces]).sum(axis=1) + _PADDED
+        self._pieces = solids.pieces
+        self._counts = np.bincount(solids.pieces)
+        self._planes = np.empty((len(solids.pieces), 4))
+        self._planes[:, :3] = normals = np.einsum("mij,mj->mi", turns[solids.pieces], solids.normals)
+        self._planes[:, 3] = solids.offsets + (normals * positions[solids.pieces]).sum(axis=1) + _PADDED
 
     def half(self, direction: Sequence[float]) -> float:
         """Half of the size of its bounds along a direction, m.
@@ -111,10 +118,11 @@ class Outline:
         Returns:
             (len(scans), count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
-        where, enter, leave = self._met(scans, (0, 2, 1), count, zs)
-        low = _each(np.minimum, where, enter.min(axis=1), len(scans), np.inf)
-        high = _each(np.maximum, where, leave.max(axis=1), len(scans), -np.inf)
-        return np.where((low <= high)[:, :, None], np.stack([low, high], axis=2), np.nan)
+        met = self._met(scans, (0, 2, 1), count, zs)
+        low = met.each(np.minimum, met.enter.min(axis=1, keepdims=True), np.inf)
+        high = met.each(np.maximum, met.leave.max(axis=1, keepdims=True), -np.inf)
+        found = np.concatenate([low, high], axis=1).transpose(0, 2, 1)
+        return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
         """Where the walls of something hollow are, looked for from the z axes of frames along their x axes.
@@ -128,74 +136,100 @@ class Outline:
             (len(scans), count, 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters
             no piece, as where it begins within the solid, both where there is nothing.
         """
-        where, enter, leave = self._met(scans, (2, 1, 0), count, ys)
-        first = _each(np.minimum, where, np.where(enter > 0.0, enter, np.inf), len(scans), np.inf)
-        last = _each(np.maximum, where, np.where(leave > 0.0, leave, -np.inf), len(scans), -np.inf).max(axis=1)
+        met = self._met(scans, (2, 1, 0), count, ys)
+        first = met.each(np.minimum, np.where(met.enter > 0.0, met.enter, np.inf), np.inf)
+        last = met.each(np.maximum, np.where(met.leave > 0.0, met.leave, -np.inf), -np.inf).max(axis=1)
         inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
         return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
-    def _met(
-        self, scans: Sequence[Scan], order: tuple[int, int, int], count: int, vs: Sequence[float]
-    ) -> tuple[NDArray[np.intp], Array, Array]:
+    def _met(self, scans: Sequence[Scan], order: tuple[int, int, int], count: int, vs: Sequence[float]) -> _Met:
         """Where parallel lines pass through its pieces: all in one go, as what takes time is numpy's being called.
 
         Args:
             scans: where lines are drawn.
             order: of the frames' axes: u and v across the lines, w along them.
             count: of places along u.
-            vs: places of lines along v, m.
-
-        Returns:
-            For each of n scans with a piece that is near: the number of the scan (n,), those of one side by side, and
-            (n, len(vs), count), m: w at which each line enters and leaves the piece; inf and -inf where it misses it.
+            vs: places of lines along v, lowest first, m.
         """
-        firsts = np.array([scan.first for scan in scans])
-        steps = np.array([scan.step for scan in scans])
-        axes = geometry.to_matrices(np.array([scan.frame[1] for scan in scans]))[:, :, order]
-        origins = np.array([scan.frame[0] for scan in scans])
-        at = (self._centers - origins[:, None]) @ axes[:, :, :2]
-        ends = np.stack([firsts, firsts + (count - 1) * steps], axis=1)
-        low = np.stack([ends.min(axis=1), np.full(len(scans), min(vs))], axis=1)[:, None]
-        high = np.stack([ends.max(axis=1), np.full(len(scans), max(vs))], axis=1)[:, None]
-        reach = np.abs(np.einsum("fxu,kxe->fkue", axes[:, :, :2], self._edges)).sum(axis=3)
-        near = ((at >= low - reach) & (at <= high + reach)).all(axis=2)
+        told = np.array([(scan.first, scan.step, *scan.frame[0], *scan.frame[1]) for scan in scans])
+        firsts, steps, origins = told[:, 0], told[:, 1], told[:, 2:5]
+        frames = np.zeros((len(scans), 4, 4))
+        frames[:, 3, 3] = 1.0
+        frames[:, :3, :3] = axes = geometry.to_matrices(told[:, 5:])[:, :, order]
+        frames[:, :3, 3] = -origins
+        across = axes[:, :, :2]
+        middle, half = np.empty((2, len(scans), 1, 2))  # of the lines along u and v
+        half[:, 0, 0], half[:, 0, 1] = (count - 1) / 2 * steps, (vs[-1] - vs[0]) / 2
+        middle[:, 0, 0], middle[:, 0, 1] = firsts + half[:, 0, 0], (vs[-1] + vs[0]) / 2
+        away = (self._centers - origins[:, None]) @ across - middle
+        reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
+        near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        ends = at[where, which, 0] + np.array([[-1.0], [1.0]]) * reach[where, which, 0]
-        ends = (ends - firsts[where]) / np.where(steps == 0.0, _ALONG, steps)[where]
-        begins = np.clip(np.ceil(ends.min(axis=0)), 0, count - 1).astype(np.intp)
-        width = int((np.clip(np.floor(ends.max(axis=0)), 0, count - 1) - begins).max(initial=0)) + 1
-        begins = np.minimum(begins, count - width)  # of the places along u where lines can meet a piece at all
-        pieces = self._solids.pieces
-        kept = near[:, pieces]
-        scan, _ = np.nonzero(kept)
-        number = (np.cumsum(near) - 1).reshape(near.shape)[:, pieces][kept]
-        u, v, along = (self._normals @ axes)[kept].T
+        # of the places along u those where lines can meet a piece at all
+        center, spread = away[where, which, 0], reach[where, which, 0]
+        paces = np.where(steps == 0.0, _ALONG, steps)[where]
+        center, spread = center / paces + (count - 1) / 2, np.abs(spread / paces)
+        begins = np.maximum(np.ceil(center - spread), 0.0).astype(np.intp)
+        width = int((np.minimum(np.floor(center + spread), count - 1).astype(np.intp) - begins).max(initial=0)) + 1
+        begins = np.minimum(begins, count - width)
+        # each plane meets the lines of its pair
+        planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
+        number = np.repeat(np.arange(len(where)), self._counts[which])
+        u, v, along, room = planes.T
         # a plane that lines go along is left far away by those within, and was left long ago by those without
         along = np.where(np.abs(along) < _ALONG, _ALONG, along)
-        room = (self._offsets - origins @ self._normals.T)[kept]
-        begin = firsts[scan] + begins[number] * steps[scan]
-        factors = np.stack([room - u * begin, -u * steps[scan], -v], axis=1) / along[:, None]
+        factors = np.empty((len(planes), 3))
+        factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]
+        factors[:, 1] = u * -steps[where][number]
+        factors[:, 2] = -v
+        factors /= along[:, None]
         lines = np.empty((3, len(vs), width))
         lines[0], lines[1], lines[2] = 1.0, np.arange(width), np.reshape(vs, (-1, 1))
         found = []
         for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both
-            counts = np.bincount(number[side], minlength=len(where))
+            mine = np.flatnonzero(side)
+            counts = np.bincount(number[mine], minlength=len(where))
             most = np.arange(counts.max(initial=1))[:, None]
-            rows = np.cumsum(counts) - counts + np.minimum(most, counts - 1)
-            meets = factors[side].take(rows.ravel(), axis=0) @ lines.reshape(3, -1)
+            rows = mine.take(np.cumsum(counts) - counts + np.minimum(most, counts - 1))
+            meets = factors.take(rows.ravel(), axis=0) @ lines.reshape(3, -1)
             found.append(nearest(meets.reshape(len(most), len(where), len(vs), width), axis=0))
         met = found[0] <= found[1]
-        enter, leave = np.full((2, len(where), len(vs), count), [[[[np.inf]]], [[[-np.inf]]]])
-        pairs, beside = np.arange(len(where))[:, None, None], np.arange(len(vs))[:, None]
-        cells = pairs, beside, begins[:, None, None] + np.arange(width)
-        enter[cells], leave[cells] = np.where(met, found[0], np.inf), np.where(met, found[1], -np.inf)
-        return where, enter, leave
+        enter, leave = np.where(met, found[0], np.inf), np.where(met, found[1], -np.inf)
+        return _Met(near.sum(axis=1), count, begins, enter, leave)
 
 
-def _each(nearest: np.ufunc, where: NDArray[np.intp], values: Array, count: int, nothing: float) -> Array:
-    """The nearest or farthest of each scan's values (n, ...), those of one side by side: (count, ...)."""
-    found = np.full((count, *values.shape[1:]), nothing)
-    scanned, firsts = np.unique(where, return_index=True)
-    if len(scanned):
-        found[scanned] = nearest.reduceat(values, firsts)
-    return found
+@dataclass(frozen=True, slots=True)
+class _Met:
+    """Where the lines of scans pass through n pieces that are near them.
+
+    Attributes:
+        pieces: (scans,) how many of them are near each scan: the first ones, the next ones, ...
+        count: of places of lines in a scan.
+        begins: (n,) the first place where lines are looked at; the rest miss the piece.
+        enter: (n, beside, width), m: where each line enters the piece, inf where it misses it.
+        leave: (n, beside, width), m: where each line leaves it, -inf where it misses it.
+    """
+
+    pieces: NDArray[np.intp]
+    count: int
+    begins: NDArray[np.intp]
+    enter: Array
+    leave: Array
+
+    def each(self, nearest: np.ufunc, values: Array, nothing: float) -> Array:
+        """The nearest or farthest of all pieces: (scans, beside, count).
+
+        Args:
+            nearest: what is wanted of them.
+            values: (n, beside, width) for each piece.
+            nothing: where there is none.
+        """
+        pieces, beside, width = values.shape
+        cells = np.full((pieces, beside, self.count), nothing)
+        across = np.arange(pieces)[:, None, None], np.arange(beside)[:, None]
+        cells[across[0], across[1], self.begins[:, None, None] + np.arange(width)] = values
+        found = np.full((len(self.pieces), beside, self.count), nothing)
+        scanned = np.flatnonzero(self.pieces)
+        if len(scanned):
+            found[scanned] = nearest.reduceat(cells, (np.cumsum(self.pieces) - self.pieces)[scanned])
+        return found
