@@ -67,8 +67,16 @@ class Chain:
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         x, y, z = self._axes.T
         zero = np.zeros_like(x)
-        self._cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-        self._square = self._cross @ self._cross
+        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        square = cross @ cross
+        # what a joint turns moves by its part along the axis, that across it, and the latter turned on
+        turning = np.zeros((3, len(moving), 4, 4))
+        turning[:, :, :3, :3] = np.eye(3) + square, -square, cross
+        turning[0, :, 3, 3] = 1.0
+        self._turning = (self._before @ turning)[:, :, None]
+        slides = np.zeros((len(moving), 4, 4))
+        slides[:, :3, 3] = self._axes
+        self._slides = self._before @ slides
         self.sliding = [index for index, joint in enumerate(moving) if joint.type == "prismatic"]
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
         self.bounded = np.isfinite(lower)
@@ -76,8 +84,7 @@ class Chain:
         self.upper = np.where(self.bounded, upper, np.pi)
         self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)
         links = np.linalg.norm(self._before[1:, :3, 3], axis=1).sum() + np.linalg.norm(before[:3, 3])
-        slides = np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum()
-        self.length = float(links + slides)
+        self.length = float(links + np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum())
 
     def poses(self, postures: Array) -> Array:
         """Poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
@@ -121,18 +128,14 @@ class Chain:
 
     def _carried(self, postures: Array) -> list[Array]:
         """Poses (n, 4, 4) in the base link: of that itself, and of what each joint carries."""
-        angles = postures.copy()
-        angles[:, self.sliding] = 0.0
-        sine, cosine = np.sin(angles)[:, :, None, None], np.cos(angles)[:, :, None, None]
-        moved = np.zeros((*postures.shape, 4, 4))
-        moved[:, :, 3, 3] = 1.0
-        moved[:, :, :3, :3] = np.eye(3) + sine * self._cross + (1 - cosine) * self._square
+        values = postures.T[:, :, None, None]
+        still, aside, beside = self._turning
+        moved = still + np.cos(values) * aside + np.sin(values) * beside
         for index in self.sliding:
-            moved[:, index, :3, 3] = postures[:, index, None] * self._axes[index]
-        moved = self._before @ moved
+            moved[index] = self._before[index] + values[index] * self._slides[index]
         poses = [np.broadcast_to(np.eye(4), (len(postures), 4, 4))]
-        for index in range(postures.shape[1]):
-            poses.append(poses[-1] @ moved[:, index])
+        for each in moved:
+            poses.append(poses[-1] @ each)
         return poses
 
     def limited(self, postures: Array) -> Array:

@@ -47,6 +47,10 @@ class ClosedForm:
         bounded: which joints have limits.
         span: least and greatest distance of the wrist from the shoulder, m.
         shoulders: (n, 3) where joint 1 brings the shoulder all over its range.
+        swing: m by which the shoulder moves at most from one of these to where it is between them.
+        spread: (n,) values of joint 1 that are tried, all over its range.
+        turning: (7, 3, 3, 3) of what each joint turns: its part along the axis, that across it, the latter turned on.
+        hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
     """
 
     origins: Array
@@ -59,6 +63,10 @@ class ClosedForm:
     bounded: Flags
     span: tuple[float, float]
     shoulders: Array
+    swing: float
+    spread: Array
+    turning: Array
+    hand: Array
 
     @classmethod
     def of(
@@ -89,7 +97,13 @@ class ClosedForm:
         span = float(spans.min()) - slack, float(spans.max()) + slack
         q1 = np.linspace(lower[0], upper[0], _STEPS)
         shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
-        return cls(origins, axes, tool, shoulder, wrist, lower, upper, bounded, span, shoulders)
+        swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
+        spread = np.linspace(lower[0], upper[0], _STEPS, endpoint=bool(bounded[0]))
+        turning = np.array([subproblems.parts(axis) for axis in axes])
+        hand = np.array([_across(axes[6]), turning[6, 2] @ _across(axes[6])])
+        return cls(
+            origins, axes, tool, shoulder, wrist, lower, upper, bounded, span, shoulders, swing, spread, turning, hand
+        )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
         """Postures for targets.
@@ -105,7 +119,7 @@ class ClosedForm:
         """
         if turns is None:
             return self._judged(len(positions), *self._at_positions(positions, home))
-        return self._judged(len(positions), *self._at_poses(positions, turns, self._tried(0, _STEPS, home)))
+        return self._judged(len(positions), *self._at_poses(positions, turns, self._tried_first(home)))
 
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
         """Those of :meth:`postures` without strain, in a fraction of the time: what already failed isn't bent on.
@@ -118,16 +132,24 @@ class ClosedForm:
         Returns:
             For each target postures (n, 7).
         """
-        rotations, wrists, q1 = self._wrists(positions, turns, self._tried(0, _STEPS, home))
-        arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, q1.shape[1], axis=1))
-        found = self._wrapped(np.stack(arm, axis=1), slice(0, 4))
-        kept = (strain == 0.0) & self._within(found, slice(0, 4))
-        target = np.concatenate([np.repeat(np.arange(len(positions)), q1.shape[1])] * 4)[kept]
-        wrist, strain = self._to_turn([angle[kept] for angle in arm], rotations, target)
-        found = np.concatenate([found[kept]] * 2)
-        found = np.concatenate([found, self._wrapped(wrist, slice(4, 7))], axis=1)
-        kept = (np.concatenate([strain, strain]) == 0.0) & self._within(found, slice(0, 7))
-        found, target = found[kept], np.concatenate([target, target])[kept]
+        rotations, wrists, q1 = self._wrists(positions, turns, self._tried_first(home))
+        rows = q1.shape[1]
+        q1, goals = q1.ravel(), np.repeat(wrists.T, rows, axis=1)
+        away, q4, strain = self._bent(q1, self.wrist[:, None], goals)
+        q4 = self._wrapped(q4[:, None], slice(3, 4))
+        kept = np.flatnonzero((strain == 0.0) & self._within(q4, slice(3, 4)))
+        number = kept % len(q1)
+        q2, q3, strain = self._pointed(q4[kept, 0], self.wrist[:, None], away[:, number])
+        twice = np.concatenate([number, number])
+        found = np.stack([q1[twice], q2, q3, np.concatenate([q4[kept, 0]] * 2)], axis=1)
+        found[:, :3] = self._wrapped(found[:, :3], slice(0, 3))
+        kept = np.flatnonzero((strain == 0.0) & self._within(found, slice(0, 4)))
+        found, target = found[kept], twice[kept] // rows
+        wrist, strain = self._to_turn(found, rotations, target)
+        found = np.concatenate([np.concatenate([found, found]), self._wrapped(wrist, slice(4, 7))], axis=1)
+        target = np.concatenate([target, target])
+        kept = np.flatnonzero((np.concatenate([strain, strain]) == 0.0) & self._within(found, slice(0, 7)))
+        found, target = found[kept], target[kept]
         return [found[target == number] for number in range(len(positions))]
 
     def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
@@ -174,8 +196,7 @@ class ClosedForm:
         goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
         away = goals[:, None] - self.shoulders
         far = np.sqrt((away * away).sum(axis=2))
-        # between the values that are looked at, the shoulder moves by less than this
-        slack = _radius(self.shoulder, self.origins[0], self.axes[0]) * self._step / 2
+        slack = self.swing
         if turns is None:
             slack += float(np.linalg.norm(hand))
         short, long = self.span
@@ -189,7 +210,7 @@ class ClosedForm:
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
         target = np.tile(np.repeat(np.arange(len(positions)), rows), 4)
         wrist, short = self._to_turn(arm, rotations, target)
-        return 8, np.concatenate([np.tile(np.stack(arm, axis=1), (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
+        return 8, np.concatenate([np.tile(arm, (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, tried: Array) -> tuple[Array, Array, Array]:
         """For poses of the tool the rotations from zero, the wrists, and the values of joint 1 that are tried."""
@@ -197,20 +218,24 @@ class ClosedForm:
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._towards(wrists, tried)
 
-    def _to_turn(self, arm: Sequence[Array], rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
+    def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
         """Values (2n, 3) of the wrist's joints that turn the hand as targets (n,) have it, and their strain (n,)."""
         w = self.axes
-        count = len(target)
-        # what the wrist has to turn: two columns of the rotation that is left when joints 1 to 4 are taken back
-        across = _across(w[6])
-        columns = rotations @ np.column_stack([w[6], across])
-        left = np.concatenate([columns[target, :, i].T for i in (0, 1)], axis=1)
-        for joint, angle in enumerate(arm):
-            left = subproblems.turned(w[joint], -np.concatenate([angle, angle]), left)
-        q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], left[:, :count])
-        q5, q6 = q5.ravel(), q6.ravel()
-        side = subproblems.turned(w[5], -q6, subproblems.turned(w[4], -q5, subproblems.twice(left[:, count:])))
-        return np.stack([q5, q6, subproblems.angle_between(w[6], across[:, None], side)], axis=1), short
+        first, second, third, fourth = self._turned(slice(0, 4), arm.T)
+        # what the wrist has to turn: the rotation that is left when joints 1 to 4 are taken back
+        left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
+        q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
+        outer, inner = self._turned(slice(4, 6), np.array([q5.ravel(), q6.ravel()]))
+        side = np.concatenate([left @ self.hand[0]] * 2)
+        across, beside = self.hand @ ((outer @ inner).transpose(0, 2, 1) @ side[:, :, None])[:, :, 0].T
+        return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
+
+    def _turned(self, joints: slice, angles: Array) -> Array:
+        """Rotations (joints, n, 3, 3) by which some joints turn at angles (joints, n)."""
+        along, aside, beside = self.turning[joints].transpose(1, 0, 2, 3)[:, :, None]
+        angles = angles[:, :, None, None]
+        turned: Array = along + np.cos(angles) * aside + np.sin(angles) * beside
+        return turned
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
         w = self.axes
@@ -224,25 +249,29 @@ class ClosedForm:
         goals = np.repeat(positions.T, len(q1) // len(positions), axis=1)
         arm, strain = self._to_point(q1, self.wrist[:, None] + tool, goals)
         rest = (np.tile(values, len(strain) // len(q1)) for values in (q5, q6, np.full(len(q1), home[6])))
-        return 4, np.stack([*arm, *rest], axis=1), strain
+        return 4, np.column_stack([arm, *rest]), strain
 
-    def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[tuple[Array, Array, Array, Array], Array]:
-        """Values of joints 1 to 4 that bring a point of the forearm at zero to goals: four for each of joint 1."""
-        w = self.axes
-        base = self.origins[0][:, None]
-        away = base + subproblems.turned(w[0], -q1, goals - base) - self.shoulder[:, None]
-        elbow_T = self.origins[3][:, None]
-        start = point - elbow_T
-        q4, strain = subproblems.to_distance(
-            w[3], start, self.shoulder[:, None] - elbow_T, np.sqrt((away * away).sum(axis=0))
-        )
-        q4 = q4.ravel()
-        start = subproblems.twice(start)
-        bent = subproblems.turned(w[3], q4, start) + elbow_T - self.shoulder[:, None]
-        q2, q3, short = subproblems.two_turns(w[1], w[2], bent, subproblems.twice(away))
-        strain = np.concatenate([strain, strain]) + short
-        arm = np.concatenate([q1] * 4), q2.ravel(), q3.ravel(), np.concatenate([q4, q4])
-        return arm, np.concatenate([strain, strain])
+    def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
+        """What brings a point of the forearm at zero to goals: values (4n, 4) of joints 1 to 4, and their strain."""
+        away, q4, strain = self._bent(q1, point, goals)
+        q2, q3, short = self._pointed(q4, subproblems.twice(point), subproblems.twice(away))
+        return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
+
+    def _bent(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array, Array]:
+        """Ways (3, n) from the shoulder to goals, joint 1 taken back; values (2n,) of joint 4 for them, and strain."""
+        base, elbow = self.origins[0][:, None], self.origins[3][:, None]
+        shoulder = self.shoulder[:, None]
+        away = base + subproblems.turned(self.axes[0], -q1, goals - base) - shoulder
+        distance = np.sqrt((away * away).sum(axis=0))
+        q4, strain = subproblems.to_distance(self.axes[3], point - elbow, shoulder - elbow, distance)
+        return away, q4.ravel(), np.concatenate([strain, strain])
+
+    def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
+        """Values (2n,) of joints 2 and 3 that bring a point of the forearm to ways (3, n), and their strain."""
+        elbow = self.origins[3][:, None]
+        bent = subproblems.turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
+        q2, q3, short = subproblems.two_turns(self.axes[1], self.axes[2], bent, away)
+        return q2.ravel(), q3.ravel(), np.concatenate([short, short])
 
     @property
     def _step(self) -> float:
@@ -255,12 +284,18 @@ class ClosedForm:
         spread = np.linspace(low, high, steps, endpoint=bool(self.bounded[joint]))
         return np.append(spread, np.clip(home[joint], low, high))
 
+    def _tried_first(self, home: Array) -> Array:
+        """Values of joint 1 all over its range, and the one that it has."""
+        return np.append(self.spread, min(max(home[0], self.lower[0]), self.upper[0]))
+
     def _towards(self, points: Array, tried: Array) -> Array:
         """Values (m, n) of joint 1 that are tried: also that which points straight at the target."""
         base = self.origins[0][:, None]
         straight = subproblems.angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
-        straight = np.clip(straight, self.lower[0], self.upper[0])
-        return np.column_stack([np.broadcast_to(tried, (len(points), len(tried))), straight])
+        values = np.empty((len(points), len(tried) + 1))
+        values[:, :-1] = tried
+        values[:, -1] = np.minimum(np.maximum(straight, self.lower[0]), self.upper[0])
+        return values
 
     def _wrapped(self, postures: Array, joints: slice = slice(None)) -> Array:
         """The same angles of some joints, by full turns as near the middle of the joints' ranges as they can be."""
@@ -270,10 +305,10 @@ class ClosedForm:
 
     def _within(self, postures: Array, joints: slice) -> Flags:
         """Which values (n, joints) of some joints are all within limits."""
-        low, high = self.lower[joints] - _ROUNDING, self.upper[joints] + _ROUNDING
-        inside: Flags = (postures >= low) & (postures <= high)
-        kept: Flags = np.all(inside | ~self.bounded[joints], axis=1)
-        return kept
+        beyond = np.maximum(self.lower[joints] - postures, postures - self.upper[joints]) > _ROUNDING
+        beyond &= self.bounded[joints]
+        within: Flags = ~np.any(beyond, axis=1)
+        return within
 
 
 def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None:

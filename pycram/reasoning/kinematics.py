@@ -244,9 +244,9 @@ def _distinct(found: Array, home: Array) -> Array:
 
 def _different(found: Array, most: int) -> Array:
     """The first of postures (n, joints) that are alike."""
-    kept: list[int] = []
-    left = np.arange(len(found))
+    kept: list[Array] = []
+    left = found
     while len(left) and len(kept) < most:
-        kept.append(int(left[0]))
-        left = left[np.abs(found[left] - found[left[0]]).max(axis=1) > _DIFFERENT]
-    return found[kept]
+        kept.append(left[0])
+        left = left[(np.abs(left - left[0]) > _DIFFERENT).any(axis=1)]
+    return np.array(kept).reshape(-1, found.shape[1])

@@ -8,6 +8,7 @@ about how many rad are missing, 0 for solutions.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -38,6 +39,15 @@ def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
     """What of vectors lies along an axis, what across it, and the latter turned on by a right angle."""
     along, aside, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
     return along, aside, beside
+
+
+def parts(axis: Array) -> Array:
+    """Matrices (3, 3, 3) for what of a vector lies along an axis, what across it, and the latter turned on.
+
+    Args:
+        axis: a unit vector.
+    """
+    return _split(axis.tobytes()).reshape(3, 3, 3)
 
 
 @lru_cache(maxsize=256)
@@ -77,23 +87,41 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
         end: the vector after; its direction counts.
 
     Returns:
-        Angles (2, n) about the outer and about the inner axis, of both solutions, and their strain (n,).
+        Angles (2, n) about the outer and about the inner axis, of both solutions, within two turns, and their strain
+        (n,).
     """
-    lengths = _dot(start, start)
-    end = end * np.sqrt(lengths / np.maximum(_dot(end, end), 1e-12))
-    between = float(first @ second)
-    square = 1.0 - between * between
-    along_first, along_second = first @ end, second @ start
-    a = (along_first - between * along_second) / square
-    b = (along_second - between * along_first) / square
-    rest = (lengths - a * a - b * b - 2.0 * a * b * between) / square
-    middle = first[:, None] * a + second[:, None] * b
-    aside = _parts(first, second)[2] * np.sqrt(np.maximum(rest, 0.0))
-    way = np.concatenate([middle + aside, middle - aside], axis=1)
-    inner = angle_between(second, twice(start), way)
-    outer = -angle_between(first, twice(end), way)
-    short = -rest / np.maximum(lengths, 1e-12)
-    return outer.reshape(2, -1), inner.reshape(2, -1), np.sqrt(np.maximum(short - _SLACK, 0.0))
+    cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
+    # the vector before, and after, each by its parts beside the other axis, across both axes, and along its own axis
+    x, y, z = inner_frame @ start
+    aside = x * x + y * y
+    lengths = aside + z * z
+    ends = outer_frame @ end
+    u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
+    # between both turns it has the parts along both axes, and either of two across them
+    inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
+    rest = aside - inner * inner
+    across = np.sqrt(np.maximum(rest, 0.0))
+    inner, outer = np.arctan2(across, inner), np.arctan2(across, outer)
+    before, after = np.arctan2(y, x), np.arctan2(v, u)
+    short = -rest / (sine * sine * np.maximum(lengths, 1e-12))
+    return (
+        np.array([after - outer, after + outer]),
+        np.array([-inner - before, inner - before]),
+        np.sqrt(np.maximum(short - _SLACK, 0.0)),
+    )
+
+
+@lru_cache(maxsize=64)
+def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
+    """The cosine and the sine between two axes, and frames (3, 3) around each: towards the other, across, along it."""
+    one, other = np.frombuffer(first), np.frombuffer(second)
+    cosine = float(one @ other)
+    sine = math.sqrt(1.0 - cosine * cosine)
+    frames = []
+    for axis, beside in ((one, other), (other, one)):
+        towards = (beside - cosine * axis) / sine
+        frames.append(np.stack([towards, np.cross(axis, towards), axis]))
+    return cosine, sine, frames[0], frames[1]
 
 
 def twice(vectors: Array) -> Array:
@@ -125,6 +153,6 @@ def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple
     cosine = (lengths[0] + lengths[1] - distance * distance + apart * apart) / np.maximum(
         2.0 * np.sqrt(lengths[0] * lengths[1]), 1e-12
     )
-    aside = np.arccos(np.clip(cosine, -1.0, 1.0))
+    aside = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
     strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _SLACK, 0.0))
-    return np.stack([straight + aside, straight - aside]), strain
+    return np.array([straight + aside, straight - aside]), strain
