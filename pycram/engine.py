@@ -10,7 +10,6 @@ The settings of a client decide what repeats bit for bit: overlapping pairs are 
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -46,8 +45,7 @@ _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "pri
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
 
 
-@dataclass(frozen=True, slots=True)
-class Touch:
+class Touch(NamedTuple):
     """Where two bodies are nearest.
 
     Attributes:
@@ -406,7 +404,7 @@ class Engine:
             points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client)
             return self._told(a, b, points)
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
-        return [Touch(link, link_b, p[5], p[6], p[7], p[8], p[9]) for p in points or ()]
+        return [Touch(link, link_b, *p[5:10]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[Contact]:
         """Contacts of the last step with other bodies."""
@@ -429,7 +427,7 @@ class Engine:
             return []
         names_a = {index: name for name, index in a.links.items()}
         names_b = {index: name for name, index in b.links.items()}
-        return [Touch(names_a[p[3]], names_b[p[4]], p[5], p[6], p[7], p[8], p[9]) for p in points]
+        return [Touch(names_a[p[3]], names_b[p[4]], *p[5:10]) for p in points]
 
     def close(self) -> None:
         """Ends the client; a second call does nothing."""

@@ -43,13 +43,22 @@ class Articulation:
         self.joints, self.carriers = _carriers(urdf, joints)
         moving = [urdf.joint(name) for name in self.joints]
         self._parents = [self.carriers[joint.parent] for joint in moving]
-        self._points, orientations = engine.link_frames(body, [joint.child for joint in moving])
+        points, orientations = engine.link_frames(body, [joint.child for joint in moving])
         axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
-        self._axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), axes)
-        self._slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        x, y, z = self._axes.T
+        axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), axes)
+        x, y, z = axes.T
         zero = np.zeros_like(x)
-        self._cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+        slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
+        # what stays as it is, and what the sine of a change, its cosine, and the change itself bring along
+        square = cross @ cross
+        self._parts = np.zeros((4, len(moving), 4, 4))
+        self._parts[:3, :, :3, :3] = np.where(slides[:, None, None], 0.0, [np.eye(3) + square, cross, -square])
+        self._parts[:3, :, :3, 3] = -(self._parts[:3, :, :3, :3] @ points[:, :, None])[..., 0]
+        self._parts[0, :, :3, 3] += points
+        self._parts[0, slides] = np.eye(4)
+        self._parts[0, :, 3, 3] = 1.0
+        self._parts[3, :, :3, 3] = np.where(slides[:, None], axes, 0.0)
         self._now = np.array([engine.joint(body, name) for name in self.joints])
 
     def moved(self, postures: Sequence[Mapping[str, float]]) -> Array:
@@ -62,21 +71,13 @@ class Articulation:
             (n, joints + 1, 4, 4): for each posture, transforms from where things are to where each joint carries them;
             the last is for what no joint carries.
         """
-        values = np.array(
-            [[posture.get(name, now) for name, now in zip(self.joints, self._now, strict=True)] for posture in postures]
-        ).reshape(len(postures), len(self.joints))
-        change = values - self._now
-        angle = np.where(self._slides, 0.0, change)[:, :, None, None]
-        turn = np.eye(3) + np.sin(angle) * self._cross + (1.0 - np.cos(angle)) * (self._cross @ self._cross)
-        moved = np.zeros((len(postures), len(self.joints) + 1, 4, 4))
-        moved[:, :, 3, 3] = 1.0
+        now = self._now.tolist()
+        values = [list(map(posture.get, self.joints, now)) for posture in postures]
+        change = (np.array(values).reshape(len(postures), len(now)) - self._now)[:, :, None, None]
+        still, aside, beside, along = self._parts
+        moved = np.empty((len(postures), len(now) + 1, 4, 4))
         moved[:, -1] = np.eye(4)
-        moved[:, :-1, :3, :3] = turn
-        moved[:, :-1, :3, 3] = np.where(
-            self._slides[:, None],
-            change[:, :, None] * self._axes,
-            self._points - (turn @ self._points[:, :, None])[..., 0],
-        )
+        moved[:, :-1] = still + np.sin(change) * aside + np.cos(change) * beside + change * along
         for index, parent in enumerate(self._parents):
             if parent >= 0:
                 moved[:, index] = moved[:, parent] @ moved[:, index]

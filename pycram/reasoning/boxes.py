@@ -7,6 +7,7 @@ engine pads shapes, so that boxes which don't meet hold pieces which don't touch
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -98,16 +99,32 @@ class Boxes:
 @lru_cache(maxsize=256)
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Links, and lowest and highest corners (k, 3) in their frames: of each piece, of all where a link has many."""
-    pieces: dict[str, list[Array]] = {}
-    for link, corners in pieces_of(path):
-        pieces.setdefault(link, []).append(corners)
+    pieces = list(pieces_of(path))
     links, low, high = [], [], []
-    for link, mine in pieces.items():
-        for corners in mine if len(mine) <= _MANY else [np.concatenate(mine)]:
-            links.append(link)
-            low.append(corners.min(axis=0))
-            high.append(corners.max(axis=0))
+    for link, numbers in grouped([name for name, _ in pieces]):
+        corners = np.concatenate([pieces[number][1] for number in numbers])
+        links.append(link)
+        low.append(corners.min(axis=0))
+        high.append(corners.max(axis=0))
     return tuple(links), np.array(low).reshape(-1, 3), np.array(high).reshape(-1, 3)
+
+
+def grouped(links: Sequence[str]) -> list[tuple[str, list[int]]]:
+    """Which pieces are in one box.
+
+    Args:
+        links: of the pieces.
+
+    Returns:
+        For each box its link and the numbers of its pieces: one, or all where a link has many.
+    """
+    pieces: dict[str, list[int]] = {}
+    for number, link in enumerate(links):
+        pieces.setdefault(link, []).append(number)
+    boxes: list[tuple[str, list[int]]] = []
+    for link, mine in pieces.items():
+        boxes.extend((link, numbers) for numbers in ([[number] for number in mine] if len(mine) <= _MANY else [mine]))
+    return boxes
 
 
 def together(parts: Sequence[Boxes]) -> Boxes:
@@ -119,7 +136,7 @@ def together(parts: Sequence[Boxes]) -> Boxes:
     if not parts:
         return Boxes((), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     return Boxes(
-        tuple(link for part in parts for link in part.links),
+        tuple(itertools.chain.from_iterable(part.links for part in parts)),
         np.concatenate([part.centers for part in parts]),
         np.concatenate([part.axes for part in parts]),
         np.concatenate([part.halves for part in parts]),
@@ -151,11 +168,10 @@ def meeting(centers: Array, axes: Array, halves: Array, others: Boxes) -> tuple[
     """
     mine, theirs = spans(axes, halves), spans(others.axes, others.halves)
     low, high = (centers - mine).min(axis=(0, 1), initial=np.inf), (centers + mine).max(axis=(0, 1), initial=-np.inf)
-    near = np.flatnonzero((others.centers + theirs >= low).all(axis=1) & (others.centers - theirs <= high).all(axis=1))
+    near = np.flatnonzero(((others.centers + theirs >= low) & (others.centers - theirs <= high)).all(axis=1))
     meet = np.ones((len(centers), centers.shape[1], len(near)), dtype=bool)
-    for axis in range(3):
-        away = np.abs(centers[:, :, None, axis] - others.centers[near, axis])
-        meet &= away <= mine[:, :, None, axis] + theirs[near, axis]
+    for at, half, other_at, other_half in zip(centers.T, mine.T, others.centers[near].T, theirs[near].T, strict=True):
+        meet &= np.abs(at.T[:, :, None] - other_at) <= half.T[:, :, None] + other_half
     posture, box, other = np.nonzero(meet)
     other = near[other]
     met = _overlap(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -92,7 +93,8 @@ class _Choice:
 
     It goes on with the one that costs least by what is known of it, and looks at the next pair of links there, until
     that one is known completely: no other can cost less then. The hand is where it is whatever the arm does, so it is
-    looked at once for each grasp, and what it costs is what all postures for that grasp cost at least.
+    looked at once for each grasp, and what it costs is what all postures for that grasp cost at least. As soon as one
+    posture touches something, arithmetic says what each of them costs at least, so that few others are looked at.
 
     Args:
         body: the object, which the open hand shouldn't be in.
@@ -124,12 +126,17 @@ class _Choice:
         waiting: list[tuple[Cost, int, int, dict[Object, float]]] = []
         waiting.extend((_FREE, number, _HAND, {}) for number in range(len(self._options)))
         bent: tuple[int, int, GraspPlan] = -1, 0, GraspPlan(None, None)
+        surprised = False
         while waiting:
-            _, number, place, depths = heappop(waiting)
-            posture = self._foreseen[number][max(place, 0)]
-            self._rehearsal.take(posture)
+            cost, number, place, depths = heappop(waiting)
             least = waiting[0][:3] if waiting else (_NEVER, 0, 0)
-            cost = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
+            if surprised and place != _HAND:
+                cost = max(cost, self._told(_deepest(depths, self._sure[number][place])))
+            if (cost, number, place) <= least:
+                self._rehearsal.take(self._foreseen[number][max(place, 0)])
+                found = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
+                surprised |= place != _HAND and found > cost
+                cost = found
             if (cost, number, place) > least:
                 heappush(waiting, (cost, number, place, depths))
                 continue
@@ -145,6 +152,13 @@ class _Choice:
                 return GraspPlan(grasp, ways[place], obstacles)
         return bent[2]
 
+    @cached_property
+    def _sure(self) -> list[list[dict[Object, float]]]:
+        """For each option what the arm touches for sure in its postures; worked out when the first isn't free."""
+        every = itertools.chain.from_iterable(self._foreseen)
+        sure = iter(self._rehearsal.surely(list(every), self._arm))
+        return [list(itertools.islice(sure, len(postures))) for postures in self._foreseen]
+
     def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
         """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
 
@@ -157,9 +171,10 @@ class _Choice:
             Whether something is in the object, numbers of fixed objects and of others, the sum of the depths in m.
         """
         cost = self._told(depths)
-        for other, touch in self._rehearsal.hits(links):
-            if -touch.distance > depths.get(other, 0.0):
-                depths[other] = -touch.distance
+        for other, touches in self._rehearsal.hits(links):
+            deepest = max(-touch.distance for touch in touches)
+            if deepest > depths.get(other, 0.0):
+                depths[other] = deepest
                 cost = self._told(depths)
                 if cost > enough:
                     break
@@ -170,3 +185,8 @@ class _Choice:
         furniture = sum(hit.fixed for hit in counted)
         deep = sum(sorted(depths[hit] for hit in counted))
         return self._body in depths, furniture, len(counted) - furniture, deep
+
+
+def _deepest(some: Mapping[Object, float], others: Mapping[Object, float]) -> Mapping[Object, float]:
+    """All that is in one of two, with the greater number where it is in both."""
+    return {**some, **{body: max(depth, some.get(body, 0.0)) for body, depth in others.items()}}

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.boxes import meeting, together
+from pycram.reasoning.cores import FEW, balls_in, overlaps
 from pycram.reasoning.limbs import Limbs, arm_depths
 from pycram.reasoning.twin import twin
 from recorder import geometry
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     Pair = tuple[Object, str, Object, str]
 
 DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as in the way
+_SURE: Final = 1e-3  # m by which balls inside of shapes may overlap deeper than the engine says
 _OWN_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
 _STANDING: Final = 0.9  # of a normal's length pointing up
 _FEET: Final = 0.02  # m above the ground
@@ -44,6 +46,8 @@ class Foreseen:
         positions: joint values in rad or m by name; the others stay.
         base: pose of the robot's base; None where it stands.
         meets: (n,) numbers of boxes that move, and of the others that they meet.
+        centers: (k, 3) of all boxes that move, m.
+        axes: (k, 3, 3) of these boxes.
         moved: (joints + 1, 4, 4) how the joints carry things there.
         seen: touches of the pairs that have been looked at.
         pairs: links that move, with whose they are, and the others that they could touch; once it has been taken.
@@ -52,6 +56,8 @@ class Foreseen:
     positions: Mapping[str, float]
     base: Pose | None
     meets: tuple[NDArray[np.intp], NDArray[np.intp]]
+    centers: NDArray[np.float64]
+    axes: NDArray[np.float64]
     moved: NDArray[np.float64]
     seen: dict[Pair, list[Touch]] = field(default_factory=dict)
     pairs: list[Pair] = field(default_factory=list)
@@ -101,10 +107,11 @@ class Rehearsal:
         self._mine = together([limbs.boxes, *(boxes for _, boxes, _ in held)])
         around = [self._twin.boxes(other) for other in self._obstacles]
         self._others = together(around)
-        self._whose = [other for other, boxes in zip(self._obstacles, around, strict=True) for _ in boxes.links]
-        none = np.zeros(0, dtype=np.intp)
-        still = np.broadcast_to(np.eye(4), (len(limbs.articulation.joints) + 1, 4, 4))
-        self._taken = Foreseen({}, None, (none, none), still)
+        counts = [len(boxes.links) for boxes in around]
+        self._whose = list(itertools.chain.from_iterable(map(itertools.repeat, self._obstacles, counts)))
+        self._loose = np.repeat([not other.fixed for other in self._obstacles], counts)
+        none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
+        self._taken = Foreseen({}, None, (none, none), nothing, nothing, nothing)
         self._there = self._moved = False
 
     def __enter__(self) -> Self:
@@ -131,8 +138,8 @@ class Rehearsal:
         posture, box, other = meeting(centers, axes, self._mine.halves, self._others)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
-            Foreseen(positions, base, (box[start:end], other[start:end]), way)
-            for positions, (start, end), way in zip(postures, ends, moved, strict=True)
+            Foreseen(positions, base, (box[start:end], other[start:end]), *there)
+            for positions, (start, end), *there in zip(postures, ends, centers, axes, moved, strict=True)
         ]
 
     def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
@@ -149,6 +156,38 @@ class Rehearsal:
             self._there = False
             if not positions.pairs:
                 positions.pairs.extend(_in_turn(self._pairs(*positions.meets)))
+
+    def surely(self, postures: Sequence[Foreseen], links: Collection[str]) -> list[dict[Object, float]]:
+        """What postures touch for sure, without asking the engine.
+
+        Args:
+            postures: that were foreseen.
+            links: the robot's links that are looked at.
+
+        Returns:
+            For each, things that some of these links touch, and how deep at least, m.
+        """
+        found: list[dict[Object, float]] = [{} for _ in postures]
+        looked = np.array([mover is self.robot and link in links for mover, link, _ in self._owners], dtype=bool)
+        which = np.repeat(np.arange(len(postures)), [len(posture.meets[0]) for posture in postures])
+        box, other = np.concatenate([posture.meets for posture in postures], axis=1)
+        some = np.flatnonzero(looked[box] & self._loose[other])
+        if not len(some):
+            return found
+        which, box, other = which[some], box[some], other[some]
+        things = np.concatenate([balls_in(thing.model.path) for thing in self._obstacles if not thing.fixed])
+        depths = overlaps(
+            balls_in(self.robot.model.path)[self._limbs.numbers[box], :FEW],
+            np.array([posture.centers for posture in postures])[which, box],
+            np.array([posture.axes for posture in postures])[which, box],
+            things[(np.cumsum(self._loose) - 1)[other]],
+            self._others.centers[other],
+            self._others.axes[other],
+        )
+        for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
+            touched, thing = found[which[number]], self._whose[other[number]]
+            touched[thing] = max(touched.get(thing, 0.0), float(depths[number]) - _SURE)
+        return found
 
     def _pairs(self, boxes: NDArray[np.intp], others: NDArray[np.intp]) -> Iterable[Pair]:
         """The links that boxes are around, with those of others; in order, each pair once."""
@@ -177,24 +216,28 @@ class Rehearsal:
         taken.seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
         return taken.seen[pair]
 
-    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, Touch]]:
+    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, list[Touch]]]:
         """Touches in the posture that it has taken, as they are found; what was looked at once is known.
 
         Args:
             links: the robot's links that are looked at, and what it holds with them; all that move by default.
 
         Yields:
-            What is touched, and where. The floor that a robot stands on isn't in the way of its wheels; what it holds
-            moves along and may be in the way of others too.
+            What is touched, and where one of its links is by one other, at least at one place. The floor that a robot
+            stands on isn't in the way of its wheels; what it holds moves along and may be in the way of others too.
         """
         for pair in self._taken.pairs:
             mover, link, other, _ = pair
             if links is not None and self._at.get(mover, link) not in links:
                 continue
             standing = mover.is_robot and other.is_environment
-            for touch in self._look(pair):
-                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch)):
-                    yield other, touch
+            touches = [
+                touch
+                for touch in self._look(pair)
+                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch))
+            ]
+            if touches:
+                yield other, touches
 
     def touched(self) -> dict[Object, dict[str, object]]:
         """What it touches in the posture that it has taken.
@@ -203,8 +246,8 @@ class Rehearsal:
             For each object, the robot's links that touch it, its own links, and the depth in m; deepest first.
         """
         found: dict[Object, list[Touch]] = {}
-        for other, touch in self.hits():
-            found.setdefault(other, []).append(touch)
+        for other, touches in self.hits():
+            found.setdefault(other, []).extend(touches)
         told = {other: _told(touches) for other, touches in found.items()}
         return dict(sorted(told.items(), key=lambda item: (-float(str(item[1]["depth"])), item[0].name)))
 
