@@ -165,17 +165,10 @@ class Chain:
 
 def turn_left(now: Array, goal: Array) -> Array:
     """Rotation vectors (n, 3) in the base link that turn orientations (n, 3, 3) into a goal (3, 3) or (n, 3, 3)."""
-    difference = goal @ now.transpose(0, 2, 1)
-    vector = 0.5 * np.stack(
-        [
-            difference[:, 2, 1] - difference[:, 1, 2],
-            difference[:, 0, 2] - difference[:, 2, 0],
-            difference[:, 1, 0] - difference[:, 0, 1],
-        ],
-        axis=1,
-    )
+    difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # row by row
+    vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
     sine = _lengths(vector)
-    cosine = 0.5 * (np.trace(difference, axis1=1, axis2=2) - 1)
+    cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
     # near half a turn the vector vanishes: any axis helps out of there
     flipped = (sine < _OPPOSITE) & (cosine < 0)

@@ -100,7 +100,7 @@ def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], a
     if not ways:
         return
     gripper = arm.gripper
-    scans, counts = [], []
+    scans, counts, floors = [], [], []
     for name, turn in ways:
         x, y, z = outline.middle
         if name != "top":
@@ -109,27 +109,21 @@ def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], a
         counts.append(max(4, math.ceil((half + gripper.tips) / _STEP)))
         step = (min(half, gripper.tips) + half) / counts[-1]
         scans.append(Scan(((x, y, z), turn), step / 2 - half, step))
-    surfaces = outline.across(scans, max(counts), _PADS).tolist()
-    for (name, turn), scan, count, surface in zip(ways, scans, counts, surfaces, strict=True):
-        solid = [
-            (scan.first + number * scan.step, low, high)
-            for number, (low, high) in enumerate(surface[:count])
-            if not math.isnan(low)
-        ]
-        if not solid:
-            yield None
-            continue
-        deep = min(solid[0][0] + gripper.depth, 0.0)
-        if name == "top":
-            deep = min(deep, scan.frame[0][2] - outline.low[2] - gripper.tips - _CLEAR)
-        held = [(low, high) for place, low, high in solid if place <= deep + gripper.tips]
-        low = min((low for low, _ in held), default=-math.inf)
-        high = max((high for _, high in held), default=math.inf)
-        if high - low > gripper.aperture - _SPARE:
-            yield None
-        else:
-            at = geometry.transform(scan.frame, (deep, (low + high) / 2, 0.0))
-            yield Grasp(name, at, turn, high - low)
+        floors.append(z - outline.low[2] - gripper.tips - _CLEAR if name == "top" else math.inf)
+    lows, highs = np.moveaxis(outline.across(scans, max(counts), _PADS), 2, 0)
+    number = np.arange(max(counts))
+    places = np.array([[scan.first] for scan in scans]) + number * np.array([[scan.step] for scan in scans])
+    solid = ~np.isnan(lows) & (number < np.array(counts)[:, None])
+    fronts = np.where(solid, places, np.inf).min(axis=1)
+    depths = np.minimum(np.minimum(fronts + gripper.depth, 0.0), floors)
+    held = solid & (places <= depths[:, None] + gripper.tips)
+    lows = np.where(held, lows, np.inf).min(axis=1)
+    highs = np.where(held, highs, -np.inf).max(axis=1)
+    fits = held.any(axis=1) & (highs - lows <= gripper.aperture - _SPARE)
+    found = zip(ways, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
+    for (name, turn), scan, fit, deep, low, high in found:
+        middle = deep, (low + high) / 2, 0.0
+        yield Grasp(name, geometry.transform(scan.frame, middle), turn, high - low) if fit else None
 
 
 def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
