@@ -213,7 +213,8 @@ class Engine:
         if not body.indices:
             return (), ()
         states = bullet.getJointStates(body.id, body.indices, physicsClientId=self._client)
-        return tuple(state[0] for state in states), tuple(state[1] for state in states)
+        positions, velocities, *_ = zip(*states, strict=True)
+        return positions, velocities
 
     def joint(self, body: Body, name: str) -> float:
         """Position of one movable joint."""

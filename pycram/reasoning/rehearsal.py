@@ -283,15 +283,15 @@ class Rehearsal:
         return {other for other, depth in self._limbs.depth.items() if depth in depths}
 
 
-def _in_turn(pairs: Iterable[Pair]) -> tuple[Pair, ...]:
+def _in_turn(pairs: Iterable[Pair]) -> list[Pair]:
     """Each object's first pair, then each one's second, and so on, as first it counts who is hit; furniture first."""
     turns: dict[Object, int] = {}
-    order = []
-    for number, pair in enumerate(pairs):
+    order: dict[Pair, tuple[int, bool]] = {}
+    for pair in pairs:
         other = pair[2]
-        turns[other] = turns.get(other, 0) + 1
-        order.append((turns[other], not other.fixed, number, pair))
-    return tuple(pair for *_, pair in sorted(order, key=lambda item: item[:3]))
+        turns[other] = turn = turns.get(other, 0) + 1
+        order[pair] = turn, not other.fixed
+    return sorted(order, key=order.__getitem__)
 
 
 def _told(touches: list[Touch]) -> dict[str, object]:
