@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pycram.reasoning import screws
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -46,19 +47,8 @@ class Articulation:
         points, orientations = engine.link_frames(body, [joint.child for joint in moving])
         axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), axes)
-        x, y, z = axes.T
-        zero = np.zeros_like(x)
-        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        # what stays as it is, and what the sine of a change, its cosine, and the change itself bring along
-        square = cross @ cross
-        self._parts = np.zeros((4, len(moving), 4, 4))
-        self._parts[:3, :, :3, :3] = np.where(slides[:, None, None], 0.0, [np.eye(3) + square, cross, -square])
-        self._parts[:3, :, :3, 3] = -(self._parts[:3, :, :3, :3] @ points[:, :, None])[..., 0]
-        self._parts[0, :, :3, 3] += points
-        self._parts[0, slides] = np.eye(4)
-        self._parts[0, :, 3, 3] = 1.0
-        self._parts[3, :, :3, 3] = np.where(slides[:, None], axes, 0.0)
+        self._parts = screws.parts_of(axes, points, slides)
         self._now = np.array([engine.joint(body, name) for name in self.joints])
 
     def moved(self, postures: Sequence[Mapping[str, float]]) -> Array:
@@ -73,15 +63,14 @@ class Articulation:
         """
         now = self._now.tolist()
         values = [list(map(posture.get, self.joints, now)) for posture in postures]
-        change = (np.array(values).reshape(len(postures), len(now)) - self._now)[:, :, None, None]
-        still, aside, beside, along = self._parts
-        moved = np.empty((len(postures), len(now) + 1, 4, 4))
-        moved[:, -1] = np.eye(4)
-        moved[:, :-1] = still + np.sin(change) * aside + np.cos(change) * beside + change * along
+        change = np.array(values).reshape(len(postures), len(now)) - self._now
+        moved = np.empty((len(now) + 1, len(postures), 4, 4))
+        moved[-1] = np.eye(4)
+        moved[:-1] = screws.transforms(self._parts, change.T)
         for index, parent in enumerate(self._parents):
             if parent >= 0:
-                moved[:, index] = moved[:, parent] @ moved[:, index]
-        return moved
+                moved[index] = moved[parent] @ moved[index]
+        return moved.transpose(1, 0, 2, 3)
 
 
 def _carriers(urdf: Urdf, joints: Collection[str]) -> tuple[tuple[str, ...], dict[str, int]]:

@@ -197,6 +197,8 @@ def overlapping(centers: Array, axes: Array, halves: Array, firsts: Indices, sec
     sizes = spans(axes, halves)
     close = np.abs(centers[firsts] - centers[seconds]) <= sizes[firsts] + sizes[seconds]
     near = np.flatnonzero(close.all(axis=1))
+    if not len(near):
+        return near
     a, b = firsts[near], seconds[near]
     return near[_overlap(centers[a], axes[a], halves[a], centers[b], axes[b], halves[b])]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.reasoning import screws
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -65,19 +66,9 @@ class Chain:
         self._before = np.array(befores).reshape(-1, 4, 4)
         self._tool = before
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
-        x, y, z = self._axes.T
-        zero = np.zeros_like(x)
-        cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-        square = cross @ cross
-        # what a joint turns moves by its part along the axis, that across it, and the latter turned on
-        turning = np.zeros((3, len(moving), 4, 4))
-        turning[:, :, :3, :3] = np.eye(3) + square, -square, cross
-        turning[0, :, 3, 3] = 1.0
-        self._turning = (self._before @ turning)[:, :, None]
-        slides = np.zeros((len(moving), 4, 4))
-        slides[:, :3, 3] = self._axes
-        self._slides = self._before @ slides
-        self.sliding = [index for index, joint in enumerate(moving) if joint.type == "prismatic"]
+        slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
+        self.sliding = np.flatnonzero(slides).tolist()
+        self._parts = self._before[:, None] @ screws.parts_of(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
         self.bounded = np.isfinite(lower)
         self.lower = np.where(self.bounded, lower, -np.pi)
@@ -128,14 +119,9 @@ class Chain:
 
     def _carried(self, postures: Array) -> list[Array]:
         """Poses (n, 4, 4) in the base link: of that itself, and of what each joint carries."""
-        values = postures.T[:, :, None, None]
-        still, aside, beside = self._turning
-        moved = still + np.cos(values) * aside + np.sin(values) * beside
-        for index in self.sliding:
-            moved[index] = self._before[index] + values[index] * self._slides[index]
         poses = [np.broadcast_to(np.eye(4), (len(postures), 4, 4))]
-        for each in moved:
-            poses.append(poses[-1] @ each)
+        for moved in screws.transforms(self._parts, postures.T):
+            poses.append(poses[-1] @ moved)
         return poses
 
     def limited(self, postures: Array) -> Array:

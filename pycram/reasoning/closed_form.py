@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning import subproblems
+from pycram.reasoning import screws, subproblems
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,7 +49,7 @@ class ClosedForm:
         shoulders: (n, 3) where joint 1 brings the shoulder all over its range.
         swing: m by which the shoulder moves at most from one of these to where it is between them.
         spread: (n,) values of joint 1 that are tried, all over its range.
-        turning: (7, 3, 3, 3) of what each joint turns: its part along the axis, that across it, the latter turned on.
+        turning: (7, 3, 3, 3) of what each joint's rotation is made (:mod:`pycram.reasoning.screws`).
         hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
     """
 
@@ -99,8 +99,9 @@ class ClosedForm:
         shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
         swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
         spread = np.linspace(lower[0], upper[0], _STEPS, endpoint=bool(bounded[0]))
-        turning = np.array([subproblems.parts(axis) for axis in axes])
-        hand = np.array([_across(axes[6]), turning[6, 2] @ _across(axes[6])])
+        turning = screws.parts_of(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3]
+        across = _across(axes[6])
+        hand = np.array([across, np.cross(axes[6], across)])
         return cls(
             origins, axes, tool, shoulder, wrist, lower, upper, bounded, span, shoulders, swing, spread, turning, hand
         )
@@ -221,21 +222,14 @@ class ClosedForm:
     def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
         """Values (2n, 3) of the wrist's joints that turn the hand as targets (n,) have it, and their strain (n,)."""
         w = self.axes
-        first, second, third, fourth = self._turned(slice(0, 4), arm.T)
+        first, second, third, fourth = screws.transforms(self.turning[:4], arm.T)
         # what the wrist has to turn: the rotation that is left when joints 1 to 4 are taken back
         left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
         q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
-        outer, inner = self._turned(slice(4, 6), np.array([q5.ravel(), q6.ravel()]))
+        outer, inner = screws.transforms(self.turning[4:6], np.array([q5.ravel(), q6.ravel()]))
         side = np.concatenate([left @ self.hand[0]] * 2)
         across, beside = self.hand @ ((outer @ inner).transpose(0, 2, 1) @ side[:, :, None])[:, :, 0].T
         return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
-
-    def _turned(self, joints: slice, angles: Array) -> Array:
-        """Rotations (joints, n, 3, 3) by which some joints turn at angles (joints, n)."""
-        along, aside, beside = self.turning[joints].transpose(1, 0, 2, 3)[:, :, None]
-        angles = angles[:, :, None, None]
-        turned: Array = along + np.cos(angles) * aside + np.sin(angles) * beside
-        return turned
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
         w = self.axes

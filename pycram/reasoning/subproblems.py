@@ -41,15 +41,6 @@ def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
     return along, aside, beside
 
 
-def parts(axis: Array) -> Array:
-    """Matrices (3, 3, 3) for what of a vector lies along an axis, what across it, and the latter turned on.
-
-    Args:
-        axis: a unit vector.
-    """
-    return _split(axis.tobytes()).reshape(3, 3, 3)
-
-
 @lru_cache(maxsize=256)
 def _split(axis: bytes) -> Array:
     """The matrix (9, 3) of these parts, for an axis that comes again and again."""
