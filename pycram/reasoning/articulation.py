@@ -70,7 +70,8 @@ class Articulation:
         for index, parent in enumerate(self._parents):
             if parent >= 0:
                 moved[index] = moved[parent] @ moved[index]
-        return moved.transpose(1, 0, 2, 3)
+        carried: Array = moved.transpose(1, 0, 2, 3)
+        return carried
 
 
 def _carriers(urdf: Urdf, joints: Collection[str]) -> tuple[tuple[str, ...], dict[str, int]]:

@@ -49,6 +49,7 @@ class ClosedForm:
         shoulders: (n, 3) where joint 1 brings the shoulder all over its range.
         swing: m by which the shoulder moves at most from one of these to where it is between them.
         spread: (n,) values of joint 1 that are tried, all over its range.
+        elbow: how joint 4 opens the distance between the shoulder and the wrist.
         turning: (7, 3, 3, 3) of what each joint's rotation is made (:mod:`pycram.reasoning.screws`).
         hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
     """
@@ -65,6 +66,7 @@ class ClosedForm:
     shoulders: Array
     swing: float
     spread: Array
+    elbow: subproblems.Hinge
     turning: Array
     hand: Array
 
@@ -98,12 +100,23 @@ class ClosedForm:
         q1 = np.linspace(lower[0], upper[0], _STEPS)
         shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
         swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
-        spread = np.linspace(lower[0], upper[0], _STEPS, endpoint=bool(bounded[0]))
-        turning = screws.parts_of(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3]
         across = _across(axes[6])
-        hand = np.array([across, np.cross(axes[6], across)])
         return cls(
-            origins, axes, tool, shoulder, wrist, lower, upper, bounded, span, shoulders, swing, spread, turning, hand
+            origins=origins,
+            axes=axes,
+            tool=tool,
+            shoulder=shoulder,
+            wrist=wrist,
+            lower=lower,
+            upper=upper,
+            bounded=bounded,
+            span=span,
+            shoulders=shoulders,
+            swing=swing,
+            spread=np.linspace(lower[0], upper[0], _STEPS, endpoint=bool(bounded[0])),
+            elbow=_hinge(origins[3], axes[3], wrist[:, None], shoulder),
+            turning=screws.parts_of(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3],
+            hand=np.array([across, np.cross(axes[6], across)]),
         )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
@@ -136,7 +149,7 @@ class ClosedForm:
         rotations, wrists, q1 = self._wrists(positions, turns, self._tried_first(home))
         rows = q1.shape[1]
         q1, goals = q1.ravel(), np.repeat(wrists.T, rows, axis=1)
-        away, q4, strain = self._bent(q1, self.wrist[:, None], goals)
+        away, q4, strain = self._bent(q1, self.elbow, goals)
         q4 = self._wrapped(q4[:, None], slice(3, 4))
         kept = np.flatnonzero((strain == 0.0) & self._within(q4, slice(3, 4)))
         number = kept % len(q1)
@@ -247,17 +260,16 @@ class ClosedForm:
 
     def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
         """What brings a point of the forearm at zero to goals: values (4n, 4) of joints 1 to 4, and their strain."""
-        away, q4, strain = self._bent(q1, point, goals)
+        elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
+        away, q4, strain = self._bent(q1, elbow, goals)
         q2, q3, short = self._pointed(q4, subproblems.twice(point), subproblems.twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 
-    def _bent(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array, Array]:
+    def _bent(self, q1: Array, elbow: subproblems.Hinge, goals: Array) -> tuple[Array, Array, Array]:
         """Ways (3, n) from the shoulder to goals, joint 1 taken back; values (2n,) of joint 4 for them, and strain."""
-        base, elbow = self.origins[0][:, None], self.origins[3][:, None]
-        shoulder = self.shoulder[:, None]
-        away = base + subproblems.turned(self.axes[0], -q1, goals - base) - shoulder
-        distance = np.sqrt((away * away).sum(axis=0))
-        q4, strain = subproblems.to_distance(self.axes[3], point - elbow, shoulder - elbow, distance)
+        base = self.origins[0][:, None]
+        away = base + subproblems.turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
+        q4, strain = subproblems.opened(elbow, np.sqrt((away * away).sum(axis=0)))
         return away, q4.ravel(), np.concatenate([strain, strain])
 
     def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
@@ -312,6 +324,11 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
     (s, t), *_ = np.linalg.lstsq(np.column_stack([along_a, -along_b]), b - a, rcond=None)
     on_a, on_b = a + s * along_a, b + t * along_b
     return (on_a + on_b) / 2 if float(np.linalg.norm(on_a - on_b)) < _MEET else None
+
+
+def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> subproblems.Hinge:
+    """How an axis opens the distance between points (3, n) that it turns and another."""
+    return subproblems.hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
 def _radius(point: Array, origin: Array, axis: Array) -> float:

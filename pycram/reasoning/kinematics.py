@@ -233,8 +233,8 @@ class ArmKinematics:
 def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
     """Positions (n, 3) and orientations (n, 3, 3) of targets, None if any will do."""
     goals = np.array([position for position, _ in targets], dtype=np.float64)
-    turns = [geometry.to_matrix(turn) for _, turn in targets if turn is not None]
-    return goals, np.array(turns) if turns else None
+    turns = [turn for _, turn in targets if turn is not None]
+    return goals, geometry.to_matrices(np.array(turns)) if turns else None
 
 
 def _distinct(found: Array, home: Array) -> Array:

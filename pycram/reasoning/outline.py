@@ -51,7 +51,8 @@ def half(low: Sequence[float], high: Sequence[float], direction: Sequence[float]
         high: its highest corner.
         direction: a unit vector.
     """
-    return sum(abs(d) * (b - a) for d, a, b in zip(direction, low, high, strict=True)) / 2
+    (x0, y0, z0), (x1, y1, z1), (x, y, z) = low, high, direction
+    return (abs(x) * (x1 - x0) + abs(y) * (y1 - y0) + abs(z) * (z1 - z0)) / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +120,8 @@ class Outline:
             (len(scans), count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
         """
         met = self._met(scans, (0, 2, 1), count, zs)
-        low = met.each(np.minimum, met.enter.min(axis=1, keepdims=True), np.inf)
-        high = met.each(np.maximum, met.leave.max(axis=1, keepdims=True), -np.inf)
-        found = np.concatenate([low, high], axis=1).transpose(0, 2, 1)
+        ends = met.nearest(np.stack([met.enter.min(axis=1), -met.leave.max(axis=1)], axis=1))
+        found = ends.transpose(0, 2, 1) * [1.0, -1.0]
         return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
@@ -137,8 +137,8 @@ class Outline:
             no piece, as where it begins within the solid, both where there is nothing.
         """
         met = self._met(scans, (2, 1, 0), count, ys)
-        first = met.each(np.minimum, np.where(met.enter > 0.0, met.enter, np.inf), np.inf)
-        last = met.each(np.maximum, np.where(met.leave > 0.0, met.leave, -np.inf), -np.inf).max(axis=1)
+        first = met.nearest(np.where(met.enter > 0.0, met.enter, np.inf))
+        last = -met.nearest(np.where(met.leave > 0.0, -met.leave, np.inf)).min(axis=1)
         inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
         return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
@@ -216,20 +216,18 @@ class _Met:
     enter: Array
     leave: Array
 
-    def each(self, nearest: np.ufunc, values: Array, nothing: float) -> Array:
-        """The nearest or farthest of all pieces: (scans, beside, count).
+    def nearest(self, values: Array) -> Array:
+        """The lowest of all pieces: (scans, beside, count); inf where there is none.
 
         Args:
-            nearest: what is wanted of them.
             values: (n, beside, width) for each piece.
-            nothing: where there is none.
         """
         pieces, beside, width = values.shape
-        cells = np.full((pieces, beside, self.count), nothing)
+        cells = np.full((pieces, beside, self.count), np.inf)
         across = np.arange(pieces)[:, None, None], np.arange(beside)[:, None]
         cells[across[0], across[1], self.begins[:, None, None] + np.arange(width)] = values
-        found = np.full((len(self.pieces), beside, self.count), nothing)
+        found = np.full((len(self.pieces), beside, self.count), np.inf)
         scanned = np.flatnonzero(self.pieces)
         if len(scanned):
-            found[scanned] = nearest.reduceat(cells, (np.cumsum(self.pieces) - self.pieces)[scanned])
+            found[scanned] = np.minimum.reduceat(cells, (np.cumsum(self.pieces) - self.pieces)[scanned])
         return found

@@ -1,7 +1,7 @@
 """How joints carry things, for many values at once: a product of exponentials is a sum of matrices that stay.
 
-The transform of a joint has one part that stays, one for the cosine of its value, one for the sine, and one for the value
-itself (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
+The transform of a joint has one part that stays, one for the cosine of its value, one for the sine, and one for the
+value itself (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+    Hinge = tuple[Array, Array, Array]
 
 _SLACK: Final = 1e-9  # of a cosine: rounding, no miss
 
@@ -136,14 +137,38 @@ def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple
     Returns:
         Angles (2, n) of both solutions, and their strain (n,).
     """
+    return opened(hinge(axis, start, end), distance)
+
+
+def hinge(axis: Array, start: Array, end: Array) -> Hinge:
+    """What of subproblem 3 doesn't depend on the distance.
+
+    Args:
+        axis: of the turn.
+        start: the point that turns.
+        end: the point that stays.
+
+    Returns:
+        The angle where the points are nearest, the mean of the squares of their least and greatest distance, and half
+        of what these differ by; (n,) or (1,) each.
+    """
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)
     apart = axis @ (start - end)
+    squares = _dot(a, a), _dot(b, b)
     straight = np.arctan2(_dot(beside, b), _dot(a, b))
-    lengths = _dot(a, a), _dot(b, b)
-    cosine = (lengths[0] + lengths[1] - distance * distance + apart * apart) / np.maximum(
-        2.0 * np.sqrt(lengths[0] * lengths[1]), 1e-12
-    )
+    return straight, squares[0] + squares[1] + apart * apart, 2.0 * np.sqrt(squares[0] * squares[1])
+
+
+def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
+    """Subproblem 3 for points that are known: see :func:`to_distance`.
+
+    Args:
+        hinge: what is known of them.
+        distance: wanted between them, (n,), m.
+    """
+    straight, mean, half = hinge
+    cosine = (mean - distance * distance) / np.maximum(half, 1e-12)
     aside = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
     strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _SLACK, 0.0))
     return np.array([straight + aside, straight - aside]), strain
