@@ -21,7 +21,7 @@ units = vectors.filter(lambda v: np.linalg.norm(v) > 0.2).map(lambda v: v / np.l
 angles = st.floats(-3.1, 3.1)
 
 
-def chain(axes: list[str], lengths: list[float], limit: float = 2.5) -> ArmKinematics:
+def robot(axes: list[str], lengths: list[float], limit: float = 2.5) -> Urdf:
     """An arm of joints with given axes, each so many metres from the one before along x."""
     links = "".join(f'<link name="l{i}"/>' for i in range(len(axes) + 2))
     joints = "".join(
@@ -33,8 +33,13 @@ def chain(axes: list[str], lengths: list[float], limit: float = 2.5) -> ArmKinem
     )
     last = len(axes)
     tool = f'<joint name="tool" type="fixed"><parent link="l{last}"/><child link="l{last + 1}"/><origin xyz="{lengths[last]} 0 0"/></joint>'
-    urdf = Urdf.parse(f'<robot name="arm">{links}{joints}{tool}</robot>')
-    return ArmKinematics(urdf, "l0", f"l{last + 1}", [f"j{i}" for i in range(len(axes))])
+    return Urdf.parse(f'<robot name="arm">{links}{joints}{tool}</robot>')
+
+
+def chain(axes: list[str], lengths: list[float], limit: float = 2.5) -> ArmKinematics:
+    """The arithmetic of such an arm."""
+    urdf = robot(axes, lengths, limit)
+    return ArmKinematics(urdf, "l0", urdf.links[-1], [f"j{i}" for i in range(len(axes))])
 
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
@@ -68,6 +73,17 @@ def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
         there = solver.chain.poses(values)[0]
         assert np.linalg.norm(there[:3, 3] - pose[:3, 3]) == pytest.approx(way.position_error, abs=1e-6)
         assert way.position_error < 1e-3 or not way.reached
+
+
+@pytest.mark.parametrize("arm", [PR2, SKEWED, SLIDING], ids=["pr2", "skewed", "sliding"])
+def test_tools_are_where_the_description_says(arm: tuple[list[str], list[float]]) -> None:
+    kinematics = chain(*arm).chain
+    urdf = robot(*arm)
+    for posture in np.random.default_rng(7).uniform(-2.0, 2.0, (20, len(arm[0]))):
+        position, turn = urdf.forward_kinematics(dict(zip(kinematics.joints, posture, strict=True)), urdf.links[-1])
+        pose = kinematics.poses(posture[None])[0]
+        assert pose[:3, 3] == pytest.approx(position, abs=1e-12)
+        assert np.allclose(pose[:3, :3], geometry.to_matrix(turn), atol=1e-12)
 
 
 def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> None:
