@@ -181,10 +181,9 @@ class _Choice:
         return cost
 
     def _told(self, depths: Mapping[Object, float]) -> Cost:
-        counted = [hit for hit in depths if hit is not self._body]
-        furniture = sum(hit.fixed for hit in counted)
-        deep = sum(sorted(depths[hit] for hit in counted))
-        return self._body in depths, furniture, len(counted) - furniture, deep
+        counted = {hit: depth for hit, depth in depths.items() if hit is not self._body}
+        furniture = sum([hit.fixed for hit in counted])
+        return self._body in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
 
 
 def _deepest(some: Mapping[Object, float], others: Mapping[Object, float]) -> Mapping[Object, float]:
