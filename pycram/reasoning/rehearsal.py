@@ -109,6 +109,7 @@ class Rehearsal:
         self._others = together(around)
         counts = [len(boxes.links) for boxes in around]
         self._whose = list(itertools.chain.from_iterable(map(itertools.repeat, self._obstacles, counts)))
+        self._firsts = np.repeat(np.cumsum(counts) - counts, counts)
         self._loose = np.repeat([not other.fixed for other in self._obstacles], counts)
         none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
         self._taken = Foreseen({}, None, (none, none), nothing, nothing, nothing)
@@ -175,17 +176,18 @@ class Rehearsal:
         if not len(some):
             return found
         which, box, other = which[some], box[some], other[some]
-        things = np.concatenate([balls_in(thing.model.path) for thing in self._obstacles if not thing.fixed])
+        things = [self._whose[number] for number in other.tolist()]
+        numbers = (other - self._firsts[other]).tolist()
         depths = overlaps(
             balls_in(self.robot.model.path)[self._limbs.numbers[box], :FEW],
             np.array([posture.centers for posture in postures])[which, box],
             np.array([posture.axes for posture in postures])[which, box],
-            things[(np.cumsum(self._loose) - 1)[other]],
+            np.array([balls_in(thing.model.path)[number] for thing, number in zip(things, numbers, strict=True)]),
             self._others.centers[other],
             self._others.axes[other],
         )
         for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
-            touched, thing = found[which[number]], self._whose[other[number]]
+            touched, thing = found[which[number]], things[number]
             touched[thing] = max(touched.get(thing, 0.0), float(depths[number]) - _SURE)
         return found
 
