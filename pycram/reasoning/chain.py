@@ -79,8 +79,8 @@ class Chain:
 
     def poses(self, postures: Array) -> Array:
         """Poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
-        *_, last = self._carried(postures)
-        return last @ self._tool
+        poses: Array = self._carried(postures)[-1] @ self._tool
+        return poses
 
     def at_zero(self) -> tuple[Array, Array, Array]:
         """In the base link where all joints are zero: (joints, 3) points of axes, (joints, 3) axes, the tool's pose."""
@@ -114,14 +114,15 @@ class Chain:
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
         """Frames (joints, n, 4, 4) behind the joints, and (n, 3, joints) their axes."""
-        poses = np.array(list(self._carried(postures))[1:])
+        poses = self._carried(postures)[1:]
         return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # no joint turns its own axis
 
-    def _carried(self, postures: Array) -> list[Array]:
-        """Poses (n, 4, 4) in the base link: of that itself, and of what each joint carries."""
-        poses = [np.broadcast_to(np.eye(4), (len(postures), 4, 4))]
-        for moved in screws.transforms(self._parts, postures.T):
-            poses.append(poses[-1] @ moved)
+    def _carried(self, postures: Array) -> Array:
+        """Poses (joints + 1, n, 4, 4) in the base link: of that itself, and of what each joint carries."""
+        poses = np.empty((len(self.joints) + 1, len(postures), 4, 4))
+        poses[0] = np.eye(4)
+        for number, moved in enumerate(screws.transforms(self._parts, postures.T)):
+            np.matmul(poses[number], moved, out=poses[number + 1])
         return poses
 
     def limited(self, postures: Array) -> Array:
