@@ -144,9 +144,9 @@ class Chain:
         """
         pose = self.poses(postures)
         missing = np.zeros((len(postures), 2))
-        missing[:, 0] = _lengths(pose[:, :3, 3] - goals)
+        missing[:, 0] = lengths(pose[:, :3, 3] - goals)
         if turns is not None:
-            missing[:, 1] = _lengths(turn_left(pose[:, :3, :3], turns))
+            missing[:, 1] = lengths(turn_left(pose[:, :3, :3], turns))
         return missing
 
 
@@ -154,19 +154,26 @@ def turn_left(now: Array, goal: Array) -> Array:
     """Rotation vectors (n, 3) in the base link that turn orientations (n, 3, 3) into a goal (3, 3) or (n, 3, 3)."""
     difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # row by row
     vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
-    sine = _lengths(vector)
+    sine = lengths(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
     # near half a turn the vector vanishes: any axis helps out of there
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
-        sine = _lengths(vector)
+        sine = lengths(vector)
     error: Array = vector * (angle / np.maximum(sine, 1e-12))[:, None]
     return error
 
 
-def _lengths(vectors: Array) -> Array:
-    """Lengths (n,) of vectors (n, 3): np.linalg.norm takes longer for so few."""
-    lengths: Array = np.sqrt((vectors * vectors).sum(axis=1))
-    return lengths
+def lengths(vectors: Array) -> Array:
+    """Lengths of a few vectors, for which np.linalg.norm takes longer.
+
+    Args:
+        vectors: (n, d).
+
+    Returns:
+        (n,).
+    """
+    found: Array = np.sqrt((vectors * vectors).sum(axis=1))
+    return found

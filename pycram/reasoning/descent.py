@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.chain import turn_left
+from pycram.reasoning.chain import lengths, turn_left
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -54,14 +54,14 @@ def descend(
         pose, jacobian = chain.forward(postures)
         error = np.zeros((len(postures), rows))
         error[:, :3] = goal - pose[:, :3, 3]
-        near = np.linalg.norm(error[:, :3], axis=1) < 0.5 * POSITION_TOLERANCE
+        near = lengths(error[:, :3]) < 0.5 * POSITION_TOLERANCE
         if turn is not None:
             error[:, 3:] = turn_left(pose[:, :3, :3], turn)
-            near &= np.linalg.norm(error[:, 3:], axis=1) < 0.5 * TURN_TOLERANCE
+            near &= lengths(error[:, 3:]) < 0.5 * TURN_TOLERANCE
         reached = near
         if near.all() or (stop_early and near.any()):
             break
-        length = np.linalg.norm(error, axis=1, keepdims=True)
+        length = lengths(error)[:, None]
         if iteration % _STALE[0] == 0:
             nearest = float(length.min())
             if nearest > _STALE[1] * best and nearest > _CLOSE:
