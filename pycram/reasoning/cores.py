@@ -7,6 +7,7 @@ balls; the engine, which makes shapes thicker, says that they overlap a little d
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
@@ -31,48 +32,76 @@ _SIDE: Final = 5  # places along each side of a piece where a ball's centre can 
 _TRIED: Final = 250  # places that centres are chosen from
 
 
+@dataclass(frozen=True, slots=True)
+class Balls:
+    """Balls in k boxes; a radius of -inf stands for none.
+
+    Attributes:
+        places: (k, n, 3) of their centres along the box's axes, from its middle, m.
+        radii: (k, n), m.
+        folded: (k, 4, n) of their centres p what a square of a distance takes: -2 p, and p squared.
+    """
+
+    places: Array
+    radii: Array
+    folded: Array
+
+    def of(self, boxes: NDArray[np.intp], most: int = MANY) -> Balls:
+        """The first balls in some of the boxes.
+
+        Args:
+            boxes: their numbers.
+            most: so many in each.
+        """
+        return Balls(self.places[boxes, :most], self.radii[boxes, :most], self.folded[boxes, :, :most])
+
+    def overlaps(self, turns: Array, ways: Array, others: Balls) -> Array:
+        """How far they overlap with those in other boxes at most, box by box.
+
+        Args:
+            turns: (k, 3, 3) axes of their boxes along those of the others.
+            ways: (k, 3) from the others' middles to their boxes' along the others' axes, m.
+            others: balls in k boxes.
+
+        Returns:
+            (k,), m; negative where none do.
+        """
+        at = np.ones((*self.radii.shape, 4))
+        at[..., :3] = places = self.places @ turns.transpose(0, 2, 1) + ways[:, None]
+        apart = at @ others.folded
+        apart += (places * places).sum(axis=2)[:, :, None]
+        np.sqrt(np.maximum(apart, 0.0, out=apart), out=apart)
+        np.subtract(others.radii[:, None], apart, out=apart)
+        deepest: Array = (apart.max(axis=2) + self.radii).max(axis=1)
+        return deepest
+
+
 @lru_cache(maxsize=256)
-def balls_in(path: Path) -> Array:
+def balls_in(path: Path) -> Balls:
     """Balls inside of the pieces of a model.
 
     Args:
         path: its canonical URDF, beside its meshes.
 
     Returns:
-        (k, MANY, 4): for each of the :class:`~pycram.reasoning.boxes.Boxes` around it centres along the box's axes from
-        its middle, and radii, m; the FEW that fill it first. A radius of -inf stands for no ball.
+        MANY in each of the :class:`~pycram.reasoning.boxes.Boxes` around it; the FEW that fill it come first.
     """
     solids = solids_of(path)
-    return np.array([_chosen(*_places(solids, pieces)) for _, pieces in grouped(solids.links)]).reshape(-1, MANY, 4)
+    chosen = [_chosen(*_places(solids, pieces)) for _, pieces in grouped(solids.links)]
+    balls = np.array(chosen).reshape(-1, MANY, 4)
+    places = balls[..., :3]
+    folded = np.concatenate([-2.0 * places, (places * places).sum(axis=2, keepdims=True)], axis=2).transpose(0, 2, 1)
+    return Balls(places, balls[..., 3], np.ascontiguousarray(folded))
 
 
-def overlaps(
-    balls: Array, centers: Array, axes: Array, other_balls: Array, other_centers: Array, other_axes: Array
-) -> Array:
-    """How far the balls in boxes overlap at most, pair by pair.
+def together(parts: Sequence[Balls]) -> Balls:
+    """The balls in all boxes, one after the other.
 
     Args:
-        balls: (n, a, 4) in n boxes, as :func:`balls_in` has them.
-        centers: (n, 3) of these boxes in the world, m.
-        axes: (n, 3, 3) of these boxes.
-        other_balls: (n, b, 4) in the boxes beside them.
-        other_centers: (n, 3) of those.
-        other_axes: (n, 3, 3) of those.
-
-    Returns:
-        (n,), m; negative where none do.
+        parts: at least one.
     """
-    back = other_axes.transpose(0, 2, 1)
-    at = balls[..., :3] @ (back @ axes).transpose(0, 2, 1) + ((centers - other_centers)[:, None] @ other_axes)
-    # |a - b|^2 = (a, |a|^2, 1) . (-2b, 1, |b|^2): one product for all pairs of balls
-    one, two = np.ones((*balls.shape[:2], 5)), np.ones((*other_balls.shape[:2], 5))
-    one[..., :3], one[..., 3] = at, (at * at).sum(axis=2)
-    two[..., :3], two[..., 4] = -2.0 * other_balls[..., :3], (other_balls[..., :3] ** 2).sum(axis=2)
-    apart = one @ two.transpose(0, 2, 1)
-    np.sqrt(np.maximum(apart, 0.0, out=apart), out=apart)
-    np.subtract(other_balls[:, None, :, 3], apart, out=apart)
-    deepest: Array = (apart.max(axis=2) + balls[..., 3]).max(axis=1)
-    return deepest
+    places, radii, folded = zip(*((part.places, part.radii, part.folded) for part in parts), strict=True)
+    return Balls(np.concatenate(places), np.concatenate(radii), np.concatenate(folded))
 
 
 def _places(solids: Solids, pieces: Sequence[int]) -> tuple[Array, Array]:

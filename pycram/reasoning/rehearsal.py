@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.reasoning import cores
 from pycram.reasoning.boxes import meeting, together
-from pycram.reasoning.cores import FEW, balls_in, overlaps
+from pycram.reasoning.cores import FEW, balls_in
 from pycram.reasoning.limbs import Limbs, arm_depths
 from pycram.reasoning.twin import twin
 from recorder import geometry
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from pycram.engine import Touch
     from pycram.objects import Object
+    from pycram.reasoning.cores import Balls
     from recorder.geometry import Pose
 
     Pair = tuple[Object, str, Object, str]
@@ -109,7 +111,8 @@ class Rehearsal:
         self._others = together(around)
         counts = [len(boxes.links) for boxes in around]
         self._whose = list(itertools.chain.from_iterable(map(itertools.repeat, self._obstacles, counts)))
-        self._firsts = np.repeat(np.cumsum(counts) - counts, counts)
+        self._firsts = np.cumsum(counts) - counts
+        self._numbers = np.repeat(np.arange(len(counts)), counts)
         self._loose = np.repeat([not other.fixed for other in self._obstacles], counts)
         none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
         self._taken = Foreseen({}, None, (none, none), nothing, nothing, nothing)
@@ -176,20 +179,26 @@ class Rehearsal:
         if not len(some):
             return found
         which, box, other = which[some], box[some], other[some]
-        things = [self._whose[number] for number in other.tolist()]
-        numbers = (other - self._firsts[other]).tolist()
-        depths = overlaps(
-            balls_in(self.robot.model.path)[self._limbs.numbers[box], :FEW],
-            np.array([posture.centers for posture in postures])[which, box],
-            np.array([posture.axes for posture in postures])[which, box],
-            np.array([balls_in(thing.model.path)[number] for thing, number in zip(things, numbers, strict=True)]),
-            self._others.centers[other],
-            self._others.axes[other],
-        )
+        # the boxes that move, as seen from the others
+        back = self._others.axes[other].transpose(0, 2, 1)
+        turns = back @ np.array([posture.axes for posture in postures])[which, box]
+        ways = np.array([posture.centers for posture in postures])[which, box] - self._others.centers[other]
+        mine = balls_in(self.robot.model.path).of(self._limbs.numbers[box], FEW)
+        depths = mine.overlaps(turns, (back @ ways[:, :, None])[:, :, 0], self._balls(other))
         for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
-            touched, thing = found[which[number]], things[number]
+            touched, thing = found[which[number]], self._whose[other[number]]
             touched[thing] = max(touched.get(thing, 0.0), float(depths[number]) - _SURE)
         return found
+
+    def _balls(self, others: NDArray[np.intp]) -> Balls:
+        """Those inside of some of the others' boxes."""
+        numbers = self._numbers[others]
+        shift = np.zeros(len(self._obstacles), dtype=np.intp)  # from a box's number to that of its balls
+        found: list[Balls] = []
+        for number in sorted(set(numbers.tolist())):
+            shift[number] = sum(len(balls.radii) for balls in found) - self._firsts[number]
+            found.append(balls_in(self._obstacles[number].model.path))
+        return cores.together(found).of(others + shift[numbers])
 
     def _pairs(self, boxes: NDArray[np.intp], others: NDArray[np.intp]) -> Iterable[Pair]:
         """The links that boxes are around, with those of others; in order, each pair once."""

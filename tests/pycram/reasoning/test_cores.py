@@ -27,18 +27,19 @@ def test_balls_are_inside_of_the_pieces(robot: Object) -> None:
         solids = solids_of(body.model.path)
         boxes = Boxes.around(body.world.engine, body.handle, body)
         balls = cores.balls_in(body.model.path)
-        assert len(balls) == len(boxes.links)
+        assert len(balls.radii) == len(boxes.links)
         positions, orientations = body.world.engine.link_frames(body.handle, boxes.links)
         turns = geometry.to_matrices(orientations)
-        for link, mine, center, at, turn in zip(boxes.links, balls, boxes.centers, positions, turns, strict=True):
-            there = mine[np.isfinite(mine[:, 3])]
-            places = there[:, :3] + (center - at) @ turn
+        for number, link in enumerate(boxes.links):
+            radii = balls.radii[number][np.isfinite(balls.radii[number])]
+            middle = (boxes.centers[number] - positions[number]) @ turns[number]
+            places = balls.places[number][: len(radii)] + middle
             below = []
             for piece in np.flatnonzero(np.array(solids.links) == link):
                 planes = solids.pieces == piece
                 below.append((solids.offsets[planes] - places @ solids.normals[planes].T).min(axis=1))
-            assert (there[:, 3] > 0.0).all()
-            assert (np.max(below, axis=0) >= there[:, 3] - 1e-9).all()
+            assert (radii > 0.0).all()
+            assert (np.max(below, axis=0) >= radii - 1e-9).all()
 
 
 @pytest.mark.parametrize("file", FILES)
@@ -56,15 +57,11 @@ def test_links_overlap_at_least_as_deep_as_their_balls(robot: Object, file: str)
             at = mine.centers[number] + [rng.uniform(-0.12, 0.12) for _ in range(3)]
             engine.set_pose(copy, (tuple(at), geometry.from_rpy(*(rng.uniform(-3, 3) for _ in range(3)))))
             others = Boxes.around(engine, copy, thing)
-            count = len(others.links)
-            overlap = cores.overlaps(
-                np.repeat(cores.balls_in(robot.model.path)[[number], : cores.FEW], count, axis=0),
-                np.repeat(mine.centers[[number]], count, axis=0),
-                np.repeat(mine.axes[[number]], count, axis=0),
-                cores.balls_in(thing.model.path),
-                others.centers,
-                others.axes,
-            ).max()
+            which = np.full(len(others.links), number)
+            back = others.axes.transpose(0, 2, 1)
+            ways = (back @ (mine.centers[which] - others.centers)[:, :, None])[:, :, 0]
+            hands = cores.balls_in(robot.model.path).of(which, cores.FEW)
+            overlap = hands.overlaps(back @ mine.axes[which], ways, cores.balls_in(thing.model.path)).max()
             depth = max((-touch.distance for touch in engine.link_touches(hand, link, copy)), default=0.0)
             sure += overlap > 0.003
             assert overlap <= depth + 1e-4
