@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning import cores
 from pycram.reasoning.boxes import meeting, together
 from pycram.reasoning.cores import FEW, balls_in
 from pycram.reasoning.limbs import Limbs, arm_depths
+from pycram.reasoning.surroundings import Surroundings
 from pycram.reasoning.twin import twin
 from recorder import geometry
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from pycram.engine import Touch
     from pycram.objects import Object
-    from pycram.reasoning.cores import Balls
     from recorder.geometry import Pose
 
     Pair = tuple[Object, str, Object, str]
@@ -97,7 +96,7 @@ class Rehearsal:
         )
         self._held = [(other, bodies[other.name], link, pose) for other, link, pose in _held(robot)]
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
-        self._obstacles = [other for other in world.objects if other not in skipped]
+        obstacles = [other for other in world.objects if other not in skipped]
         self._at_base = limbs.stand
         held = [(other, self._twin.boxes(other), link) for other, _, link, _ in self._held if link in limbs.moving]
         self._owners = [(robot, link, link) for link in limbs.boxes.links]
@@ -107,13 +106,7 @@ class Rehearsal:
         loaded = [carriers[link] for _, boxes, link in held for _ in boxes.links]
         self._carriers = np.concatenate([limbs.carriers, np.array(loaded, dtype=np.intp)])
         self._mine = together([limbs.boxes, *(boxes for _, boxes, _ in held)])
-        around = [self._twin.boxes(other) for other in self._obstacles]
-        self._others = together(around)
-        counts = [len(boxes.links) for boxes in around]
-        self._whose = list(itertools.chain.from_iterable(map(itertools.repeat, self._obstacles, counts)))
-        self._firsts = np.cumsum(counts) - counts
-        self._numbers = np.repeat(np.arange(len(counts)), counts)
-        self._loose = np.repeat([not other.fixed for other in self._obstacles], counts)
+        self._around = Surroundings(obstacles, [self._twin.boxes(other) for other in obstacles])
         none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
         self._taken = Foreseen({}, None, (none, none), nothing, nothing, nothing)
         self._there = self._moved = False
@@ -139,7 +132,7 @@ class Rehearsal:
         if base is not None:
             there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._limbs.stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
-        posture, box, other = meeting(centers, axes, self._mine.halves, self._others)
+        posture, box, other = meeting(centers, axes, self._mine.halves, self._around.boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
             Foreseen(positions, base, (box[start:end], other[start:end]), *there)
@@ -175,37 +168,25 @@ class Rehearsal:
         looked = np.array([mover is self.robot and link in links for mover, link, _ in self._owners], dtype=bool)
         which = np.repeat(np.arange(len(postures)), [len(posture.meets[0]) for posture in postures])
         box, other = np.concatenate([posture.meets for posture in postures], axis=1)
-        some = np.flatnonzero(looked[box] & self._loose[other])
+        some = np.flatnonzero(looked[box] & self._around.loose[other])
         if not len(some):
             return found
         which, box, other = which[some], box[some], other[some]
-        # the boxes that move, as seen from the others
-        back = self._others.axes[other].transpose(0, 2, 1)
-        turns = back @ np.array([posture.axes for posture in postures])[which, box]
-        ways = np.array([posture.centers for posture in postures])[which, box] - self._others.centers[other]
-        mine = balls_in(self.robot.model.path).of(self._limbs.numbers[box], FEW)
-        depths = mine.overlaps(turns, (back @ ways[:, :, None])[:, :, 0], self._balls(other))
+        centers = np.array([posture.centers for posture in postures])[which, box]
+        axes = np.array([posture.axes for posture in postures])[which, box]
+        balls = balls_in(self.robot.model.path).of(self._limbs.numbers[box], FEW)
+        depths = self._around.overlaps(balls, centers, axes, other)
         for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
-            touched, thing = found[which[number]], self._whose[other[number]]
+            touched, thing = found[which[number]], self._around.whose[other[number]]
             touched[thing] = max(touched.get(thing, 0.0), float(depths[number]) - _SURE)
         return found
-
-    def _balls(self, others: NDArray[np.intp]) -> Balls:
-        """Those inside of some of the others' boxes."""
-        numbers = self._numbers[others]
-        shift = np.zeros(len(self._obstacles), dtype=np.intp)  # from a box's number to that of its balls
-        found: list[Balls] = []
-        for number in sorted(set(numbers.tolist())):
-            shift[number] = sum(len(balls.radii) for balls in found) - self._firsts[number]
-            found.append(balls_in(self._obstacles[number].model.path))
-        return cores.together(found).of(others + shift[numbers])
 
     def _pairs(self, boxes: NDArray[np.intp], others: NDArray[np.intp]) -> Iterable[Pair]:
         """The links that boxes are around, with those of others; in order, each pair once."""
         found: dict[Pair, None] = {}
         for box, other in zip(boxes.tolist(), others.tolist(), strict=True):
             mover, link, _ = self._owners[box]
-            found[mover, link, self._whose[other], self._others.links[other]] = None
+            found[mover, link, self._around.whose[other], self._around.boxes.links[other]] = None
         return found
 
     def _look(self, pair: Pair) -> list[Touch]:
