@@ -167,11 +167,15 @@ def meeting(centers: Array, axes: Array, halves: Array, others: Boxes) -> tuple[
         Indices of postures, boxes and others that meet, in order.
     """
     mine, theirs = spans(axes, halves), spans(others.axes, others.halves)
-    low, high = (centers - mine).min(axis=(0, 1), initial=np.inf), (centers + mine).max(axis=(0, 1), initial=-np.inf)
-    near = np.flatnonzero(((others.centers + theirs >= low) & (others.centers - theirs <= high)).all(axis=1))
+    lows, highs = centers - mine, centers + mine
+    other_lows, other_highs = others.centers - theirs, others.centers + theirs
+    low, high = lows.min(axis=(0, 1), initial=np.inf), highs.max(axis=(0, 1), initial=-np.inf)
+    near = np.flatnonzero(((other_highs >= low) & (other_lows <= high)).all(axis=1))
+    other_lows, other_highs = other_lows[near], other_highs[near]
     meet = np.ones((len(centers), centers.shape[1], len(near)), dtype=bool)
-    for at, half, other_at, other_half in zip(centers.T, mine.T, others.centers[near].T, theirs[near].T, strict=True):
-        meet &= np.abs(at.T[:, :, None] - other_at) <= half.T[:, :, None] + other_half
+    for axis in range(3):
+        meet &= lows[:, :, None, axis] <= other_highs[:, axis]
+        meet &= highs[:, :, None, axis] >= other_lows[:, axis]
     posture, box, other = np.nonzero(meet)
     other = near[other]
     met = _overlap(

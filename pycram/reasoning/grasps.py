@@ -110,7 +110,7 @@ def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], a
         step = (min(half, gripper.tips) + half) / counts[-1]
         scans.append(Scan(((x, y, z), turn), step / 2 - half, step))
         floors.append(z - outline.low[2] - gripper.tips - _CLEAR if name == "top" else math.inf)
-    surfaces = outline.across(scans, max(counts), _PADS)
+    surfaces = outline.across(scans, counts, _PADS)
     lows, highs = surfaces[:, :, 0], surfaces[:, :, 1]
     number = np.arange(max(counts))
     places = np.array([[scan.first] for scan in scans]) + number * np.array([[scan.step] for scan in scans])

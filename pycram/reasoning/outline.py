@@ -108,7 +108,7 @@ class Outline:
         """
         return half(self.low, self.high, direction)
 
-    def across(self, scans: Sequence[Scan], count: int, zs: Sequence[float]) -> Array:
+    def across(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
         """How far it extends along the y axes of frames.
 
         Args:
@@ -117,7 +117,8 @@ class Outline:
             zs: places along the frames' z axes, m; of all of them together the farthest count.
 
         Returns:
-            (len(scans), count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
+            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
+            Beyond a scan's own count it says nothing.
         """
         met = self._met(scans, (0, 2, 1), count, zs)
         ends = met.nearest(np.stack([met.enter.min(axis=1), -met.leave.max(axis=1)], axis=1))
@@ -142,15 +143,19 @@ class Outline:
         inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
         return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
-    def _met(self, scans: Sequence[Scan], order: tuple[int, int, int], count: int, vs: Sequence[float]) -> _Met:
+    def _met(
+        self, scans: Sequence[Scan], order: tuple[int, int, int], count: int | Sequence[int], vs: Sequence[float]
+    ) -> _Met:
         """Where parallel lines pass through its pieces: all in one go, as what takes time is numpy's being called.
 
         Args:
             scans: where lines are drawn.
             order: of the frames' axes: u and v across the lines, w along them.
-            count: of places along u.
+            count: of places along u, in each scan.
             vs: places of lines along v, lowest first, m.
         """
+        last = np.broadcast_to(count, len(scans)) - 1
+        most = int(last.max(initial=0)) + 1
         told = np.array([(scan.first, scan.step, *scan.frame[0], *scan.frame[1]) for scan in scans])
         firsts, steps, origins = told[:, 0], told[:, 1], told[:, 2:5]
         frames = np.zeros((len(scans), 4, 4))
@@ -159,7 +164,7 @@ class Outline:
         frames[:, :3, 3] = -origins
         across = axes[:, :, :2]
         middle, half = np.empty((2, len(scans), 1, 2))  # of the lines along u and v
-        half[:, 0, 0], half[:, 0, 1] = (count - 1) / 2 * steps, (vs[-1] - vs[0]) / 2
+        half[:, 0, 0], half[:, 0, 1] = last / 2 * steps, (vs[-1] - vs[0]) / 2
         middle[:, 0, 0], middle[:, 0, 1] = firsts + half[:, 0, 0], (vs[-1] + vs[0]) / 2
         away = (self._centers - origins[:, None]) @ across - middle
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
@@ -168,10 +173,10 @@ class Outline:
         # of the places along u those where lines can meet a piece at all
         center, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _ALONG, steps)[where]
-        center, spread = center / paces + (count - 1) / 2, np.abs(spread / paces)
+        center, spread = center / paces + last[where] / 2, np.abs(spread / paces)
         begins = np.maximum(np.ceil(center - spread), 0.0).astype(np.intp)
-        width = int((np.minimum(np.floor(center + spread), count - 1).astype(np.intp) - begins).max(initial=0)) + 1
-        begins = np.minimum(begins, count - width)
+        width = int((np.minimum(np.floor(center + spread), last[where]).astype(np.intp) - begins).max(initial=0)) + 1
+        begins = np.minimum(begins, most - width)
         # each plane meets the lines of its pair
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
@@ -189,13 +194,13 @@ class Outline:
         for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both
             mine = np.flatnonzero(side)
             counts = np.bincount(number[mine], minlength=len(where))
-            most = np.arange(counts.max(initial=1))[:, None]
-            rows = mine.take(np.cumsum(counts) - counts + np.minimum(most, counts - 1))
+            each = np.arange(counts.max(initial=1))[:, None]
+            rows = mine.take(np.cumsum(counts) - counts + np.minimum(each, counts - 1))
             meets = factors.take(rows.ravel(), axis=0) @ lines.reshape(3, -1)
-            found.append(nearest(meets.reshape(len(most), len(where), len(vs), width), axis=0))
+            found.append(nearest(meets.reshape(len(each), len(where), len(vs), width), axis=0))
         met = found[0] <= found[1]
         enter, leave = np.where(met, found[0], np.inf), np.where(met, found[1], -np.inf)
-        return _Met(near.sum(axis=1), count, begins, enter, leave)
+        return _Met(near.sum(axis=1), most, begins, enter, leave)
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +209,7 @@ class _Met:
 
     Attributes:
         pieces: (scans,) how many of them are near each scan: the first ones, the next ones, ...
-        count: of places of lines in a scan.
+        count: of places of lines in a scan at most.
         begins: (n,) the first place where lines are looked at; the rest miss the piece.
         enter: (n, beside, width), m: where each line enters the piece, inf where it misses it.
         leave: (n, beside, width), m: where each line leaves it, -inf where it misses it.
