@@ -178,6 +178,8 @@ def _absent(record: Record, there: Container[str]) -> list[str]:
     bodies = record.loaded[:] if isinstance(record, Keyframe) else []
     if isinstance(record, Mutation) and record.HasField("load_body"):
         bodies = [record.load_body]
+    if not bodies:
+        return []
     absent = [[asset for asset in body.assets[:] if asset.sha256 not in there] for body in bodies]
     return [f"{lacks[0].sha256}/{Path(lacks[0].path).name}" for lacks in absent if lacks]
 

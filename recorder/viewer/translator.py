@@ -93,17 +93,25 @@ class Translator:
         show = self._shows.get(type(record))
         if show is not None:
             show(record, now)
-        if record.world and record.world not in self.worlds and not _builds(record):
-            self.worlds[record.world] = self._scene.middle(record.world)
-        if acts(record):
-            self._open[record.world] = None
-        elif _closes(record):
-            self._open.pop(record.world, None)
-        self.front = next(iter(self._open), self.front)
+        if record.world:
+            self._note(record)
         self._before = record.wall_time_ns
         self._waiting += 1
         if self._waiting >= _BATCH:
             self.flush()
+
+    def _note(self, record: Record) -> None:
+        """Notes when a plan begins to do something in a world, and when that ends."""
+        world = record.world
+        if world not in self.worlds and not _builds(record):
+            self.worlds[world] = self._scene.middle(world)
+        if world in self._open:
+            if not _closes(record):
+                return
+            del self._open[world]
+        elif acts(record):
+            self._open[world] = None
+        self.front = next(iter(self._open), self.front)
 
     def _show_task(self, record: Task, now: Moment) -> None:
         self._lanes.show(record, now)
