@@ -19,6 +19,7 @@ from replay.lives import title
 from replay.summary import summary
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
 
 
@@ -38,18 +39,25 @@ def tell_apart(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
         monkeypatch.setattr(McapSink, "_life", lambda *_: 0)
 
 
-@pytest.fixture(params=["own channels", "shared channels", "old channels"])
-def log(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> replay.Log:
+@pytest.fixture(scope="module", params=["own channels", "shared channels", "old channels"])
+def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """lab (2 s), then hall (still open), then another lab (0.5 s); 120 changes in each lab, past keyframes."""
-    tell_apart(monkeypatch, request.param)
-    with recorder.record(tmp_path / "x.mcap"):
-        lab(height=9, seconds=2, ends=True)
-        hall = BulletWorld(name="hall")
-        Object("ball", "ball", "apple.stl", [5, 5, 1])
-        again = lab(height=5, seconds=0.5, ends=False)
+    path = tmp_path_factory.mktemp("lives") / "x.mcap"
+    with pytest.MonkeyPatch.context() as patch:
+        tell_apart(patch, request.param)
+        with recorder.record(path):
+            lab(height=9, seconds=2, ends=True)
+            hall = BulletWorld(name="hall")
+            Object("ball", "ball", "apple.stl", [5, 5, 1])
+            again = lab(height=5, seconds=0.5, ends=False)
     again.exit()
     hall.exit()
-    with replay.open(tmp_path / "x.mcap") as log:
+    return path
+
+
+@pytest.fixture
+def log(file: Path) -> Iterator[replay.Log]:
+    with replay.open(file) as log:
         yield log
 
 
