@@ -187,14 +187,8 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
     Returns:
         3 x 3, its columns are the turned axes.
     """
-    x, y, z, w = rotation
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ],
-    )
+    matrix: NDArray[np.float64] = to_matrices(np.array([rotation]))[0]
+    return matrix
 
 
 def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:

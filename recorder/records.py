@@ -92,6 +92,7 @@ __all__ = [
     "failure",
     "message",
     "to_json",
+    "told_error",
     "told_failure",
 ]
 

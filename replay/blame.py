@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
-    from replay.lives import Life
     from replay.log import Log
     from replay.state import Attachment, State, World
 
@@ -102,9 +101,7 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
     try:
         place, body, joint = _find(state, target, world)
     except NoSuchName as missing:
-        gone = _removal(log, state, target, world)
-        if gone is None:
-            raise _of_closed_world(log, state, target, missing) or missing from None
+        gone = _removal(log, state, target, world, missing)
         until = blame(log, target, gone.seq - 1, gone.world)
         return replace(_removed(log, gone, until), without=_without(state, gone.world, world))
     others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
@@ -118,45 +115,31 @@ def _without(state: State, found: str, named: str | None) -> str:
     return default if named is None and default != found else ""
 
 
-def _removal(log: Log, state: State, target: str, world: str | None) -> Mutation | None:
-    """The record that removed a body, or the one with that joint, from a world that is still open."""
-    lives = _open_lives(log, state)
-    if world is not None and world not in lives:
-        return None
-    found = []
-    for body in _bodies(target):
-        for record in log.backwards(state.step, Mutation, naming=body):
-            if (
-                isinstance(record, Mutation)
-                and body in record.effect.removed
-                and record.world in ((world,) if world is not None else lives)
-                and log.life_at(record.world, record.seq) == lives[record.world]
-            ):
-                found.append(record)
-                break
-    return max(found, key=lambda record: record.seq, default=None)
+def _removal(log: Log, state: State, target: str, world: str | None, missing: NoSuchName) -> Mutation:
+    """The record that removed a body, or the one with that joint, from a world that is still open.
 
-
-def _open_lives(log: Log, state: State) -> dict[str, Life | None]:
-    return {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
-
-
-def _of_closed_world(log: Log, state: State, target: str, missing: NoSuchName) -> NoSuchName | None:
-    """What to say of a body, or the one with that joint, that was in a world which had been closed by then."""
-    opened = _open_lives(log, state)
-    if not opened or len(log.lives) == len(opened):  # the error tells the former itself
-        return None
-    for body in _bodies(target):
+    Raises:
+        NoSuchName: there is none; it says so if the body was in a world that had been closed by then.
+    """
+    opened = {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
+    meant = {name: life for name, life in opened.items() if world in (None, name)}
+    some_closed = bool(opened) and len(log.lives) > len(opened)  # where none is open, the error tells that itself
+    found, error = [], missing
+    for body in _bodies(target) if meant or some_closed else ():
         for record in log.backwards(state.step, Mutation, naming=body):
             life = log.life_at(record.world, record.seq)
-            if (
-                isinstance(record, Mutation)
-                and life not in (None, opened.get(record.world))
-                and body in log.state_at(record.seq).world(record.world).bodies
-            ):
+            if not isinstance(record, Mutation) or life is None:
+                continue
+            if body in record.effect.removed and life == meant.get(record.world):
+                found.append(record)
+                break
+            told = some_closed and error is missing and life != opened.get(record.world)
+            if told and any(one.body == body for one in record.effect.bodies[:]):
                 hint = f"it was in {life.title}, which was closed later: --at {record.seq}, or an earlier step"
-                return NoSuchName("object", body, missing.known, hint)
-    return None
+                error = NoSuchName("object", body, missing.known, hint)
+    if not found:
+        raise error from None
+    return max(found, key=lambda record: record.seq)
 
 
 def _bodies(target: str) -> list[str]:

@@ -206,7 +206,7 @@ def cached(log: Log, at: int | None = None) -> Path:
     Raises:
         Damaged: a record makes no sense.
     """
-    if _front(log, at) != _front(log):
+    if at is not None and _front(log, at) != _front(log):
         file = aside(f"{log.path.name}.rrd")
         convert([log], file, at)
         return file

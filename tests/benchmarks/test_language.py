@@ -80,20 +80,19 @@ def measure(file: Path) -> dict[str, float]:
 
 def test_blocks(tmp_path: Path) -> None:
     """In a process of its own: there the stack is that of a plan, not that of what runs the tests."""
-    goal, costs, overhead = 1.0, {}, float("inf")  # ms
+    goal, costs = 1.0, {}  # ms
     for turn in range(5):  # noise only adds, and a fast moment comes sooner or later
         told = subprocess.run(
             [sys.executable, __file__, tmp_path / f"{turn}.mcap"], capture_output=True, text=True, check=True
         )
         costs = {name: min(cost, costs.get(name, cost)) for name, cost in json.loads(told.stdout).items()}
-        overhead = costs["three_branches, recorded"] - costs["three_threads"]
-        if overhead < goal:
+        if costs["three_branches, recorded"] < goal:
             break
     print()
     for name, cost in costs.items():
         print(f"{name:25} {cost:.3f} ms")
-    print(f"a recorded block of three branches costs {overhead:.3f} ms more than three bare threads, goal {goal}")
-    assert overhead < max(goal, 4 * costs["three_threads"])  # where those take longer than 0.25 ms, so may this
+    limit = max(goal, 5 * costs["three_threads"])  # where those take longer than 0.2 ms, so may this
+    assert costs["three_branches, recorded"] < limit
 
 
 if __name__ == "__main__":

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
+import recorder
+from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
+from replay.cli import main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -116,3 +119,16 @@ def in_front(file: Path) -> set[str]:
                 names[chunk.entity_path] = told["ViewBlueprint:display_name"][0]
             fronts |= {f"/{view}" for view in told.get("ContainerBlueprint:active_tab") or ()}
     return {names[front] for front in fronts}
+
+
+def view(log: Path, file: Path) -> Shown:
+    """What is shown of a recording."""
+    assert main(["view", str(log), "--save", str(file)]) == 0
+    return Shown(file)
+
+
+def small(file: Path, place: float = 0.0) -> Path:
+    """Records a world with a cup in it."""
+    with recorder.record(file), BulletWorld(name="w"):
+        Object("cup", "cup", "cup.stl", [place, 0, 1])
+    return file

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
-import os
 import runpy
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-import rerun as rr
 
 import recorder
 import replay
@@ -24,16 +20,13 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par, seq
 from recorder import geometry
-from recorder.asset import AssetFile
-from recorder.mcap_sink import McapSink
-from recorder.records import TOPICS, Argument, Failure, Mutation, Picture, Query, Record, Task
+from recorder.records import Mutation, Query, Task
 from recorder.span import Span
-from recorder.viewer.translator import Translator
 from replay import ask
 from replay.cli import main
 from tests.viewer.conftest import rows_of
 from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, alike, golden, robot_pixels, structure
-from tests.viewer.shown import Shown, in_front, in_world, looked_for
+from tests.viewer.shown import Shown, in_world, looked_for, small, view
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,11 +35,6 @@ if TYPE_CHECKING:
 
 REPO = Path(__file__).parent.parent.parent
 NEAR = 1e-5  # m; the viewer's numbers are 32 bits
-
-
-def view(log: Path, file: Path) -> Shown:
-    assert main(["view", str(log), "--save", str(file)]) == 0
-    return Shown(file)
 
 
 @pytest.fixture(scope="module")
@@ -224,10 +212,8 @@ def test_tables_tell_the_lines_of_the_plan(tmp_path: Path) -> None:
         for _, values in rows[f"/records/{kind.lower()}"]:
             names = (what, "source", "callers")
             key, source, callers = (values[f"pycram.{kind}:{name}"][0] for name in names)
-            told[key] = (
-                source,
-                [one for one in callers.split(", ") if one.startswith("plan.py")],
-            )  # else it's this test
+            of_plan = [one for one in callers.split(", ") if one.startswith("plan.py")]  # else it's this test
+            told[key] = source, of_plan
     assert told["load_body"] == ("plan.py:8", [])
     assert told["move_body"] == ("plan.py:5", ["plan.py:10"])
     assert told["set_color"] == ("plan.py:11", []), "where its task was asked for"
@@ -379,148 +365,6 @@ def test_names_that_could_be_mistaken(tmp_path: Path) -> None:
     assert sorted(pose[0][0] for parent, pose in frames.values() if parent == "world") == [1, 2, 3, 4]
 
 
-def small(file: Path, place: float = 0.0) -> Path:
-    with recorder.record(file), BulletWorld(name="w"):
-        Object("cup", "cup", "cup.stl", [place, 0, 1])
-    return file
-
-
-def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    log = small(tmp_path / "log.mcap")
-    with replay.open(log) as recording:
-        kept = cached(recording)
-        assert kept == tmp_path / "log.mcap.rrd"
-        made = kept.stat().st_mtime_ns
-        assert cached(recording).stat().st_mtime_ns == made
-    os.utime(log, ns=(made + 10**9, made + 10**9))
-    with replay.open(log) as recording:
-        assert cached(recording).stat().st_mtime_ns > made
-    assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
-
-
-def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    with replay.open(small(tmp_path / "log.mcap")) as recording:
-        kept = cached(recording)
-        whole, made = kept.read_bytes(), kept.stat().st_mtime_ns
-        kept.write_bytes(whole[:5] + bytes([whole[5] - 1]) + whole[6:])
-        os.utime(kept, ns=(made, made))  # software is installed with whatever dates
-        assert cached(recording).read_bytes()[:8] == whole[:8]
-
-
-@pytest.mark.slow
-def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
-    log = small(tmp_path / "log.mcap")
-    for words in ([], ["--save", "log.rrd"]):
-        command = [sys.executable, "-m", "replay", "view", str(log), *words]
-        told = subprocess.run(
-            ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", *command],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            env={**os.environ, "PYTHONPATH": str(REPO)},
-        )
-        assert told.returncode == 2
-        assert "log.rrd: can't be written" in told.stderr.replace(".mcap", "")
-        assert "Traceback" not in told.stderr
-    assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
-
-
-def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("RERUN", "off")
-    file = tmp_path / "log.rrd"
-    assert "/w/bodies/cup" in view(small(tmp_path / "log.mcap"), file).rows
-    assert "w" in in_front(file)
-    assert os.environ["RERUN"] == "off"
-
-
-def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
-    temporary.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
-    monkeypatch.setattr(os, "access", lambda *_: False)  # the recording lies where nobody may write
-    made = set()
-    for user in (1, 2):
-        monkeypatch.setattr(os, "getuid", lambda user=user: user)
-        with replay.open(log) as recording:
-            file = cached(recording)
-        assert file.stat().st_size
-        assert file.parent.parent == temporary
-        assert file.parent.stat().st_mode & 0o777 == 0o700
-        made.add(file)
-    assert len(made) == 2
-
-
-def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    log = tmp_path / "log.mcap"
-    with recorder.record(log), BulletWorld(name="w"):
-        Object("milk", "milk", "milk.stl", [1, 0, 1])  # its model goes to the file at once, and what was before
-        half = replay.open(log)
-        Object("cup", "cup", "cup.stl", [0, 0, 1])
-    os.utime(log, ns=(half.written_ns + 10**7, half.written_ns + 10**7))  # however coarse the clock is
-    with half:
-        assert "/w/bodies/cup" not in Shown(cached(half)).rows, "the plan ended after it had been opened"
-    with replay.open(log) as whole:
-        assert "/w/bodies/cup" in Shown(cached(whole)).rows
-
-
-@pytest.mark.parametrize(
-    "record",
-    [
-        Query(name="visible", answer_json="true", picture=Picture(width=1, height=1, pixels=b"no picture")),
-        Task(phase=Task.FINISHED, status=Task.FAILED, failure=Failure(type="F", data=[Argument(name="x", json="{")])),
-        Query(world="w", name="x", answer_json="1", evidence=[Argument(name="points", json="3")]),
-    ],
-    ids=["picture", "failure", "points"],
-)
-def test_nonsense_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], record: Record) -> None:
-    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
-    sink = McapSink(log, {})
-    sink.write(TOPICS[type(record)], record, record.SerializeToString())
-    sink.close()
-    assert main(["view", str(log), "--save", str(file)]) == 3
-    assert "it makes no sense" in capsys.readouterr().err
-    assert not file.exists()
-
-
-def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
-    sink = McapSink(log, {})
-    sink._frames.learn = lambda *_: None  # it would refuse
-    sink.attach(AssetFile("cup.urdf", b"no model"))
-    sink.write("/task", Task(), b"")
-    sink.close()
-    assert main(["view", str(log), "--save", str(file)]) == 3
-    assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
-
-
-def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
-    sink = McapSink(log, {})
-    with replay.open(whole) as recording:
-        for record in recording:
-            sink.write(TOPICS[type(record)], record, record.SerializeToString())
-    sink.close()
-    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
-    assert "/cup.urdf is damaged (it isn't there)" in capsys.readouterr().err
-    for _ in range(2):
-        with replay.open(log) as recording:
-            cached(recording)
-            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
-
-
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
     one, other = small(tmp_path / "one.mcap"), small(tmp_path / "other.mcap", 3.0)
     file = tmp_path / "both.rrd"
@@ -528,121 +372,6 @@ def test_two_recordings_side_by_side(tmp_path: Path) -> None:
     frames = Shown(file).frames(10)
     assert in_world(frames, "one/w//cup", "one/world")[0] == (0, 0, 1)
     assert in_world(frames, "other/w//cup", "other/world")[0] == (3, 0, 1)
-
-
-@pytest.fixture
-def two_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A plan that tries something in another world, and goes on in its own."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))  # what isn't kept beside it is this test's alone
-    log = tmp_path / "log.mcap"
-    with recorder.record(log), BulletWorld(name="scratch"), BulletWorld(name="kitchen"):
-        cup = Object("cup", "cup", "cup.stl", [0, 0, 1], color=[1, 0, 0, 1])
-        cup.set_position([1, 0, 1])
-        with BulletWorld(name="try"):
-            milk = Object("milk", "milk", "milk.stl", [0, 0, 1], color=[0, 0, 1, 1])
-            milk.set_position([0.1, 0, 1])
-        cup.set_position([0, 0, 1])
-    return log
-
-
-def moved(log: replay.Log, body: str) -> int:
-    """The first step at which a body was moved."""
-    return next(record.seq for record in log.records(Mutation) if record.move_body.body == body)
-
-
-def test_the_world_in_front_is_the_one_that_is_looked_at(tmp_path: Path, two_worlds: Path) -> None:
-    with replay.open(two_worlds) as log:
-        steps = {"kitchen": moved(log, "cup"), "try": moved(log, "milk")}
-    file = tmp_path / "log.rrd"
-    assert main(["view", str(two_worlds), "--save", str(file)]) == 0
-    assert in_front(file) == {"kitchen"}, "where the plan began to do something"
-    for world, step in steps.items():
-        for other in ([], [str(small(tmp_path / "other.mcap"))]):
-            assert main(["view", str(two_worlds), *other, "--at", str(step), "--save", str(file)]) == 0
-            assert in_front(file) == {world if not other else f"log {world}", *(["other w"] if other else [])}
-    assert main(["view", str(two_worlds), "--at", "0", "--save", str(file)]) == 0
-    assert in_front(file) == {"kitchen"}, "a step before all worlds"
-
-
-def test_what_is_kept_beside_a_recording_begins_at_its_beginning(two_worlds: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
-
-    with replay.open(two_worlds) as log:
-        for step, world in [(moved(log, "milk"), "try"), (None, "kitchen"), (moved(log, "cup"), "kitchen")]:
-            file = cached(log, step)
-            assert in_front(file) == {world}
-            assert (file == two_worlds.with_name("log.mcap.rrd")) == (world == "kitchen")
-
-
-def test_live_the_world_in_front_is_the_one_that_the_plan_goes_on_in(two_worlds: Path) -> None:
-    with BulletWorld(name="later"), recorder.record(two_worlds.with_name("later.mcap")):
-        Object("cup", "cup", "cup.stl", [0, 0, 1]).set_position([1, 0, 1])
-    translator = Translator(rr.RecordingStream("test"))
-    fronts = []
-    for file in (two_worlds, two_worlds.with_name("later.mcap")):
-        with replay.open(file) as log:
-            for record in log:
-                translator.show(record)
-                fronts.append(translator.front)
-    assert [world for world, _ in itertools.groupby(fronts)] == ["", "kitchen", "later"]
-
-
-@pytest.mark.slow
-def test_the_viewer_begins_with_the_world_of_the_step(
-    tmp_path: Path, two_worlds: Path, headless: Headless, until: Callable[..., None]
-) -> None:
-    with replay.open(two_worlds) as log:
-        step = moved(log, "milk")
-    assert main(["view", str(two_worlds), "--at", str(step), "--connect", headless.url]) == 0
-    until(headless.has_loaded, "it is loaded")
-
-    def blue() -> bool:
-        red, _, blue = np.asarray(headless.picture(tmp_path / "seen.png", "try"), dtype=int).transpose(2, 0, 1)
-        assert not (red > blue + 60).any(), "the other world's"
-        return bool((blue > red + 60).any())
-
-    until(blue, "the milk is seen", 30)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--save", "there.png"], "called .rrd"),
-        (["--save", "no/such/folder/x.rrd"], "can't be written"),
-        (["--at", "99999", "--save", "x.rrd"], "no step"),
-        (["--web", "--save", "x.rrd"], "give it alone"),
-        (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
-        (["--connect", "somewhere"], "no address of a viewer"),
-        (["--connect", "spawn"], "no address of a viewer"),
-        (["--connect", "connect"], "no address of a viewer"),
-        (["--save", ""], "called .rrd"),
-        (["missing.mcap", "--save", "x.rrd"], "No such file"),
-    ],
-)
-def test_what_can_not_be_shown_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    small(tmp_path / "log.mcap")
-    assert main(["view", "log.mcap", *words]) == 2
-    told = capsys.readouterr()
-    assert said in told.err
-    assert not told.out
-    assert not list(tmp_path.glob("*.rrd"))
-
-
-def test_a_cut_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "log.mcap"
-    with recorder.record(log), BulletWorld(name="w"):
-        cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
-        for turn in range(200):
-            cup.set_position([turn, 0, 1])
-    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
-    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
-    told = capsys.readouterr()
-    assert json.loads(told.out) == {"file": str(tmp_path / "log.rrd")}
-    assert "incomplete" in told.err
-    assert len(Shown(tmp_path / "log.rrd").rows["/w/bodies/cup"]) > 50
 
 
 @pytest.mark.slow

@@ -1,0 +1,200 @@
+"""The file that is made for the viewer: when it is kept, and what is told where it can't be made, or not whole."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from recorder.asset import AssetFile
+from recorder.mcap_sink import McapSink
+from recorder.records import TOPICS, Argument, Failure, Picture, Query, Record, Task
+from replay.cli import main
+from tests.viewer.shown import Shown, in_front, small, view
+
+REPO = Path(__file__).parent.parent.parent
+
+
+def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording:
+        kept = cached(recording)
+        assert kept == tmp_path / "log.mcap.rrd"
+        made = kept.stat().st_mtime_ns
+        assert cached(recording).stat().st_mtime_ns == made
+    os.utime(log, ns=(made + 10**9, made + 10**9))
+    with replay.open(log) as recording:
+        assert cached(recording).stat().st_mtime_ns > made
+    assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
+
+
+def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    with replay.open(small(tmp_path / "log.mcap")) as recording:
+        kept = cached(recording)
+        whole, made = kept.read_bytes(), kept.stat().st_mtime_ns
+        kept.write_bytes(whole[:5] + bytes([whole[5] - 1]) + whole[6:])
+        os.utime(kept, ns=(made, made))  # software is installed with whatever dates
+        assert cached(recording).read_bytes()[:8] == whole[:8]
+
+
+@pytest.mark.slow
+def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
+    log = small(tmp_path / "log.mcap")
+    for words in ([], ["--save", "log.rrd"]):
+        command = [sys.executable, "-m", "replay", "view", str(log), *words]
+        told = subprocess.run(
+            ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", *command],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONPATH": str(REPO)},
+        )
+        assert told.returncode == 2
+        assert "log.rrd: can't be written" in told.stderr.replace(".mcap", "")
+        assert "Traceback" not in told.stderr
+    assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
+
+
+def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RERUN", "off")
+    file = tmp_path / "log.rrd"
+    assert "/w/bodies/cup" in view(small(tmp_path / "log.mcap"), file).rows
+    assert "w" in in_front(file)
+    assert os.environ["RERUN"] == "off"
+
+
+def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setattr(os, "access", lambda *_: False)  # the recording lies where nobody may write
+    made = set()
+    for user in (1, 2):
+        monkeypatch.setattr(os, "getuid", lambda user=user: user)
+        with replay.open(log) as recording:
+            file = cached(recording)
+        assert file.stat().st_size
+        assert file.parent.parent == temporary
+        assert file.parent.stat().st_mode & 0o777 == 0o700
+        made.add(file)
+    assert len(made) == 2
+
+
+def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        Object("milk", "milk", "milk.stl", [1, 0, 1])  # its model goes to the file at once, and what was before
+        half = replay.open(log)
+        Object("cup", "cup", "cup.stl", [0, 0, 1])
+    os.utime(log, ns=(half.written_ns + 10**7, half.written_ns + 10**7))  # however coarse the clock is
+    with half:
+        assert "/w/bodies/cup" not in Shown(cached(half)).rows, "the plan ended after it had been opened"
+    with replay.open(log) as whole:
+        assert "/w/bodies/cup" in Shown(cached(whole)).rows
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        Query(name="visible", answer_json="true", picture=Picture(width=1, height=1, pixels=b"no picture")),
+        Task(phase=Task.FINISHED, status=Task.FAILED, failure=Failure(type="F", data=[Argument(name="x", json="{")])),
+        Query(world="w", name="x", answer_json="1", evidence=[Argument(name="points", json="3")]),
+    ],
+    ids=["picture", "failure", "points"],
+)
+def test_nonsense_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], record: Record) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
+    sink = McapSink(log, {})
+    sink.write(TOPICS[type(record)], record, record.SerializeToString())
+    sink.close()
+    assert main(["view", str(log), "--save", str(file)]) == 3
+    assert "it makes no sense" in capsys.readouterr().err
+    assert not file.exists()
+
+
+def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
+    sink = McapSink(log, {})
+    sink._frames.learn = lambda *_: None  # it would refuse
+    sink.attach(AssetFile("cup.urdf", b"no model"))
+    sink.write("/task", Task(), b"")
+    sink.close()
+    assert main(["view", str(log), "--save", str(file)]) == 3
+    assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
+
+
+def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from replay.view import cached  # noqa: PLC0415
+
+    whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
+    sink = McapSink(log, {})
+    with replay.open(whole) as recording:
+        for record in recording:
+            sink.write(TOPICS[type(record)], record, record.SerializeToString())
+    sink.close()
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
+    assert "/cup.urdf is damaged (it isn't there)" in capsys.readouterr().err
+    for _ in range(2):
+        with replay.open(log) as recording:
+            cached(recording)
+            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--save", "there.png"], "called .rrd"),
+        (["--save", "no/such/folder/x.rrd"], "can't be written"),
+        (["--at", "99999", "--save", "x.rrd"], "no step"),
+        (["--web", "--save", "x.rrd"], "give it alone"),
+        (["--connect", "rerun+http://127.0.0.1:1/proxy"], "no viewer answers"),
+        (["--connect", "somewhere"], "no address of a viewer"),
+        (["--connect", "spawn"], "no address of a viewer"),
+        (["--connect", "connect"], "no address of a viewer"),
+        (["--save", ""], "called .rrd"),
+        (["missing.mcap", "--save", "x.rrd"], "No such file"),
+    ],
+)
+def test_what_can_not_be_shown_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small(tmp_path / "log.mcap")
+    assert main(["view", "log.mcap", *words]) == 2
+    told = capsys.readouterr()
+    assert said in told.err
+    assert not told.out
+    assert not list(tmp_path.glob("*.rrd"))
+
+
+def test_a_cut_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w"):
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
+        for turn in range(200):
+            cup.set_position([turn, 0, 1])
+    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
+    told = capsys.readouterr()
+    assert json.loads(told.out) == {"file": str(tmp_path / "log.rrd")}
+    assert "incomplete" in told.err
+    assert len(Shown(tmp_path / "log.rrd").rows["/w/bodies/cup"]) > 50
