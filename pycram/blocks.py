@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from pycram.attempts import Retry
@@ -64,7 +64,8 @@ class Block(OpenBlock):
         self._decided = False  # by that, or by a failure of the body
         self._state = State.CREATED
         self._body_failures: list[PlanFailure] = []
-        self._exits = ExitStack()
+        self._inside = (entered(self.scope), hosted(None if rule.plain else self))
+        self._begun = False
         self._span = span if span is not None else Span("block", rule.name)
         self._owns_span = span is None
 
@@ -196,9 +197,10 @@ class Block(OpenBlock):
         try:
             with Uninterrupted():  # what has begun is known to be
                 if self._owns_span:
-                    self._exits.enter_context(self._span)
-                self._exits.enter_context(entered(self.scope))
-                self._exits.enter_context(hosted(None if self.rule.plain else self))
+                    self._span.__enter__()
+                for binding in self._inside:
+                    binding.__enter__()
+                self._begun = True
                 self._state = State.RUNNING
         except BaseException as stopped:  # Ctrl-C: there will be no body
             self._leave(stopped)
@@ -301,8 +303,13 @@ class Block(OpenBlock):
         """Ends the block's node of the task tree as the block ended."""
         if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
             self._span.error = BranchesFailed(self.name, self.failures)
-        with Uninterrupted():  # an exit stack that is broken off forgets what it was about to end
-            self._exits.__exit__(type(error) if error is not None else None, error, None)
+        with Uninterrupted():  # what has begun to end does
+            if self._begun:
+                self._begun = False
+                for binding in reversed(self._inside):
+                    binding.__exit__()
+                if self._owns_span:
+                    self._span.__exit__(type(error) if error is not None else None, error, None)
 
 
 class _Waiting(Uninterrupted):

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 from pycram.cancellation import checkpoint, wait
 from pycram.failures import UsageError
 from pycram.handle import unwrap
-from recorder.span import Span, current
+from recorder.span import Span
 from recorder.tasks import State
-from recorder.way import way_here
 
 if TYPE_CHECKING:
     import threading
@@ -72,8 +71,6 @@ class Branch:
         self.ordered = ordered
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
-        around = current()
-        self.span.source = way_here(around.source if around is not None else None)
         self._dropped = dropped
         self._begun = False
         self._changed = changed

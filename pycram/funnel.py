@@ -16,7 +16,7 @@ from pycram.failures import ChangeRefused, WorldClosed
 from pycram.world_lock import WorldLock
 from recorder import journal, records, span
 from recorder.interrupts import Uninterrupted
-from recorder.way import callers, plan_line, way_here
+from recorder.way import plan_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -125,9 +125,9 @@ def _sign(record: records.Mutation) -> None:
     asked = task.source if task is not None else None
     if asked is not None and plan_line() in (asked.line, ("", 0)):
         return
-    way = way_here(asked)
+    way = span.way_here()
     record.source_file, record.source_line = way.line
-    record.callers.extend(callers(way.lines))
+    record.callers.extend(way.callers)
 
 
 @dataclass(slots=True)

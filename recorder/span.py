@@ -11,6 +11,7 @@ Every span makes its records, whether anybody records or not: they are what the 
 from __future__ import annotations
 
 import itertools
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -22,11 +23,11 @@ from recorder import journal
 from recorder.interrupts import Uninterrupted
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
-from recorder.way import Way, callers, way_here
+from recorder.way import Way, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from types import TracebackType
+    from types import FrameType, TracebackType
 
     from typing_extensions import Self
 
@@ -101,6 +102,7 @@ class Span:
     error: BaseException | None = None
     _start: int = 0
     _ended: bool = False
+    _body: FrameType | None = field(default=None, init=False, repr=False)  # the code that began it, as long as it runs
     _tokens: tuple[Token[Span | None], Token[int]] = field(init=False, repr=False)
 
     def ask(self) -> None:
@@ -152,7 +154,10 @@ class Span:
 
     def __enter__(self) -> Self:
         """Begins, as the current task of this context."""
-        self._way()
+        if self.source is None:
+            outer = _current.get()
+            frame = sys._getframe(1)  # noqa: SLF001  see way_here()
+            self.source, self._body = walk(frame, outer.source if outer is not None else None)
         self._tokens = _current.set(self), journal.task_id.set(self.id)
         try:
             self.start()
@@ -170,6 +175,7 @@ class Span:
             self.finish(stopped)
             raise
         finally:
+            self._body = None
             current, number = self._tokens
             _current.reset(current)
             journal.task_id.reset(number)
@@ -177,14 +183,13 @@ class Span:
     def _way(self) -> Way:
         """The way to where it was asked for; looked for before it is itself the current task."""
         if self.source is None:
-            outer = _current.get()
-            self.source = way_here(outer.source if outer is not None else None)
+            self.source = way_here()
         return self.source
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
         record, way = self._record(phase, status), self._way()
         record.source_file, record.source_line = way.line
-        record.callers.extend(callers(way.lines))
+        record.callers.extend(way.callers)
         if self.parameters:
             record.parameters.extend(arguments(self.parameters))
         self._emit(record)
@@ -219,6 +224,21 @@ class Span:
 def current() -> Span | None:
     """The innermost running task of this context."""
     return _current.get()
+
+
+def way_here(above: int = 1) -> Way:
+    """The way through the plan's code to the caller.
+
+    Args:
+        above: how many functions, the caller and those that called it, are none of the plan's for sure.
+    """
+    frame = sys._getframe(above).f_back  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
+    task = _current.get()
+    if task is None:
+        return walk(frame)[0]
+    outer, body = task.source, task._body  # noqa: SLF001  same module
+    way = outer.turned(frame.f_lineno) if outer is not None and frame is not None and frame is body else None
+    return way or walk(frame, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

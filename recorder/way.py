@@ -12,6 +12,7 @@ import threading
 from contextlib import suppress
 from enum import Enum, auto
 from functools import lru_cache
+from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
@@ -29,6 +30,8 @@ Place: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 MOST: Final = 32
 #: Frames of these packages are the machinery; the plan's lines are outside of them.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "contextlib", "threading", "concurrent", "contextvars"})
+#: The frames of these can be left in the middle, and come back from elsewhere.
+_LEFT_AND_RESUMED: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 #: Modules that run a plan as a program: who calls them is no part of it.
 _RUNNERS: Final = frozenset({"pycram.cli", "replay.session"})
 #: Python's own files, installed packages and their commands: they may call plans, but are none.
@@ -41,75 +44,111 @@ class Way(NamedTuple):
     """A way; there is one for each task, so it is the cheapest sort of object.
 
     Attributes:
-        lines: of the plan, outermost first; one that calls itself again and again stands once.
+        lines: of the plan, outermost first; one that calls itself again and again stands once. Where nothing is
+            recorded only the innermost, which costs less to find.
         before: those of them that ran in other threads, which this one goes on from.
         thread: identifies the thread that came this way.
+        callers: all lines but the innermost, as records tell them.
+        recording: number of the recording that it was looked for in; 0 where nothing was recorded.
     """
 
     lines: tuple[Place, ...]
     before: tuple[Place, ...]
     thread: int
+    callers: tuple[SourceLine, ...] = ()
+    recording: int = 0
 
     @property
     def line(self) -> Place:
         """The innermost line; ("", 0) if none is known."""
         return self.lines[-1] if self.lines else ("", 0)
 
+    def turned(self, number: int) -> Way | None:
+        """The way to another line of the code at its end, which runs still; None if it must be walked again.
 
-def way_here(outer: Way | None = None) -> Way:
-    """The way to the caller.
+        Args:
+            number: of the line.
+        """
+        lines, before, thread, callers, recording = self
+        file, latest = lines[-1]
+        if recording != journal.openings() or lines[-2:-1] == ((file, number),):  # which would stand once
+            return None
+        return self if number == latest else Way((*lines[:-1], (file, number)), before, thread, callers, recording)
+
+
+def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameType | None]:
+    """The way to some code.
 
     Args:
-        outer: that of the task which this is part of.
+        frame: the code, or what it has called.
+        outer: the way to the task which this is part of.
 
     Returns:
-        The way, whole where it is recorded; else only its innermost line, which costs less.
+        The way; and the code at its end, if a way to what begins there later, as long as that runs, is this one but for
+        the last line: see :meth:`Way.turned`. Else None.
     """
+    frame, line = _innermost(frame)
+    recording = journal.openings() if journal.recording() else 0
     thread = threading.get_ident()
     before: tuple[Place, ...] = ()
     if outer is not None:
         before = outer.before if outer.thread == thread else outer.lines
-    if not journal.recording():
-        return Way(tuple(_lines(1)) or before[-1:], before[-1:], thread)
-    here = _lines(sys.maxsize)
-    lines = (*before, *(here[1:] if here[:1] == [*before[-1:]] else here))  # a lambda begins where it was asked for
+    innermost = (line,) if line is not None else ()
+    if not recording:
+        return Way(innermost or before[-1:], before[-1:], thread), None
+    here = _outwards(frame.f_back) if frame is not None else ()
+    around = (*before, *(here[1:] if here[:1] == before[-1:] else here))
+    once = around[-1:] == innermost  # a lambda begins where it was asked for
+    lines = around if once else (*around, *innermost)
     if len(lines) > MOST:
         lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
     _sources.attach(lines)
-    return Way(lines, before, thread)
+    stays = frame is not None and not once and not frame.f_code.co_flags & _LEFT_AND_RESUMED
+    return Way(lines, before, thread, _callers(lines), recording), frame if stays else None
 
 
 def plan_line() -> Place:
     """The innermost line of the plan that led here; ("", 0) if there is none."""
-    return next(iter(_lines(1)), ("", 0))
+    return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
 
 
-def _lines(most: int) -> list[Place]:
-    """The plan's innermost lines on this thread's stack, outermost first; without any, the innermost foreign one."""
+def _innermost(frame: FrameType | None) -> tuple[FrameType | None, Place | None]:
+    """The plan's next frame from a frame on outwards, and its line; without any, None and a foreign one's."""
+    frame, foreign = _plan_frame(frame)
+    return frame, _place(frame or foreign)
+
+
+def _outwards(frame: FrameType | None) -> tuple[Place, ...]:
+    """The plan's lines from a frame on, outermost first."""
     found: list[Place] = []
-    last = foreign = None
+    while (frame := _plan_frame(frame)[0]) is not None:
+        place = frame.f_code.co_filename, frame.f_lineno
+        if not found or place != found[-1]:
+            found.append(place)
+        frame = frame.f_back
+    found.reverse()
+    return tuple(found)
+
+
+def _place(frame: FrameType | None) -> Place | None:
+    return (frame.f_code.co_filename, frame.f_lineno) if frame is not None else None
+
+
+def _plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
+    """The plan's next frame from a frame on outwards; and the first foreign one up to there."""
+    foreign = None
     known, plan, elsewhere, runner = _kinds.get, _Kind.PLAN, _Kind.FOREIGN, _Kind.RUNNER  # there are many frames
-    frame: FrameType | None = sys._getframe(2)  # noqa: SLF001  inspect.stack() reads source files: 100 times slower
     while frame is not None:
         file = frame.f_code.co_filename
         kind = known(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
         if kind is plan:
-            place = file, frame.f_lineno
-            if place != last:
-                found.append(place)
-                last = place
-                if len(found) == most:
-                    break
-        elif kind is elsewhere:
-            if foreign is None:
-                foreign = file, frame.f_lineno
+            return frame, foreign
+        if kind is elsewhere:
+            foreign = foreign or frame
         elif kind is runner:
             break
         frame = frame.f_back
-    if not found and foreign is not None:
-        return [foreign]
-    found.reverse()
-    return found
+    return None, foreign
 
 
 class _Kind(Enum):
@@ -137,12 +176,8 @@ def _kind(file: str, module: str) -> _Kind:
 
 
 @lru_cache(maxsize=4096)
-def callers(lines: tuple[Place, ...]) -> tuple[SourceLine, ...]:
-    """All lines of a way but the innermost, as records tell them.
-
-    Args:
-        lines: outermost first.
-    """
+def _callers(lines: tuple[Place, ...]) -> tuple[SourceLine, ...]:
+    """All lines of a way but the innermost, as records tell them."""
     return tuple([SourceLine(file=file if file != lines[-1][0] else "", line=at) for file, at in lines[:-1]])
 
 

@@ -14,17 +14,20 @@ import pytest
 import recorder
 import replay
 from pycram import tasks
-from pycram.language import par, try_in_order
+from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
 from recorder.span import span
-from recorder.way import MOST
+from recorder.way import MOST, Way
 from replay.blame import blame
 from replay.causes import causes
 from replay.cli import main
 from replay.source import Source
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
+
+    from pycram.open_block import OpenBlock
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -136,6 +139,71 @@ def test_what_isn_t_recorded_tells_its_line_only() -> None:
     (node,) = tasks.tree().find(name="unseen")[-1:]
     assert __file__ in node.source
     assert not node.started.callers
+
+
+def ask(block: OpenBlock, name: str) -> None:
+    block(do, name)
+
+
+def again(block: OpenBlock, times: int) -> None:
+    block(do, f"again {times}"), times and again(block, times - 1)
+
+
+def descend(times: int) -> None:
+    with par if not times else descend(times - 1) or seq as block:
+        block(do, f"bottom {times}")
+
+
+def descend_in_body(times: int) -> None:
+    with seq as block:
+        descend_in_body(times - 1) if times else block(do, "ground")
+
+
+def in_pieces() -> Iterator[None]:
+    with seq as block:
+        block(do, "first piece")
+        yield
+        block(do, "second piece")
+
+
+def many_ways(second: Path) -> None:
+    for turn in range(2):
+        with par as block:
+            block(do, f"one {turn}"), block(do, f"two {turn}")
+            block(do, f"three {turn}")
+            ask(block, f"four {turn}")
+            with pursue as inner:
+                inner(do, f"five {turn}")
+                inner(lambda: do("six"))
+    with seq as block:
+        again(block, 3)
+        par(lambda: do("seven"), lambda: do("eight"))
+        with recorder.record(second, source=recorder.__file__):
+            block(len, "no code of the plan")
+        block(do, "ten")
+    descend(2)
+    descend_in_body(2)
+    pieces = in_pieces()
+    next(pieces)
+    next(pieces, None)
+
+
+def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[set[tuple[object, ...]]] = []
+    for name in ("turned", "walked"):
+        files = [tmp_path / f"{name}.mcap", tmp_path / f"{name} inside.mcap"]
+        with recorder.record(files[0], source=__file__):
+            many_ways(files[1])
+        for file in files:
+            with replay.open(file) as log:
+                tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
+                told.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
+                assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
+        monkeypatch.setattr(Way, "turned", lambda *_: None)
+    assert told[:2] == told[2:]
+    assert len(told[0]) > 30
 
 
 @pytest.fixture
