@@ -18,7 +18,7 @@ from __future__ import annotations
 import sys
 import threading
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pycram.attempts import Retry
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from pycram.actions import Result
+    from pycram.binding import Binding
     from pycram.branch import Branch
     from pycram.open_block import Rule
 
@@ -64,8 +65,7 @@ class Block(OpenBlock):
         self._decided = False  # by that, or by a failure of the body
         self._state = State.CREATED
         self._body_failures: list[PlanFailure] = []
-        self._inside = (entered(self.scope), hosted(None if rule.plain else self))
-        self._begun = False
+        self._inside: tuple[Binding[Any], ...] = ()  # what holds as long as its body runs
         self._span = span if span is not None else Span("block", rule.name)
         self._owns_span = span is None
 
@@ -198,9 +198,9 @@ class Block(OpenBlock):
             with Uninterrupted():  # what has begun is known to be
                 if self._owns_span:
                     self._span.__enter__()
+                self._inside = (entered(self.scope), hosted(None if self.rule.plain else self))
                 for binding in self._inside:
                     binding.__enter__()
-                self._begun = True
                 self._state = State.RUNNING
         except BaseException as stopped:  # Ctrl-C: there will be no body
             self._leave(stopped)
@@ -304,9 +304,9 @@ class Block(OpenBlock):
         if error is None and self._state is State.FAILED:  # collected instead of raised; the tree tells it
             self._span.error = BranchesFailed(self.name, self.failures)
         with Uninterrupted():  # what has begun to end does
-            if self._begun:
-                self._begun = False
-                for binding in reversed(self._inside):
+            inside, self._inside = self._inside, ()
+            if inside:
+                for binding in reversed(inside):
                     binding.__exit__()
                 if self._owns_span:
                     self._span.__exit__(type(error) if error is not None else None, error, None)

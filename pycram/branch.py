@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from contextvars import copy_context
-from typing import TYPE_CHECKING
+from contextvars import Context, copy_context
+from typing import TYPE_CHECKING, Final
 
 from pycram.cancellation import checkpoint, wait
 from pycram.failures import UsageError
@@ -32,6 +32,13 @@ class NoResult(UsageError):
         self.branch = branch
 
 
+def _nothing() -> None:
+    """What there is to be done when all is over."""
+
+
+_NOWHERE: Final = Context()
+
+
 class Branch:
     """One action of a block, and what came of it.
 
@@ -39,9 +46,9 @@ class Branch:
 
     Attributes:
         name: what people call it; its thread's name too.
-        action: what it does; its result is the branch's.
+        action: what it does; its result is the branch's. Let go of at the end, as it may be the block's own.
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
-        context: where it was asked for.
+        context: where it was asked for; likewise.
         span: its node of the task tree.
         thread: the thread that was made for it; None where it runs in that of others, and when it has ended.
     """
@@ -53,7 +60,7 @@ class Branch:
         changed: threading.Condition,
         *,
         ordered: bool = False,
-        dropped: Callable[[], None] = lambda: None,
+        dropped: Callable[[], None] = _nothing,
         span: Span | None = None,
     ) -> None:
         """Makes a branch that doesn't run yet.
@@ -114,6 +121,7 @@ class Branch:
         """
         if not self._begun:
             self._dropped()
+        self.action, self.context, self._dropped = _nothing, _NOWHERE, _nothing
         with self._changed:
             self._state, self._result, self._error = state, result, error
             self._changed.notify_all()

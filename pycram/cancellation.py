@@ -38,7 +38,7 @@ class Scope:
     """A stretch of the plan that can be told to stop, from any thread.
 
     Attributes:
-        lineage: this scope, the one around it, and so on outwards.
+        around: the scopes around it, from the inside out. Not itself too: what refers to itself is freed late.
         told: whether this very scope has been told to stop.
         deadlines: what is left until their deadlines, of those that have one; see the constructor.
     """
@@ -51,9 +51,9 @@ class Scope:
             remaining: how many seconds by the clock there are at least until its deadline, 0 when it has passed;
                 None for no deadline.
         """
-        self.lineage: tuple[Scope, ...] = (self, *(parent.lineage if parent is not None else ()))
-        around = parent.deadlines if parent is not None else ()
-        self.deadlines: tuple[Callable[[], float], ...] = around if remaining is None else (remaining, *around)
+        self.around: tuple[Scope, ...] = (parent, *parent.around) if parent is not None else ()
+        known = parent.deadlines if parent is not None else ()
+        self.deadlines: tuple[Callable[[], float], ...] = known if remaining is None else (remaining, *known)
         self._remaining = remaining
         self._lock = threading.Lock()
         self.told = False
@@ -67,7 +67,9 @@ class Scope:
     @property
     def cancelled(self) -> bool:
         """Whether it, or a scope around it, has been told to stop or is overdue."""
-        for scope in self.lineage:
+        if self.told:
+            return True
+        for scope in self.around:
             if scope.told:
                 return True
         return bool(self.deadlines) and any(remaining() <= 0 for remaining in self.deadlines)
@@ -193,7 +195,8 @@ def wait(condition: threading.Condition, predicate: Callable[[], bool], timeout:
         with condition:
             return condition.wait_for(predicate, timeout)
     end = None if timeout is None else time.monotonic() + timeout
-    for one in scope.lineage:
+    scopes = (scope, *scope.around)
+    for one in scopes:
         one.watch(condition)
     try:
         with condition:
@@ -207,5 +210,5 @@ def wait(condition: threading.Condition, predicate: Callable[[], bool], timeout:
                 condition.wait(min(times, default=None))
             return True
     finally:
-        for one in scope.lineage:
+        for one in scopes:
             one.unwatch(condition)

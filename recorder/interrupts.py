@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _SIGINT: Final = int(signal.SIGINT)
+_held = False  # whether the main thread is in such a block
 
 
 class Uninterrupted:
@@ -33,20 +34,24 @@ class Uninterrupted:
     __slots__ = ("_handler", "noted")
 
     def __enter__(self) -> Self:
+        global _held  # noqa: PLW0603  there is one main thread
         self._handler: Callable[[int, FrameType | None], Any] | None = None
         self.noted = False
-        if threading.get_ident() == threading.main_thread().ident:
+        if not _held and threading.get_ident() == threading.main_thread().ident:
             handler = _signal.getsignal(_SIGINT)
-            if callable(handler) and not isinstance(getattr(handler, "__self__", None), Uninterrupted):
+            if callable(handler):
                 self._handler = handler  # first: an interrupt may raise up to the moment when it is only noted
                 _signal.signal(_SIGINT, self._note)
+                _held = True
         return self
 
     def _note(self, _number: int, _frame: FrameType | None) -> None:
         self.noted = True
 
     def __exit__(self, *_: object) -> None:
+        global _held  # noqa: PLW0603  see above
         if self._handler is not None:
+            _held = False
             _signal.signal(_SIGINT, self._handler)
             if self.noted:
                 signal.raise_signal(signal.SIGINT)

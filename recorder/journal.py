@@ -106,7 +106,7 @@ class Journal:
         """
         topic = TOPICS[type(record)]
         with Uninterrupted(), self._lock:
-            if record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
+            if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
                 if isinstance(record, Mutation) and not record.HasField("open_world"):
                     return
                 self._expected.remove(record.world)

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
+_ASKED, _STARTED, _SUCCEEDED, _CANCELLED = Task.ASKED, Task.STARTED, Task.SUCCEEDED, Task.CANCELLED  # looked up once
+_DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # of most values, and faster than what fits any number of them
 
 
@@ -33,61 +35,57 @@ def line_of(record: Record, time_ns: int) -> Log | None:
         The message; None where there is nothing to say (keyframes, and tasks that are only asked for).
     """
     kind = type(record)
-    if kind is Keyframe or (isinstance(record, Task) and record.phase == Task.ASKED):
+    if kind is Keyframe or (isinstance(record, Task) and record.phase == _ASKED):
         return None
-    text, level = text_of(record)
-    line = Log(level=level, message=text, name="plan" if kind is Run or kind is Task else record.world or "plan")
+    text, level = _TEXTS[kind](record)
+    line = Log(level=level, message=text, name="plan" if kind is Task or kind is Run else record.world or "plan")
     moment = line.timestamp
     moment.seconds, moment.nanos = divmod(time_ns, _NS)
     return line
 
 
-def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:  # noqa: PLR0911  one for each type of record
+def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:
     """The same as plain text, with its level.
 
     Args:
         record: any.
     """
-    if isinstance(record, Task):
-        return _task(record)
-    if isinstance(record, Mutation):
-        return mutation_text(record), Log.DEBUG
-    if isinstance(record, Event):
-        return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", Log.INFO
-    if isinstance(record, Fluent):
-        return _fluent(record), Log.DEBUG
-    if isinstance(record, Query):
-        if record.HasField("failure"):
-            return f"{record.name}({values(record.arguments)}) raised {record.failure.type}", Log.WARNING
-        return f"{record.name}({values(record.arguments)}) -> {by_name(record.answer_json)}", Log.INFO
-    if isinstance(record, Run):
-        return _run(record)
-    return f"keyframe of {record.world}", Log.DEBUG
+    return _TEXTS[type(record)](record)
 
 
 def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Run.STARTED:
-        return f"{record.name} started", Log.INFO
+        return f"{record.name} started", _INFO
     if record.phase == Run.THREAD_FAILED:
-        return f"thread {record.thread} failed: {told_failure(record.failure)}", Log.ERROR
+        return f"thread {record.thread} failed: {told_failure(record.failure)}", _ERROR
     if record.succeeded:
-        return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", Log.INFO
-    return f"{record.name} failed: {told_failure(record.failure)}", Log.ERROR
+        return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", _INFO
+    return f"{record.name} failed: {told_failure(record.failure)}", _ERROR
 
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
-    name = f"{record.kind} {record.name}"
-    phase = record.phase
-    if phase == Task.ASKED:
-        return f"{name} asked for", Log.DEBUG
-    if phase == Task.STARTED:
-        return f"{name}({values(record.parameters)})", Log.INFO
-    took = f"{record.duration_ns / _MS:.1f} ms"
-    if record.status == Task.SUCCEEDED:
-        return f"{name} succeeded in {took}", Log.INFO
-    if record.status == Task.CANCELLED:
-        return f"{name} was cancelled after {took}", Log.WARNING
-    return f"{name} failed after {took}: {told_failure(record.failure)}", Log.ERROR
+    name, phase = f"{record.kind} {record.name}", record.phase
+    if phase == _STARTED:
+        return f"{name}({values(record.parameters)})", _INFO
+    if phase == _ASKED:
+        return f"{name} asked for", _DEBUG
+    took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
+    if status == _SUCCEEDED:
+        return f"{name} succeeded in {took}", _INFO
+    if status == _CANCELLED:
+        return f"{name} was cancelled after {took}", _WARNING
+    return f"{name} failed after {took}: {told_failure(record.failure)}", _ERROR
+
+
+def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
+    asked = f"{record.name}({values(record.arguments)})"
+    if record.HasField("failure"):
+        return f"{asked} raised {record.failure.type}", _WARNING
+    return f"{asked} -> {by_name(record.answer_json)}", _INFO
+
+
+def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
+    return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO
 
 
 def mutation_text(record: Mutation) -> str:
@@ -117,12 +115,22 @@ def _joints(command: MoveJoints) -> str:
     return f"{command.body} {told}"
 
 
-def _fluent(record: Fluent) -> str:
-    told = f"fluent {record.name}"
-    if record.before_json == record.after_json:
-        return f"{told} pulsed at {record.after_json}" if record.after_json else f"{told} pulsed"
-    return f"{told}: {record.before_json} -> {record.after_json}"
+def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
+    told, after = f"fluent {record.name}", record.after_json
+    if record.before_json == after:
+        return f"{told} pulsed at {after}" if after else f"{told} pulsed", _DEBUG
+    return f"{told}: {record.before_json} -> {after}", _DEBUG
 
+
+_TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueType]]]] = {
+    Task: _task,
+    Mutation: lambda record: (mutation_text(record), _DEBUG),
+    Query: _query,
+    Event: _event,
+    Fluent: _fluent,
+    Run: _run,
+    Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
+}
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn't here has none
     "open_world": lambda command: str(command.mode),

@@ -40,11 +40,13 @@ _HINT: Final = "free space or choose another path, and run again"
 _MOST_RECORDS: Final = 50
 _LONGEST: Final = 0.05  # s
 _Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and which one of that name; "" and 0 where shared
-#: A message that isn't in a chunk yet: its channel, the number of its record, when that was, and its bytes; of the line
-#: about a task only the task, whose line is made with all others.
-_Taken: TypeAlias = "tuple[_Key, int, int, bytes | Task]"
+#: A message that isn't in a chunk yet: its channel, the number of its record, when that was, its bytes; and of a task's
+#: the record, whose line is made with all others.
+_Taken: TypeAlias = "tuple[_Key, int, int, bytes, Task | None]"
 _LINES: Final = ("/log", "", 0)
 _TASKS: Final = (TOPICS[Task], "", 0)
+#: What must not get lost: a failure, as here; the start of the run, without which no file opens, and its end.
+_BADLY_ENDED: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
 _OF_WORLDS: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
 _MOST_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
@@ -141,17 +143,17 @@ class McapSink:
             self._now = now
             self._size += len(payload)
             if isinstance(record, Task):
-                self._taken.append((_TASKS, seq, now, payload))
-                if record.phase != Task.ASKED:
-                    self._taken.append((_LINES, seq, now, record))
+                self._taken.append((_TASKS, seq, now, payload, record))
+                vital = record.status in _BADLY_ENDED
             else:
                 of_world = topic in _OF_WORLDS
                 key = (topic, record.world, self._life(record)) if of_world else (topic, "", 0)
-                self._taken.append((key, seq, now, payload))
+                self._taken.append((key, seq, now, payload, None))
                 self._take_companions(record)
+                vital = isinstance(record, Run)
             self._count += 1
             self._pending += 1
-            if self._pending >= _MOST_RECORDS or self._size > _CHUNK or _is_vital(record):
+            if vital or self._pending >= _MOST_RECORDS or self._size > _CHUNK:
                 with self._guarded():
                     self._flush()
             elif self._pending == 1:
@@ -167,22 +169,27 @@ class McapSink:
     def _take_companions(self, record: Record) -> None:
         """Takes what other people's tools are told of a record."""
         for topic, message in self._frames.transforms(record):
-            self._taken.append(((topic, "", 0), record.seq, self._now, message.SerializeToString()))
-            self._size += message.ByteSize()
+            payload = message.SerializeToString()
+            self._taken.append(((topic, "", 0), record.seq, self._now, payload, None))
+            self._size += len(payload)
         line = line_of(record, self._now)
         if line is not None:
-            self._taken.append((_LINES, record.seq, self._now, line.SerializeToString()))
+            self._taken.append((_LINES, record.seq, self._now, line.SerializeToString(), None))
 
     def _flush(self) -> None:
         """Packs what was taken, and hands it to the operating system: all at once, which is faster than one by one."""
         taken, self._taken = self._taken, []
         self._pending = self._size = 0
-        for key, seq, time_ns, content in taken:
-            if isinstance(content, bytes):
-                self._writer.add_message(self._channel(key), time_ns, seq, content)
-            elif (line := line_of(content, time_ns)) is not None:
-                self._writer.add_message(self._channel(key), time_ns, seq, line.SerializeToString())
+        self._writer.add_messages([*self._messages(taken)])
         self._writer.flush()
+
+    def _messages(self, taken: list[_Taken]) -> Iterator[tuple[int, int, int, bytes]]:
+        """What was taken as the file has it, each line after its task."""
+        lines = self._channels[_LINES]
+        for key, seq, time_ns, payload, task in taken:
+            yield self._channel(key), seq, time_ns, payload
+            if task is not None and (line := line_of(task, time_ns)) is not None:
+                yield lines, seq, time_ns, line.SerializeToString()
 
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)
@@ -260,13 +267,6 @@ class McapSink:
 
 def _told(error: OSError) -> str:
     return error.strerror or str(error)
-
-
-def _is_vital(record: Record) -> bool:
-    """Whether a record must not get lost: a failure, the start of the run, without which no file opens, or its end."""
-    if isinstance(record, Task):
-        return record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
-    return isinstance(record, Run)
 
 
 def _descriptors(message: type[Message]) -> bytes:

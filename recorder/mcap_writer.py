@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of what follows, channel, sequence, log and publish time
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
-_MESSAGE_FIELDS: Final = _MESSAGE.size - 9  # without opcode and length
+_MESSAGE_HEAD: Final = 9  # opcode and length
+_MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
 _INDEX: Final = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC covers it
 
@@ -117,25 +118,23 @@ class McapWriter:
         self._append(_packed(self._channels[-1]))
         return len(self._channels)
 
-    def add_message(self, channel: int, time_ns: int, sequence: int, payload: bytes) -> None:
-        """Adds a message to the chunk.
+    def add_messages(self, messages: Sequence[tuple[int, int, int, bytes]]) -> None:
+        """Adds messages to the chunk.
 
         Args:
-            channel: id of its channel.
-            time_ns: when, in ns since the Unix epoch; not before the message before.
-            sequence: its number; the lowest 32 bits are kept.
-            payload: its bytes.
+            messages: of each the id of its channel; its number, of which the lowest 32 bits are kept; when it was, in
+                ns since the Unix epoch, not before the message before; and its bytes.
         """
-        if not self._entries:
-            self._first_ns = time_ns
-        self._last_ns = time_ns
-        self._entries[channel] += (time_ns, self._chunk_size)
-        length = _MESSAGE_FIELDS + len(payload)
-        self._chunk += (
-            _MESSAGE.pack(_MESSAGE_OPCODE, length, channel, sequence & 0xFFFFFFFF, time_ns, time_ns),
-            payload,
-        )
-        self._chunk_size += _MESSAGE.size + len(payload)
+        pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
+        for channel, sequence, time_ns, payload in messages:
+            if not entries:
+                self._first_ns = time_ns
+            self._last_ns = time_ns
+            entries[channel] += (time_ns, size)
+            length = _MESSAGE_FIELDS + len(payload)
+            chunk += (pack(_MESSAGE_OPCODE, length, channel, sequence & 0xFFFFFFFF, time_ns, time_ns), payload)
+            size += _MESSAGE_HEAD + length
+        self._chunk_size = size
 
     def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Adds a file; it is written at once, behind the chunk.
