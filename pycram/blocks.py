@@ -156,11 +156,14 @@ class Block(OpenBlock):
             self._settle(branch, State.SUCCEEDED, result)
 
     def _settle(self, branch: Branch, state: State, result: Result = None, error: BaseException | None = None) -> None:
-        with self.changed:
-            decides = not self._decided and state in self.rule.decided_by and not self.rule.plain
-            if decides:
-                self._decided = True
-                self.decider = branch
+        decides = False
+        if state in self.rule.decided_by and not self.rule.plain:
+            with self.changed:
+                decides, self._decided = not self._decided, True
+                if decides:
+                    self.decider = branch
+                branch.settle(state, result, error)
+        else:
             branch.settle(state, result, error)
         if decides or (error is not None and not isinstance(error, PlanFailure)):
             self.scope.cancel()

@@ -11,7 +11,6 @@ import sys
 import threading
 from contextlib import suppress
 from enum import Enum, auto
-from functools import lru_cache
 from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
@@ -21,7 +20,6 @@ from recorder.asset import AssetFile
 from recorder.records import SourceLine
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from types import FrameType
 
 Place: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
@@ -30,6 +28,8 @@ Place: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 MOST: Final = 32
 #: Frames of these packages are the machinery; the plan's lines are outside of them.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "contextlib", "threading", "concurrent", "contextvars"})
+#: So many ways are remembered as they were told.
+_KNOWN: Final = 4096
 #: The frames of these can be left in the middle, and come back from elsewhere.
 _LEFT_AND_RESUMED: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 #: Modules that run a plan as a program: who calls them is no part of it.
@@ -102,9 +102,8 @@ def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameT
     lines = around if once else (*around, *innermost)
     if len(lines) > MOST:
         lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
-    _sources.attach(lines)
     stays = frame is not None and not once and not frame.f_code.co_flags & _LEFT_AND_RESUMED
-    return Way(lines, before, thread, _callers(lines), recording), frame if stays else None
+    return Way(lines, before, thread, _told.callers(lines), recording), frame if stays else None
 
 
 def plan_line() -> Place:
@@ -175,28 +174,32 @@ def _kind(file: str, module: str) -> _Kind:
     return kind
 
 
-@lru_cache(maxsize=4096)
-def _callers(lines: tuple[Place, ...]) -> tuple[SourceLine, ...]:
-    """All lines of a way but the innermost, as records tell them."""
-    return tuple([SourceLine(file=file if file != lines[-1][0] else "", line=at) for file, at in lines[:-1]])
-
-
-class _Sources:
-    """Attaches the files that ways lead through to recordings: each once."""
+class _Told:
+    """What recordings are told of ways: the lines, and once each file that they are in."""
 
     def __init__(self) -> None:
+        self._callers: dict[tuple[Place, ...], tuple[SourceLine, ...]] = {}
         self._attached: set[str] = set()
         self._openings = 0
 
-    def attach(self, lines: Iterable[Place]) -> None:
+    def callers(self, lines: tuple[Place, ...]) -> tuple[SourceLine, ...]:
+        """All lines of a way but the innermost; the same again for the same way."""
         if self._openings != journal.openings():  # a new recording has none of them
             self._openings = journal.openings()
             self._attached.clear()
-        for file, _ in lines:
-            if file not in self._attached:
+            self._callers.clear()
+        told = self._callers.get(lines)
+        if told is None:
+            for file in sorted({file for file, _ in lines} - self._attached):
                 self._attached.add(file)
                 with suppress(OSError):  # typed at a prompt, or gone
                     journal.attach([AssetFile(Path(file).name, Path(file).read_bytes(), "text/x-python")])
+            innermost = lines[-1][0] if lines else ""
+            told = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
+            if len(self._callers) >= _KNOWN:
+                self._callers.clear()
+            self._callers[lines] = told
+        return told
 
 
-_sources: Final = _Sources()
+_told: Final = _Told()
