@@ -95,11 +95,14 @@ class Journal:
         with self._lock:
             self._expected.update(worlds)
 
-    def append(self, record: Record) -> None:
+    def append(self, record: Record) -> int:
         """Numbers and keeps a record.
 
         Args:
             record: without seq and wall time.
+
+        Returns:
+            Its size in bytes; 0 if it isn't kept, as it is part of what a world tells later.
 
         Raises:
             RecordingError: a sink can't keep it.
@@ -108,7 +111,7 @@ class Journal:
         with Uninterrupted(), self._lock:
             if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
                 if isinstance(record, Mutation) and not record.HasField("open_world"):
-                    return
+                    return 0
                 self._expected.remove(record.world)
             self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
             record.seq = self._next
@@ -117,6 +120,7 @@ class Journal:
             payload = record.SerializeToString()
             for sink in self._sinks:
                 sink.write(topic, record, payload)
+            return len(payload)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
         """Keeps files, each content once.
@@ -206,17 +210,22 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     tell(record)
 
 
-def tell(record: Record) -> None:
+def tell(record: Record) -> int:
     """Appends a record that has its envelope, but for number and wall time, to every open journal.
 
     Args:
         record: the record.
 
+    Returns:
+        Its size in bytes; 0 if nobody listens.
+
     Raises:
         RecordingError: a sink can't keep it.
     """
+    size = 0
     for journal in _listening():
-        journal.append(record)
+        size = journal.append(record)
+    return size
 
 
 def attach(assets: Iterable[AssetFile]) -> None:

@@ -213,12 +213,13 @@ class Span:
     def _emit(self, record: Task) -> None:
         if not self.parent and record.phase != _FINISHED:
             _plan.begin()
+        size = 0
         try:
-            journal.tell(record)
+            size = journal.tell(record)
         finally:
             if not record.wall_time_ns:  # no journal numbered it
                 record.wall_time_ns = time.time_ns()
-            _plan.tree.apply(record)
+            _plan.tree.apply(record, size)
 
 
 def current() -> Span | None:

@@ -59,17 +59,19 @@ class Tree:
         """The outermost tasks, in the order of their start."""
         return tuple(sorted(self._roots.values(), key=BY_ID))
 
-    def apply(self, record: Task) -> Node:
+    def apply(self, record: Task, size: int = 0) -> Node:
         """Takes what a record tells.
 
         Args:
             record: the next one; kept.
+            size: its bytes, where they are known already.
 
         Returns:
             The task that it is about.
         """
         number, phase = record.task, record.phase
-        size = record.ByteSize() if self._weighs else 0
+        if self._weighs and not size:
+            size = record.ByteSize()
         with self._lock:
             node = self.nodes.get(number)
             if node is None:
