@@ -82,10 +82,17 @@ class Block(OpenBlock):
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
-        errors = [branch.error for branch in list(self.branches)] if not self.rule.plain else []
-        failures = [error for error in errors if isinstance(error, PlanFailure)]
+        return self._failures_among([branch.error for branch in list(self.branches)])
+
+    def _failures_among(self, errors: list[BaseException | None]) -> tuple[PlanFailure, ...]:
+        """The block's failures.
+
+        Args:
+            errors: of its branches.
+        """
+        failures = [one for one in errors if isinstance(one, PlanFailure)] if not self.rule.plain else []
         known = {id(failure) for failure in failures}
-        return (*failures, *(failure for failure in self._body_failures if id(failure) not in known))
+        return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
@@ -239,9 +246,9 @@ class Block(OpenBlock):
                 self._end_readings()
                 self._join()
             raise
-        failures = self.failures
-        wrong = [error, *(branch.error for branch in self.branches)]
-        bugs = [one for one in wrong if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
+        errors = [branch.error for branch in self.branches]
+        failures = self._failures_among(errors)
+        bugs = [one for one in (error, *errors) if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
         if bugs:  # the program is wrong, or the user wants out
             self._state = State.FAILED
             bugs.sort(key=lambda one: isinstance(one, Retry))  # trying again would hide the others
