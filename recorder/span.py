@@ -96,7 +96,7 @@ class Span:
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0
     source: Way | None = None
-    id: int = field(default_factory=lambda: next(_ids))
+    id: int = field(default_factory=_ids.__next__)
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
     error: BaseException | None = None
