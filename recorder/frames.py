@@ -20,7 +20,7 @@ from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
 
     from google.protobuf.message import Message
 
@@ -73,6 +73,22 @@ def _escaped(name: str) -> str:
 def _free(name: str) -> str:
     taken = name == ROOT or name.startswith(_VIEWERS)
     return f"%{ord(name[0]):X}{name[1:]}" if taken else name
+
+
+class Moved(NamedTuple):
+    """What was told of a body at a moment.
+
+    Attributes:
+        step: the simulated step.
+        body: its name.
+        frames: those of its frames that changed.
+        joints: values in rad or m by name, of those that were told.
+    """
+
+    step: int
+    body: str
+    frames: list[Frame]
+    joints: dict[str, float]
 
 
 class _Link(NamedTuple):
@@ -134,18 +150,18 @@ class FrameTree:
         known = self._bodies.get((world, body))
         return known.model if known is not None else None
 
-    def moved(self, record: Record) -> Iterator[tuple[int, BodyState, list[Frame]]]:
-        """The bodies that a record moved, and their frames that changed.
+    def moved(self, record: Record) -> list[Moved]:
+        """The bodies that a record moved, moment by moment, with their frames that changed.
 
         Args:
             record: any.
-
-        Yields:
-            The simulated step, what is told of the body, and its frames; moment by moment.
         """
-        for step, bodies, whole in self._moments(record):
-            for state in bodies:
-                yield step, state, self._frames(record.world, state, whole=whole)
+        world = record.world
+        return [
+            self._moved(world, step, state, whole=whole)
+            for step, bodies, whole in self._moments(record)
+            for state in bodies
+        ]
 
     def transforms(self, record: Record) -> Iterator[tuple[str, FrameTransforms]]:
         """The frames that a record changed, as messages.
@@ -157,24 +173,25 @@ class FrameTree:
             Topic and message, one for each moment in which something moved.
         """
         for step, bodies, whole in self._moments(record):
-            frames = [frame for state in bodies for frame in self._frames(record.world, state, whole=whole)]
+            moved = [self._moved(record.world, step, state, whole=whole) for state in bodies]
+            frames = [frame for one in moved for frame in one.frames]
             if frames:
                 yield "/tf", _message(step, frames)
 
-    def _moments(self, record: Record) -> Iterator[tuple[int, Iterable[BodyState], bool]]:
+    def _moments(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
         """The moments of a record: simulated step, the bodies, and whether they are told whole."""
-        if isinstance(record, Keyframe):
-            for loaded in record.loaded[:]:
-                self._load(record.world, loaded)
-            yield record.sim_step, record.bodies[:], True
-        elif isinstance(record, Mutation):
-            loading = record.WhichOneof("command") == "load_body"
+        if isinstance(record, Mutation):
+            loading = record.HasField("load_body")
             if loading:
                 self._load(record.world, record.load_body)
             effect = record.effect
-            for sample in effect.samples[:]:
-                yield sample.sim_step, sample.bodies[:], False
-            yield record.sim_step, effect.bodies[:], loading
+            last = (record.sim_step, effect.bodies[:], loading)
+            return [*[(sample.sim_step, sample.bodies[:], False) for sample in effect.samples[:]], last]
+        if isinstance(record, Keyframe):
+            for loaded in record.loaded[:]:
+                self._load(record.world, loaded)
+            return [(record.sim_step, record.bodies[:], True)]
+        return []
 
     def _load(self, world: str, loaded: LoadBody) -> None:
         model = self._models.get(loaded.assets[0].sha256) if loaded.assets else None
@@ -182,22 +199,23 @@ class FrameTree:
         if known is None or known.model is not model:
             self._bodies[world, loaded.body] = _Body(world, loaded.body, model)
 
-    def _frames(self, world: str, state: BodyState, *, whole: bool) -> list[Frame]:
+    def _moved(self, world: str, step: int, state: BodyState, *, whole: bool) -> Moved:
         body = state.body
         known = self._bodies.get((world, body))
         if known is None:
             known = self._bodies[world, body] = _Body(world, body, None)
         frames = []
-        if state.position:
-            x, y, z = state.position[:]
+        position, joints = state.position[:], state.joints[:]
+        if position:
+            x, y, z = position
             i, j, k, w = state.orientation[:]
             frames.append(Frame(ROOT, known.frame, ((x, y, z), (i, j, k, w)), body, ""))
+        values = dict(zip(joints, state.joint_positions[:], strict=True)) if joints else {}
         model = known.model
-        if model is not None and (whole or state.joints):
-            values = dict(zip(state.joints[:], state.joint_positions[:], strict=True))
+        if model is not None and (whole or values):
             for joint, parent, frame in known.links(model, model.joints if whole else values):
                 frames.append(Frame(parent, frame, joint.pose(values.get(joint.name, 0.0)), body, joint.child))
-        return frames
+        return Moved(step, body, frames, values)
 
 
 def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:

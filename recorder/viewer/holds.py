@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 HELD: Final = "attachments"
 CAMERA: Final = "camera"
-_MOVES: Final = ("move_body", "move_joints", "simulate")  # load and remove nothing
 _SIGHT: Final = 0.6  # m that a camera's frustum is drawn long
 _LINE: Final = 0.003  # m
 
@@ -41,8 +40,6 @@ class Holds:
 
     def show(self, record: Mutation | Keyframe, now: Moment) -> None:
         """Shows what a record changed."""
-        if not isinstance(record, Keyframe) and _only_moves(record):
-            return  # which is most of what happens
         world = record.world
         there = self._scene.bodies.get(world, {})
         made, ended = _changes(record, [key[1:] for key in self._held if key[0] == world])
@@ -80,11 +77,6 @@ class Holds:
         strips = [[*corners, corners[0]], *([(0.0, 0.0, 0.0), corner] for corner in corners)]
         self._columns.stand(path, frame)
         self._columns.put(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_LINE]))
-
-
-def _only_moves(record: Mutation) -> bool:
-    effect = record.effect
-    return record.WhichOneof("command") in _MOVES and not effect.attached and not effect.detached
 
 
 def _changes(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
+import pyarrow as pa
 import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
@@ -65,4 +66,4 @@ def _texts(rows: Sequence[tuple[Any, ...]]) -> list[rr.ComponentColumn]:
     text, level = zip(*rows, strict=True)
     colors = [_COLORS.get(one, []) for one in level]
     colored = rr.TextLog.columns(color=[*chain.from_iterable(colors)]).partition([*map(len, colors)])
-    return [*rr.TextLog.columns(text=text, level=level), *colored]
+    return [*rr.TextLog.columns(text=pa.array(text), level=pa.array(level)), *colored]

@@ -9,7 +9,7 @@ import rerun as rr
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from recorder.records import BodyState
+    from recorder.frames import Moved
     from recorder.viewer.columns import Columns, Moment, Series
     from recorder.viewer.scene import Body
 
@@ -30,24 +30,22 @@ class Plots:
         self._last: dict[tuple[str, str, str], tuple[Moment, float]] = {}
         self._series: dict[tuple[str, str, str], Series] = {}
 
-    def show(self, world: str, body: Body, state: BodyState, now: Moment) -> None:
+    def show(self, world: str, body: Body, moved: Moved, now: Moment) -> None:
         """Shows what was told of a body.
 
         Args:
             world: name of the world.
             body: the body.
-            state: what was told.
+            moved: what was told.
             now: when.
         """
-        if state.joints:
-            for joint, value in zip(state.joints[:], state.joint_positions[:], strict=True):
-                self._add(world, state.body, joint, value, now)
+        for joint, value in moved.joints.items():
+            self._add((world, moved.body, joint), value, now)
         if not body.loaded.fixed_base:
-            self._add(world, state.body, "", body.pose[0][2], now)
+            self._add((world, moved.body, ""), body.pose[0][2], now)
 
-    def _add(self, world: str, body: str, joint: str, value: float, now: Moment) -> None:
+    def _add(self, key: tuple[str, str, str], value: float, now: Moment) -> None:
         """Adds a value that has changed; what never changes has no curve."""
-        key = (world, body, joint)
         last = self._last.get(key)
         if last is not None and last[1] == value:
             return
@@ -56,6 +54,7 @@ class Plots:
             return
         series = self._series.get(key)
         if series is None:
+            world, body, joint = key
             path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
             self._columns.fix(path, rr.SeriesLines(interpolation_mode=_STEPS))
             series = self._series[key] = self._columns.series(path, _scalars)

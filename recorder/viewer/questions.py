@@ -7,6 +7,7 @@ import zlib
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
 from recorder.log_lines import by_name, values
@@ -65,7 +66,8 @@ def _color(number: int) -> tuple[int, int, int]:
 
 
 def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    return rr.TextDocument.columns(text=[text for (text,) in rows], media_type=["text/markdown"] * len(rows))
+    text = pa.array([text for (text,) in rows])
+    return rr.TextDocument.columns(text=text, media_type=pa.repeat("text/markdown", len(rows)))
 
 
 def _page(record: Query) -> str:

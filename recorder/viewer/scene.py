@@ -9,30 +9,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 
 from recorder import geometry
 from recorder.frames import ROOT, frame_name
 from recorder.records import Keyframe
 from recorder.shapes import read_shapes
-from recorder.viewer.columns import table
 from recorder.viewer.shapes import drawn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from recorder.asset import AssetFile
-    from recorder.frames import Frame, FrameTree
+    from recorder.frames import Frame, FrameTree, Moved
     from recorder.geometry import Pose, Vector
-    from recorder.records import BodyState, LoadBody, Mutation
+    from recorder.records import LoadBody, Mutation
     from recorder.viewer.columns import Columns, Moment, Series
 
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
-_MOVES: Final = ("move_body", "move_joints", "simulate", "attach_body", "detach_body")  # bring and take nothing
 _ROLES: Final = {BODIES: "visual", COLLISION: "collision"}
 _UNSEEN: Final = (0.9, 0.2, 0.9, 0.5)  # of collision shapes
 
@@ -167,36 +167,32 @@ class Scene:
         if there is None:
             there = self.bodies[record.world] = {}
             self._columns.stand(self._columns.path(record.world), self.frame(record.world))
-        command = None if isinstance(record, Keyframe) else record.WhichOneof("command")
-        if command in _MOVES:
-            return  # which is most of what happens
         for name in _gone(record, there):
             self._remove(there.pop(name), now)
         for loaded in _came(record, there):
             there[loaded.body] = self._load(record.world, loaded, now)
         if isinstance(record, Keyframe):
             self.robots[record.world] = record.robot
-        elif command == "set_robot":
+        elif record.HasField("set_robot"):
             self.robots[record.world] = record.set_robot.body
-        elif command == "set_color":
+        elif record.HasField("set_color"):
             self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
 
-    def move(self, world: str, state: BodyState, frames: Iterable[Frame], now: Moment) -> Body | None:
+    def move(self, world: str, moved: Moved, now: Moment) -> Body | None:
         """Shows what was told of a body.
 
         Args:
             world: name of the world.
-            state: what was told.
-            frames: those that changed with it.
+            moved: what was told.
             now: when.
 
         Returns:
             The body; None if it isn't there.
         """
-        body = self.bodies[world].get(state.body)
+        body = self.bodies[world].get(moved.body)
         if body is None:
             return None
-        for frame in frames:
+        for frame in moved.frames:
             link = body.links.get(frame.link)
             if link is None:
                 link = body.links[frame.link] = _Link(self._moves_of(world, frame))
@@ -205,8 +201,8 @@ class Scene:
                 link.moves.add(now, frame.pose)
             if not frame.link:
                 body.pose = frame.pose
-        if state.joints:
-            body.joints.update(zip(state.joints[:], state.joint_positions[:], strict=True))
+        if moved.joints:
+            body.joints.update(moved.joints)
         return body
 
     def _moves_of(self, world: str, frame: Frame) -> Series:
@@ -284,11 +280,12 @@ def _same(body: Body | None, loaded: LoadBody) -> bool:
 
 
 def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    position, orientation = zip(*rows, strict=True)
     count = len(rows)
+    numbers = chain.from_iterable(chain.from_iterable(rows))  # each row is a pose
+    poses = np.fromiter(numbers, np.float32, 7 * count).reshape(-1, 7)
     return rr.Transform3D.columns(
-        translation=table(position, np.float64),
-        quaternion=table(orientation, np.float64),
-        parent_frame=[parent] * count,
-        child_frame=[child] * count,
+        translation=poses[:, :3],
+        quaternion=poses[:, 3:],
+        parent_frame=pa.repeat(parent, count),
+        child_frame=pa.repeat(child, count),
     )

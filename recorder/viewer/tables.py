@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from recorder.viewer.columns import Columns, Moment
 
 RECORDS: Final = "records"
+_MS: Final = 1e6
 
 
 def _failure(record: Task | Query | Run) -> str:
@@ -40,7 +40,8 @@ def _source(record: Task | Mutation) -> str:
 
 
 def _callers(record: Task | Mutation) -> str:
-    return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in record.callers[:]])
+    callers = record.callers[:]
+    return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in callers]) if callers else ""
 
 
 def _line(file: str, line: int) -> str:
@@ -48,51 +49,56 @@ def _line(file: str, line: int) -> str:
     return f"{file.rpartition('/')[2]}:{line}"
 
 
-_TELL: Final[Mapping[type[Record], Mapping[str, Callable[[Any], object]]]] = {
-    Task: {
-        "kind": attrgetter("kind"),
-        "name": attrgetter("name"),
-        "status": _status,
-        "parent": attrgetter("parent"),
-        "parameters": lambda record: values(record.parameters),
-        "failure": _failure,
-        "duration_ms": lambda record: record.duration_ns / 1e6,
-        "callers": _callers,
-    },
-    Mutation: {
-        "command": lambda record: str(record.WhichOneof("command") or "change"),
-        "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
-        "callers": _callers,
-    },
-    Event: {
-        "name": attrgetter("name"),
-        "sender": attrgetter("sender"),
-        "arguments": lambda record: values(record.arguments),
-        "handlers": lambda record: len(record.handlers),
-    },
-    Fluent: {
-        "name": attrgetter("name"),
-        "before": lambda record: by_name(record.before_json),
-        "after": lambda record: by_name(record.after_json),
-    },
-    Query: {
-        "name": attrgetter("name"),
-        "arguments": lambda record: values(record.arguments),
-        "answer": lambda record: by_name(record.answer_json),
-        "evidence": lambda record: values(record.evidence),
-        "failure": _failure,
-        "duration_ms": lambda record: record.duration_ns / 1e6,
-    },
-    Run: {
-        "phase": lambda record: _word(Run.Phase, record.phase),
-        "name": attrgetter("name"),
-        "succeeded": attrgetter("succeeded"),
-        "failure": _failure,
-    },
+_TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[object, ...]]]]] = {
+    Task: (
+        ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
+        lambda record: (
+            record.kind,
+            record.name,
+            _status(record),
+            record.parent,
+            values(record.parameters),
+            _failure(record),
+            record.duration_ns / _MS,
+            _callers(record),
+        ),
+    ),
+    Mutation: (
+        ("command", "bodies", "callers"),
+        lambda record: (
+            record.WhichOneof("command") or "change",
+            ", ".join([state.body for state in record.effect.bodies[:]]),
+            _callers(record),
+        ),
+    ),
+    Event: (
+        ("name", "sender", "arguments", "handlers"),
+        lambda record: (record.name, record.sender, values(record.arguments), len(record.handlers)),
+    ),
+    Fluent: (
+        ("name", "before", "after"),
+        lambda record: (record.name, by_name(record.before_json), by_name(record.after_json)),
+    ),
+    Query: (
+        ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
+        lambda record: (
+            record.name,
+            values(record.arguments),
+            by_name(record.answer_json),
+            values(record.evidence),
+            _failure(record),
+            record.duration_ns / _MS,
+        ),
+    ),
+    Run: (
+        ("phase", "name", "succeeded", "failure"),
+        lambda record: (_word(Run.Phase, record.phase), record.name, record.succeeded, _failure(record)),
+    ),
 }
-"""Names of columns, and what they tell of a record."""
+"""Names of columns, and what they tell of a record; beside those that all have."""
 
-_SOURCED: Final = (Task, Mutation)
+_COMMON: Final = ("world", "task", "thread", "text")
+_SOURCED: Final = (Mutation, Task)
 """Types of records that tell the plan's line which made them: changes only where it isn't their task's."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _TELL)
@@ -107,9 +113,9 @@ class Tables:
     """
 
     def __init__(self, columns: Columns) -> None:
-        self._series = {
-            kind: columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind))
-            for kind in _TELL
+        self._tables = {
+            kind: (columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)), tell)
+            for kind, (_, tell) in _TELL.items()
         }
         self._asked: dict[int, str] = {}  # lines of the plan that asked for the tasks that run
 
@@ -117,18 +123,19 @@ class Tables:
         """Shows a record.
 
         Args:
-            record: the record, which nobody changes any more.
+            record: the record.
             text: what it tells in a line.
             now: when.
         """
-        series = self._series.get(type(record))
-        if series is not None:
-            series.add(now, (record, text, self._source(record)))
+        table = self._tables.get(type(record))
+        if table is None:
+            return
+        series, tell = table
+        row = (record.world, record.task, record.thread, text, *tell(record))
+        series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
-    def _source(self, record: Record) -> str:
+    def _source(self, record: Mutation | Task) -> str:
         """The plan's line that made a record, or asked for the task that did."""
-        if not isinstance(record, _SOURCED):
-            return ""
         source = _source(record) or self._asked.get(record.task, "")
         if isinstance(record, Task):
             if record.phase == Task.FINISHED:
@@ -139,14 +146,6 @@ class Tables:
 
 
 def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    records, texts, sources = zip(*rows, strict=True)
-    told = {
-        "world": [record.world for record in records],
-        "task": [record.task for record in records],
-        "thread": [record.thread for record in records],
-        "text": texts,
-        **{name: [*map(tell, records)] for name, tell in _TELL[kind].items()},
-        **({"source": sources} if kind in _SOURCED else {}),
-    }
-    components = {name: pa.array(column) for name, column in told.items()}
+    names = (*_COMMON, *_TELL[kind][0], *(("source",) if kind in _SOURCED else ()))
+    components = {name: pa.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 
 _STEP_NS: Final = 1_000_000_000 / STEPS_PER_SECOND  # of a simulated step
 _BUILDING: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
+_MOVING: Final = ("move_body", "move_joints", "simulate")
+_CLOSING: Final = "close_world"
+_KEEPING: Final = "keyframe"
+_UNKNOWN: Final = "change"  # of another version
 _BATCH: Final = 10_000  # records
 
 
@@ -56,8 +60,6 @@ class Translator:
         self._answers, self._questions = Answers(self._columns, self._scene), Questions(self._columns)
         self._shows: Mapping[type[Record], Callable[[Any, Moment], None]] = {
             Task: self._show_task,
-            Mutation: self._show_change,
-            Keyframe: self._show_change,
             Query: self._show_query,
             Run: self._show_run,
         }
@@ -84,32 +86,37 @@ class Translator:
         Args:
             record: the next one.
         """
-        if record.world:
+        world, wall = record.world, record.wall_time_ns
+        if world:
             self._sim = round(record.sim_step * _STEP_NS)
-        now = Moment(record.seq, self._sim, record.wall_time_ns)
+        now = Moment(record.seq, self._sim, wall)
         text, level = text_of(record)
         self._lines.show(record, text, level, now)
         self._tables.show(record, text, now)
+        deed = _deed(record)
         show = self._shows.get(type(record))
         if show is not None:
             show(record, now)
-        if record.world:
-            self._note(record)
-        self._before = record.wall_time_ns
+        elif isinstance(record, Mutation):
+            self._show_change(record, now, moves=deed in _MOVING)
+        elif isinstance(record, Keyframe):
+            self._show_change(record, now)
+        if world:
+            self._note(world, deed)
+        self._before = wall
         self._waiting += 1
         if self._waiting >= _BATCH:
             self.flush()
 
-    def _note(self, record: Record) -> None:
+    def _note(self, world: str, deed: str) -> None:
         """Notes when a plan begins to do something in a world, and when that ends."""
-        world = record.world
-        if world not in self.worlds and not _builds(record):
+        if world not in self.worlds and deed not in _BUILDING:
             self.worlds[world] = self._scene.middle(world)
         if world in self._open:
-            if not _closes(record):
+            if deed != _CLOSING:
                 return
             del self._open[world]
-        elif acts(record):
+        elif _acts(deed):
             self._open[world] = None
         self.front = next(iter(self._open), self.front)
 
@@ -119,17 +126,20 @@ class Translator:
         self._targets.show(record, now)
         self._answers.begin(record, now)
 
-    def _show_change(self, record: Mutation | Keyframe, now: Moment) -> None:
-        moved = self._frames.moved(record)
-        if isinstance(record, Keyframe) or _builds(record):
-            moved = iter(list(moved))  # which learns the models of what comes
-        self._scene.begin(record, now)
-        moments = _moments(record, now, self._before)
-        for step, state, frames in moved:
-            moment = moments[step]
-            body = self._scene.move(record.world, state, frames, moment)
+    def _show_change(self, record: Mutation | Keyframe, now: Moment, *, moves: bool = False) -> None:
+        """Shows a change; one that only moves things, which most do, brings and takes nothing."""
+        world = record.world
+        moved = self._frames.moved(record)  # which learns the models of what comes
+        if not moves or world not in self._scene.bodies:
+            self._scene.begin(record, now)
+        between = _between(record, now, self._before)
+        for one in moved:
+            moment = between.get(one.step, now)
+            body = self._scene.move(world, one, moment)
             if body is not None:
-                self._plots.show(record.world, body, state, moment)
+                self._plots.show(world, body, one, moment)
+        if moves and isinstance(record, Mutation) and not record.effect.attached and not record.effect.detached:
+            return
         self._holds.show(record, now)
 
     def _show_query(self, record: Query, now: Moment) -> None:
@@ -158,25 +168,28 @@ def acts(record: Record) -> bool:
     Args:
         record: any.
     """
-    return bool(record.world) and not (isinstance(record, Keyframe) or _builds(record) or _closes(record))
+    return bool(record.world) and _acts(_deed(record))
 
 
-def _builds(record: Record) -> bool:
-    """Whether it belongs to the making of a world, before a plan does something in it."""
-    return isinstance(record, Mutation) and record.WhichOneof("command") in _BUILDING
+def _acts(deed: str) -> bool:
+    return deed not in (*_BUILDING, _CLOSING, _KEEPING)
 
 
-def _closes(record: Record) -> bool:
-    return isinstance(record, Mutation) and record.HasField("close_world")
+def _deed(record: Record) -> str:
+    """What a record does to a world: a mutation's command; "" if it does nothing."""
+    if isinstance(record, Mutation):
+        return record.WhichOneof("command") or _UNKNOWN
+    return _KEEPING if isinstance(record, Keyframe) else ""
 
 
-def _moments(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
+def _between(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
     """The moments of the simulated steps within a record: by the clock between the record before and this one."""
-    moments = {record.sim_step: now}
-    if isinstance(record, Mutation) and record.effect.samples:
-        begin = record.sim_step - max(record.simulate.steps, 1)
-        for sample in record.effect.samples:
-            share = min(max((sample.sim_step - begin) / (record.sim_step - begin), 0.0), 1.0)
+    moments: dict[int, Moment] = {}
+    if isinstance(record, Mutation):
+        end = record.sim_step
+        for sample in record.effect.samples[:]:
+            begin = end - max(record.simulate.steps, 1)
+            share = min(max((sample.sim_step - begin) / (end - begin), 0.0), 1.0)
             wall = before + round((now.wall - before) * share)
             moments.setdefault(sample.sim_step, Moment(now.step, round(sample.sim_step * _STEP_NS), wall))
     return moments
