@@ -26,7 +26,8 @@ from recorder.errors import RecordingError
 from recorder.records import Keyframe, Mutation
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
-from recorder.viewer.translator import Translator, acts
+from recorder.viewer.stage import acts
+from recorder.viewer.translator import Translator
 from recorder.viewer.windows import open_window, stream_to_viewer
 from replay.errors import Damaged, ReplayError
 

@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 import numpy as np
 import rerun as rr
 
+from recorder.records import STEPS_PER_SECOND
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     Maker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
+_STEP_NS: Final = 1_000_000_000 / STEPS_PER_SECOND  # of a simulated step
 _STEP: Final = "step"
 _SIM: Final = "sim"
 _WALL: Final = "wall"
@@ -34,6 +37,15 @@ class Moment(NamedTuple):
     step: int
     sim: int
     wall: int
+
+
+def simulated(step: int) -> int:
+    """Simulated time in ns.
+
+    Args:
+        step: a record's ``sim_step``.
+    """
+    return round(step * _STEP_NS)
 
 
 class Series:

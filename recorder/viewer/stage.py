@@ -1,0 +1,147 @@
+"""What is seen of a recording: the scene with its marks, the curves, and which world is in front."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from recorder.frames import FrameTree
+from recorder.records import Keyframe, Mutation, Query, Task
+from recorder.viewer.answers import Answers
+from recorder.viewer.columns import Moment, simulated
+from recorder.viewer.holds import Holds
+from recorder.viewer.plots import Plots
+from recorder.viewer.scene import Scene
+from recorder.viewer.targets import Targets
+
+if TYPE_CHECKING:
+    from recorder.asset import AssetFile
+    from recorder.geometry import Vector
+    from recorder.records import Record
+    from recorder.viewer.columns import Columns
+
+_BUILDING: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
+_MOVING: Final = ("move_body", "move_joints", "simulate")
+_CLOSING: Final = "close_world"
+_KEEPING: Final = "keyframe"
+_UNKNOWN: Final = "change"  # of another version
+
+
+class Stage:
+    """All that is seen.
+
+    Args:
+        columns: where it goes.
+        prefix: before the names of all frames.
+
+    Attributes:
+        worlds: middles of the worlds that plans did something in, when they began to.
+        front: the one where a plan goes on: of those that are still open the first; "" before there is one.
+    """
+
+    def __init__(self, columns: Columns, prefix: str = "") -> None:
+        self._frames = FrameTree()
+        self._scene = Scene(columns, self._frames, prefix)
+        self._plots = Plots(columns)
+        self._holds, self._targets = Holds(columns, self._scene), Targets(columns, self._scene)
+        self._answers = Answers(columns, self._scene)
+        self.worlds: dict[str, Vector] = {}
+        self.front = ""
+        self._open: dict[str, None] = {}  # worlds that a plan did something in
+        self._before = 0  # the clock at the record before
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file.
+
+        Args:
+            asset: a model or mesh, before the records that use it, or anything else.
+        """
+        if asset.name.endswith(".urdf"):
+            self._frames.learn(asset.sha256, asset.content)
+        self._scene.attach(asset)
+
+    def show(self, record: Record, now: Moment) -> None:
+        """Shows a record.
+
+        Args:
+            record: the next one.
+            now: when.
+        """
+        deed = _deed(record)
+        if isinstance(record, Mutation):
+            self._change(record, now, moves=deed in _MOVING)
+        elif type(record) is Query:
+            self._answers.show(record, now)
+        elif type(record) is Task:
+            self._targets.show(record, now)
+            self._answers.begin(record, now)
+        elif type(record) is Keyframe:
+            self._change(record, now)
+        if record.world:
+            self._note(record.world, deed)
+        self._before = now.wall
+
+    def finish(self) -> None:
+        """Ends: names worlds too that nothing was done in."""
+        for world in self._scene.bodies:
+            self.worlds.setdefault(world, self._scene.middle(world))
+
+    def _change(self, record: Mutation | Keyframe, now: Moment, *, moves: bool = False) -> None:
+        """Shows a change; one that only moves things, which most do, brings and takes nothing."""
+        world = record.world
+        moved = self._frames.moved(record)  # which learns the models of what comes
+        if not moves or world not in self._scene.bodies:
+            self._scene.begin(record, now)
+        between = _between(record, now, self._before)
+        for one in moved:
+            moment = between.get(one.step, now)
+            body = self._scene.move(world, one, moment)
+            if body is not None:
+                self._plots.show(world, body, one, moment)
+        if moves and isinstance(record, Mutation) and not record.effect.attached and not record.effect.detached:
+            return
+        self._holds.show(record, now)
+
+    def _note(self, world: str, deed: str) -> None:
+        """Notes when a plan begins to do something in a world, and when that ends."""
+        if world not in self.worlds and deed not in _BUILDING:
+            self.worlds[world] = self._scene.middle(world)
+        if world in self._open:
+            if deed != _CLOSING:
+                return
+            del self._open[world]
+        elif _acts(deed):
+            self._open[world] = None
+        self.front = next(iter(self._open), self.front)
+
+
+def acts(record: Record) -> bool:
+    """Whether a plan does something in a record's world, beyond making and closing it.
+
+    Args:
+        record: any.
+    """
+    return bool(record.world) and _acts(_deed(record))
+
+
+def _acts(deed: str) -> bool:
+    return deed not in (*_BUILDING, _CLOSING, _KEEPING)
+
+
+def _deed(record: Record) -> str:
+    """What a record does to a world: a mutation's command; "" if it does nothing."""
+    if isinstance(record, Mutation):
+        return record.WhichOneof("command") or _UNKNOWN
+    return _KEEPING if type(record) is Keyframe else ""
+
+
+def _between(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
+    """The moments of the simulated steps within a record: by the clock between the record before and this one."""
+    moments: dict[int, Moment] = {}
+    if isinstance(record, Mutation):
+        end = record.sim_step
+        for sample in record.effect.samples[:]:
+            begin = end - max(record.simulate.steps, 1)
+            share = min(max((sample.sim_step - begin) / (end - begin), 0.0), 1.0)
+            wall = before + round((now.wall - before) * share)
+            moments.setdefault(sample.sim_step, Moment(now.step, simulated(sample.sim_step), wall))
+    return moments
