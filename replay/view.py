@@ -13,7 +13,6 @@ import re
 import tempfile
 import threading
 import time
-import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -21,21 +20,18 @@ import rerun as rr
 from rerun.experimental import ViewerClient
 
 import recorder.viewer
-from recorder.asset import AssetFile
 from recorder.errors import RecordingError
-from recorder.records import Keyframe, Mutation
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
 from recorder.viewer.stage import acts
-from recorder.viewer.translator import Translator
 from recorder.viewer.windows import open_window, stream_to_viewer
-from replay.errors import Damaged, ReplayError
+from replay.errors import ReplayError
+from replay.translation import translated
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from recorder.geometry import Vector
-    from recorder.records import Record
     from replay.log import Log
 
 _ALONE: Final = ""  # root of what isn't shown beside others
@@ -44,17 +40,6 @@ _LOOK_AGAIN: Final = 0.1  # s
 _MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that wrote it
 _HEADER: Final = 7
 _PATIENCE: Final = 60.0  # s for the last rows to be written
-_NONSENSE: Final = (
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    ArithmeticError,
-    AttributeError,
-    SyntaxError,
-    zlib.error,
-)
-"""What records raise that nobody could have written; models that are no XML are syntax errors."""
 
 
 def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
@@ -78,7 +63,7 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
         with stream_to_viewer() as stream:
             stream.save(name)
             with _without_collecting():
-                translate(logs, stream, at)
+                translate(logs, stream, at, path.parent)
             try:
                 stream.flush(timeout_sec=_PATIENCE)
             except RuntimeError as error:  # the library has one type for all, and has said why
@@ -104,25 +89,27 @@ def _without_collecting() -> Iterator[None]:
             gc.enable()
 
 
-def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
+def translate(
+    logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None, folder: Path | None = None
+) -> None:
     """Sends recordings to where the viewer gets its data from.
 
     Args:
         logs: one recording, or several that are shown side by side.
         stream: where they go.
         at: the step that is looked at first; by default the beginning.
+        folder: where there is room for half of it; by default that for temporary files.
 
     Raises:
         Damaged: a record makes no sense.
+        OSError: there is no room.
     """
     stream.send_recording_name(_title(logs))
     roots = _roots(logs)
     fronts = {root: _front(log, at) for root, log in zip(roots, logs, strict=True)}
     _lay_out(stream, {root: {front: ORIGIN} if front else {} for root, front in fronts.items()}, fronts)
-    translators = {root: Translator(stream, root) for root in roots}
-    for log, translator in zip(logs, translators.values(), strict=True):
-        _translate(log, translator)
-    _lay_out(stream, {root: translator.worlds for root, translator in translators.items()}, fronts)
+    worlds = {root: translated(log, stream, root, folder).worlds for root, log in zip(roots, logs, strict=True)}
+    _lay_out(stream, worlds, fronts)
 
 
 def _lay_out(
@@ -149,40 +136,6 @@ def _title(logs: Sequence[Log]) -> str:
     if len(logs) == 1:
         return logs[0].metadata.get("plan", logs[0].path.name)
     return " and ".join(log.path.name for log in logs)
-
-
-def _translate(log: Log, translator: Translator) -> None:
-    for name in log.assets:
-        try:
-            with contextlib.suppress(Damaged):  # which the recording remembers; what needs it isn't shown
-                translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
-        except _NONSENSE as error:
-            raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
-    there = {name.partition("/")[0] for name in log.assets}
-    for record in log:
-        for name in _absent(record, there):  # filters of other tools leave attachments out
-            log.assets.hurt[name] = "it isn't there"
-        try:
-            translator.show(record)
-        except _NONSENSE as error:
-            raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
-    translator.finish()
-
-
-def _absent(record: Record, there: Container[str]) -> list[str]:
-    """Files that a record's bodies are made of and the recording doesn't have; the first of each body.
-
-    Args:
-        record: any.
-        there: sums of the files that it has.
-    """
-    bodies = record.loaded[:] if isinstance(record, Keyframe) else []
-    if isinstance(record, Mutation) and record.HasField("load_body"):
-        bodies = [record.load_body]
-    if not bodies:
-        return []
-    absent = [[asset for asset in body.assets[:] if asset.sha256 not in there] for body in bodies]
-    return [f"{lacks[0].sha256}/{Path(lacks[0].path).name}" for lacks in absent if lacks]
 
 
 def _roots(logs: Sequence[Log]) -> list[str]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -75,6 +76,7 @@ class Scene:
     Attributes:
         bodies: by world, then name.
         robots: names of those that plans control, by world.
+        absent: files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body.
     """
 
     def __init__(self, columns: Columns, frames: FrameTree, prefix: str = "") -> None:
@@ -86,6 +88,7 @@ class Scene:
         self._begin: Moment | None = None
         self.bodies: dict[str, dict[str, Body]] = {}
         self.robots: dict[str, str] = {}
+        self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a model or mesh."""
@@ -222,6 +225,10 @@ class Scene:
             x, y, z = loaded.position
             i, j, k, w = loaded.orientation or geometry.IDENTITY[1]
             body.pose = ((x, y, z), (i, j, k, w))
+        for asset in loaded.assets:
+            if asset.sha256 not in self._files:
+                self.absent[f"{asset.sha256}/{PurePath(asset.path).name}"] = None
+                break
         self._draw(world, body, tuple(loaded.color), now)
         return body
 

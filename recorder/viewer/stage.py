@@ -14,6 +14,8 @@ from recorder.viewer.scene import Scene
 from recorder.viewer.targets import Targets
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from recorder.asset import AssetFile
     from recorder.geometry import Vector
     from recorder.records import Record
@@ -48,6 +50,11 @@ class Stage:
         self.front = ""
         self._open: dict[str, None] = {}  # worlds that a plan did something in
         self._before = 0  # the clock at the record before
+
+    @property
+    def absent(self) -> Iterable[str]:
+        """Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body."""
+        return self._scene.absent
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file.

@@ -10,7 +10,7 @@ from recorder.viewer.report import Report
 from recorder.viewer.stage import Stage
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     import rerun as rr
 
@@ -54,6 +54,11 @@ class Translator:
     def front(self) -> str:
         """The world where a plan goes on: of those that are still open the first; "" before there is one."""
         return self._stage.front
+
+    @property
+    def absent(self) -> Iterable[str]:
+        """Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body."""
+        return self._stage.absent
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file.

@@ -27,11 +27,15 @@ _SWITCH: Final = "RERUN"  # the variable that silences programs which log to vie
 
 
 @contextlib.contextmanager
-def stream_to_viewer() -> Iterator[rr.RecordingStream]:
-    """What rows are sent by; also where the environment has viewers switched off, as this one was asked for."""
+def stream_to_viewer(*, part: bool = False) -> Iterator[rr.RecordingStream]:
+    """What rows are sent by; also where the environment has viewers switched off, as this one was asked for.
+
+    Args:
+        part: whether it says nothing of itself, as of a part of what goes another way.
+    """
     switched = os.environ.pop(_SWITCH, None)
     try:
-        yield rr.RecordingStream(APPLICATION)
+        yield rr.RecordingStream(APPLICATION, send_properties=not part)
     finally:
         if switched is not None:
             os.environ[_SWITCH] = switched

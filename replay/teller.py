@@ -1,0 +1,148 @@
+"""The process that translates what is told of a long recording, while this one translates what is seen of it.
+
+It writes a file of its own, of which the rows go, as they are, to where the others went. It ends with the block that it
+was started for, however that ends, and with its process if that is killed; its file goes with it.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from replay.errors import Damaged, ReplayError
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    import rerun as rr
+    from typing_extensions import Self
+
+    from replay.log import Log
+
+_ROOT: Final = str(Path(__file__).parent.parent)
+_CODE: Final = """
+import sys
+sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the folder that one works in could hold anything
+from replay.teller import main
+main(*sys.argv[1:])
+"""
+_PATIENCE: Final = 60.0  # s for the last rows to be written
+
+
+class Teller:
+    """The process; to be used in a ``with``.
+
+    Args:
+        log: the recording, as far as it is known to go.
+        root: the entity that all others are below; "" for none.
+        folder: where its file is; by default that for temporary files.
+
+    Raises:
+        OSError: there can't be such a file, or such a process.
+    """
+
+    def __init__(self, log: Log, root: str, folder: Path | None) -> None:
+        self._log = log
+        self._folder = tempfile.TemporaryDirectory(prefix=".told.", dir=folder, ignore_cleanup_errors=True)
+        self._file = Path(self._folder.name) / "told.rrd"
+        told = [str(log.path.absolute()), str(len(log)), root, str(self._file.absolute())]
+        try:
+            self._process = subprocess.Popen(  # noqa: S603  our own code
+                [sys.executable, "-c", _CODE, _ROOT, *told], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+            )
+        except BaseException:
+            self._folder.cleanup()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._folder, self._process:  # waits for it, and closes the pipes
+            self._process.kill()
+
+    def hand_over(self, stream: rr.RecordingStream) -> None:
+        """Waits for what it has translated, and sends it.
+
+        Args:
+            stream: where it goes.
+
+        Raises:
+            Damaged: a record makes no sense.
+            ReplayError: the recording can't be read any more, or the process was ended.
+            OSError: its file can't be written.
+        """
+        from rerun.chunk import RrdReader  # noqa: PLC0415
+
+        said = self._process.stdout.read() if self._process.stdout is not None else b""
+        if self._process.wait():
+            raise self._failure(said)
+        stream.send_chunks(RrdReader(self._file).stream())
+
+    def _failure(self, said: bytes) -> Exception:
+        """What has ended the process."""
+        try:
+            kind, *told = json.loads(said)
+        except ValueError:
+            code = self._process.returncode
+            return ReplayError(f"{self._log.path}: the process that translates half of it was ended (status {code})")
+        if kind == Damaged.__name__:
+            return Damaged(self._log.path, *told)
+        return ReplayError(*told) if kind == ReplayError.__name__ else OSError(*told)
+
+
+def main(path: str, stop: str, root: str, file: str) -> None:
+    """Translates what is told of a recording; what goes wrong is said as JSON.
+
+    Args:
+        path: the recording.
+        stop: the step before which to end.
+        root: the entity that all others are below; "" for none.
+        file: where it goes.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for this one
+    threading.Thread(target=_end_with_parent, args=[Path(file).parent], name="parent", daemon=True).start()
+    gc.disable()  # rows live until they are sent, and it would walk over them in vain
+    try:
+        _tell(path, int(stop), root, file)
+    except Damaged as error:
+        told = [Damaged.__name__, error.where, error.cause]
+    except ReplayError as error:
+        told = [ReplayError.__name__, str(error)]
+    except (OSError, RuntimeError) as error:  # the latter is the viewer's library's type for all
+        told = [OSError.__name__, str(error)]
+    else:
+        return
+    print(json.dumps(told), flush=True)
+    sys.exit(1)
+
+
+def _end_with_parent(folder: Path) -> None:
+    """Ends when the other process does, however that ends: this pipe closes with it."""
+    os.read(sys.stdin.fileno(), 1)
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+def _tell(path: str, stop: int, root: str, file: str) -> None:
+    from recorder.viewer.translator import Half, Translator  # noqa: PLC0415  the one that waits has them already
+    from recorder.viewer.windows import stream_to_viewer  # noqa: PLC0415
+    from replay.log import open_log  # noqa: PLC0415
+    from replay.translation import show  # noqa: PLC0415
+
+    with open_log(path) as log, stream_to_viewer(part=True) as stream:
+        stream.save(file)
+        show(log, Translator(stream, root, Half.TOLD), stop)
+        stream.flush(timeout_sec=_PATIENCE)
+        stream.disconnect()
