@@ -10,7 +10,6 @@ import gc
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -57,7 +56,10 @@ class Teller:
         told = [str(log.path.absolute()), str(len(log)), root, str(self._file.absolute())]
         try:
             self._process = subprocess.Popen(  # noqa: S603  our own code
-                [sys.executable, "-c", _CODE, _ROOT, *told], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+                [sys.executable, "-c", _CODE, _ROOT, *told],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                start_new_session=True,  # Ctrl-C is for this one
             )
         except BaseException:
             self._folder.cleanup()
@@ -81,14 +83,17 @@ class Teller:
         Raises:
             Damaged: a record makes no sense.
             ReplayError: the recording can't be read any more, or the process was ended.
-            OSError: its file can't be written.
+            OSError: its file can't be written, or read again.
         """
         from rerun.chunk import RrdReader  # noqa: PLC0415
 
         said = self._process.stdout.read() if self._process.stdout is not None else b""
         if self._process.wait():
             raise self._failure(said)
-        stream.send_chunks(RrdReader(self._file).stream())
+        try:
+            stream.send_chunks(RrdReader(self._file).stream())
+        except RuntimeError as error:  # the library's type for all that can be
+            raise OSError(str(error)) from error
 
     def _failure(self, said: bytes) -> Exception:
         """What has ended the process."""
@@ -111,7 +116,6 @@ def main(path: str, stop: str, root: str, file: str) -> None:
         root: the entity that all others are below; "" for none.
         file: where it goes.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for this one
     threading.Thread(target=_end_with_parent, args=[Path(file).parent], name="parent", daemon=True).start()
     gc.disable()  # rows live until they are sent, and it would walk over them in vain
     try:

@@ -33,7 +33,7 @@ class Shown:
 
     def __init__(self, file: Path) -> None:
         found: dict[str, list[tuple[bytes, tuple[int, ...], dict[str, Any]]]] = defaultdict(list)
-        self.fixed: dict[str, dict[str, Any]] = defaultdict(dict)
+        fixed: list[tuple[bytes, str, dict[str, Any]]] = []
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RerunWarning)
             chunks = [chunk for chunk in RrdReader(file).stream() if not chunk.entity_path.startswith(_BLUEPRINT)]
@@ -46,13 +46,17 @@ class Shown:
             for row in range(chunk.num_rows):
                 values = {name: column[row] for name, column in columns.items() if column[row] is not None}
                 if chunk.is_static:
-                    self.fixed[chunk.entity_path] |= values
+                    fixed.append((ids[row], chunk.entity_path, values))
                 else:
                     found[chunk.entity_path].append((ids[row], tuple(line[row] for line in times), values))
         self.rows = {
             entity: [(moment, values) for _, moment, values in sorted(rows, key=lambda row: row[0])]
             for entity, rows in found.items()
         }
+
+        self.fixed: dict[str, dict[str, Any]] = defaultdict(dict)
+        for _, entity, values in sorted(fixed, key=lambda row: row[0]):
+            self.fixed[entity] |= values
 
     def counts(self) -> Counter[tuple[str, str]]:
         """How many values each component of each entity has at its moments."""
