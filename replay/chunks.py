@@ -137,6 +137,21 @@ class Chunks:
             if record is not None and (world is None or record.world == world):
                 yield record
 
+    def whole(self, number: int) -> list[Record]:
+        """All records of a chunk, at once: for going through a recording, which doesn't come back to it.
+
+        Args:
+            number: of the chunk.
+        """
+        entries, kinds = self._load(number), self._kinds
+        try:
+            return [
+                kinds[channel].FromString(payload)
+                for channel, payload in zip(entries.channels, entries.payloads, strict=True)
+            ]
+        except DecodeError:
+            return list(self.records(number))
+
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
         """The mutations and keyframes of a chunk, with the worlds that their channels are for.
 

@@ -94,18 +94,22 @@ class Stage:
 
     def _change(self, record: Mutation | Keyframe, now: Moment, *, moves: bool = False) -> None:
         """Shows a change; one that only moves things, which most do, brings and takes nothing."""
-        world = record.world
+        world, end = record.world, record.sim_step
         moved = self._frames.moved(record)  # which learns the models of what comes
         if not moves or world not in self._scene.bodies:
             self._scene.begin(record, now)
-        between = _between(record, now, self._before)
+        step, moment = end, now
         for one in moved:
-            moment = between.get(one.step, now)
+            if one.step != step:
+                step = one.step
+                moment = now if step == end else _within(record, step, now, self._before)
             body = self._scene.move(world, one, moment)
             if body is not None:
                 self._plots.show(world, body, one, moment)
-        if moves and isinstance(record, Mutation) and not record.effect.attached and not record.effect.detached:
-            return
+        if moves and isinstance(record, Mutation):
+            effect = record.effect
+            if not effect.attached and not effect.detached:
+                return
         self._holds.show(record, now)
 
     def _note(self, world: str, deed: str) -> None:
@@ -141,14 +145,8 @@ def _deed(record: Record) -> str:
     return _KEEPING if type(record) is Keyframe else ""
 
 
-def _between(record: Mutation | Keyframe, now: Moment, before: int) -> dict[int, Moment]:
-    """The moments of the simulated steps within a record: by the clock between the record before and this one."""
-    moments: dict[int, Moment] = {}
-    if isinstance(record, Mutation):
-        end = record.sim_step
-        for sample in record.effect.samples[:]:
-            begin = end - max(record.simulate.steps, 1)
-            share = min(max((sample.sim_step - begin) / (end - begin), 0.0), 1.0)
-            wall = before + round((now.wall - before) * share)
-            moments.setdefault(sample.sim_step, Moment(now.step, simulated(sample.sim_step), wall))
-    return moments
+def _within(record: Mutation | Keyframe, step: int, now: Moment, before: int) -> Moment:
+    """The moment of a simulated step within a record: by the clock between the record before and this one."""
+    steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
+    share = min(max((step - record.sim_step + steps) / steps, 0.0), 1.0)
+    return Moment(now.step, simulated(step), before + round((now.wall - before) * share))

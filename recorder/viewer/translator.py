@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.records import Record
 
-_BATCH: Final = 10_000  # records
+_BATCH: Final = 30_000  # records
 
 
 class Half(Flag):
