@@ -35,19 +35,17 @@ _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
-    """Where a body or link is.
+    """The frame of a body or link.
 
     Attributes:
-        parent: name of the frame that it is told in.
+        parent: name of the frame that its pose is told in.
         child: its own name.
-        pose: in that frame.
         body: the body.
         link: its link; "" for the base.
     """
 
     parent: str
     child: str
-    pose: Pose
     body: str
     link: str
 
@@ -81,22 +79,21 @@ class Moved(NamedTuple):
     Attributes:
         step: the simulated step.
         body: its name.
-        frames: those of its frames that changed.
+        frames: those of its frames that changed, with their poses.
         joints: values in rad or m by name, of those that were told.
     """
 
     step: int
     body: str
-    frames: list[Frame]
+    frames: list[tuple[Frame, Pose]]
     joints: dict[str, float]
 
 
 class _Link(NamedTuple):
-    """A link with its frame's name, and that of its joint's parent."""
+    """A link's joint, and its frame."""
 
     joint: Joint
-    parent: str
-    frame: str
+    frame: Frame
 
 
 class _Body:
@@ -104,7 +101,7 @@ class _Body:
 
     def __init__(self, world: str, name: str, model: Urdf | None) -> None:
         self.model = model
-        self.frame = frame_name(world, name)
+        self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
         self._links: dict[str, _Link] = {}  # by joint; as far as they were asked for
 
@@ -114,8 +111,9 @@ class _Body:
             link = self._links.get(name)
             if link is None:
                 joint = model.joint(name)
-                parent = self.frame if joint.parent == model.root else frame_name(*self._names, joint.parent)
-                link = self._links[name] = _Link(joint, parent, frame_name(*self._names, joint.child))
+                parent = self.frame.child if joint.parent == model.root else frame_name(*self._names, joint.parent)
+                frame = Frame(parent, frame_name(*self._names, joint.child), self.frame.body, joint.child)
+                link = self._links[name] = _Link(joint, frame)
             yield link
 
 
@@ -209,22 +207,22 @@ class FrameTree:
         if position:
             x, y, z = position
             i, j, k, w = state.orientation[:]
-            frames.append(Frame(ROOT, known.frame, ((x, y, z), (i, j, k, w)), body, ""))
+            frames.append((known.frame, ((x, y, z), (i, j, k, w))))
         values = dict(zip(joints, state.joint_positions[:], strict=True)) if joints else {}
         model = known.model
         if model is not None and (whole or values):
-            for joint, parent, frame in known.links(model, model.joints if whole else values):
-                frames.append(Frame(parent, frame, joint.pose(values.get(joint.name, 0.0)), body, joint.child))
+            for joint, frame in known.links(model, model.joints if whole else values):
+                frames.append((frame, joint.pose(values.get(joint.name, 0.0))))
         return Moved(step, body, frames, values)
 
 
-def _message(step: int, frames: Iterable[Frame]) -> FrameTransforms:
+def _message(step: int, frames: Iterable[tuple[Frame, Pose]]) -> FrameTransforms:
     message = FrameTransforms()
     seconds, steps = divmod(step, STEPS_PER_SECOND)
     nanos = steps * _NS // STEPS_PER_SECOND
-    for told in frames:
+    for told, pose in frames:
         frame = message.transforms.add(parent_frame_id=told.parent, child_frame_id=told.child)
         frame.timestamp.seconds, frame.timestamp.nanos = seconds, nanos
         at, turn = frame.translation, frame.rotation
-        (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w) = told.pose
+        (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w) = pose
     return message

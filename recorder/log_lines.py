@@ -106,7 +106,8 @@ def mutation_text(record: Mutation) -> str:
 
 
 def _numbers(values: Sequence[float]) -> str:
-    return _THREE % (*values[:],) if len(values) == 3 else f"[{', '.join([f'{value:.3f}' for value in values])}]"
+    told = (*values[:],)
+    return _THREE % told if len(told) == 3 else f"[{', '.join([f'{value:.3f}' for value in told])}]"
 
 
 def _joints(command: MoveJoints) -> str:

@@ -54,6 +54,8 @@ class Answers:
         if not record.world:
             return
         values, found = values_of(record.arguments), values_of(record.evidence)
+        if not values and not found:
+            return  # nothing that has a place
         good = not found["obstacles"] if "obstacles" in found else record.answer_json not in _NO
         for name, shape in self._shapes(record, values, found, GREEN if good else RED):
             self._marks.put(record.world, (ANSWERS, record.name, name), now, shape)

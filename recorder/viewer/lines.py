@@ -47,7 +47,7 @@ class Lines:
             now: when.
         """
         kind = type(record)
-        if kind is Keyframe or (isinstance(record, Task) and record.phase == Task.ASKED):
+        if kind is Keyframe or (type(record) is Task and record.phase == Task.ASKED):
             return
         self._lines[kind].add(now, (numbered(text, now), _LEVELS[level]))
 

@@ -80,7 +80,7 @@ def _page(record: Query) -> str:
         "",
         "| evidence | |",
         "|---|---|",
-        *(f"| {_cell(one.name)} | {_cell(by_name(one.json))} |" for one in record.evidence[:]),
+        *[f"| {_cell(one.name)} | {_cell(by_name(one.json))} |" for one in record.evidence[:]],
     ]
     return "\n".join(lines)
 

@@ -195,20 +195,21 @@ class Scene:
         body = self.bodies[world].get(moved.body)
         if body is None:
             return None
-        for frame in moved.frames:
-            link = body.links.get(frame.link)
+        for frame, pose in moved.frames:
+            name = frame.link
+            link = body.links.get(name)
             if link is None:
-                link = body.links[frame.link] = _Link(self._moves_of(world, frame))
-            if link.pose != frame.pose:
-                link.pose = frame.pose
-                link.moves.add(now, frame.pose)
-            if not frame.link:
-                body.pose = frame.pose
+                link = body.links[name] = _Link(self._moves_of(world, frame, pose))
+            if link.pose != pose:
+                link.pose = pose
+                link.moves.add(now, pose)
+            if not name:
+                body.pose = pose
         if moved.joints:
             body.joints.update(moved.joints)
         return body
 
-    def _moves_of(self, world: str, frame: Frame) -> Series:
+    def _moves_of(self, world: str, frame: Frame, pose: Pose) -> Series:
         """Where a frame's poses are gathered; the first one holds from the beginning on."""
         moves = self._moves.get((world, frame.child))
         if moves is None:
@@ -216,7 +217,7 @@ class Scene:
             maker = partial(_transforms, self._prefix + frame.parent, self._prefix + frame.child)
             moves = self._moves[world, frame.child] = self._columns.series(path, maker)
             if self._begin is not None:
-                moves.add(self._begin, frame.pose)
+                moves.add(self._begin, pose)
         return moves
 
     def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:

@@ -137,7 +137,7 @@ class Tables:
     def _source(self, record: Mutation | Task) -> str:
         """The plan's line that made a record, or asked for the task that did."""
         source = _source(record) or self._asked.get(record.task, "")
-        if isinstance(record, Task):
+        if type(record) is Task:
             if record.phase == Task.FINISHED:
                 self._asked.pop(record.task, None)
             else:

@@ -53,7 +53,7 @@ def test_usual_names_stand_as_they_are(parts: tuple[str, ...], name: str) -> Non
 
 
 def told(tree: FrameTree, record: Mutation) -> dict[str, Frame]:
-    return {frame.child: frame for moved in tree.moved(record) for frame in moved.frames}
+    return {frame.child: frame for moved in tree.moved(record) for frame, _ in moved.frames}
 
 
 @pytest.fixture
