@@ -34,7 +34,8 @@ sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the folder that one wor
 from replay.teller import main
 main(*sys.argv[1:])
 """
-_PATIENCE: Final = 60.0  # s for the last rows to be written
+_PATIENCE: Final = 60.0  # s for rows to be written
+_ON_THE_WAY: Final = 50  # chunks of rows that memory holds at once
 
 
 class Teller:
@@ -91,7 +92,10 @@ class Teller:
         if self._process.wait():
             raise self._failure(said)
         try:
-            stream.send_chunks(RrdReader(self._file).stream())
+            for number, chunk in enumerate(RrdReader(self._file).stream(), 1):
+                stream.send_chunks(chunk)
+                if number % _ON_THE_WAY == 0:
+                    stream.flush(timeout_sec=_PATIENCE)
         except RuntimeError as error:  # the library's type for all that can be
             raise OSError(str(error)) from error
 

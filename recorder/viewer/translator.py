@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.records import Record
 
-_BATCH: Final = 30_000  # records
+_BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more room
 
 
 class Half(Flag):
