@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from recorder.records import Record
+    from tests.viewer.conftest import Headless
 
 REPO = Path(__file__).parent.parent.parent
 GOLDEN = REPO / "tests" / "replay" / "golden" / "0.1.0.mcap"
@@ -100,6 +101,16 @@ def test_two_processes_show_what_one_shows(tmp_path: Path, request: pytest.Fixtu
         assert looked_for(one) == looked_for(both)
         assert in_front(one) == in_front(both)
     assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
+def test_the_viewer_opens_what_two_processes_have_made(tmp_path: Path, headless: Headless) -> None:
+    with replay.open(GOLDEN) as log:
+        convert([log], tmp_path / "log.rrd")
+        headless.open(tmp_path / "log.rrd")
+        assert headless.end_of("step") == len(log) - 1
+    assert not headless.complaints()
 
 
 @pytest.mark.slow
