@@ -6,10 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import warnings
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from rerun.chunk import RrdReader
+from rerun.error_utils import RerunWarning
 
 import replay
 from recorder.mcap_sink import McapSink
@@ -21,7 +25,7 @@ from replay.view import convert
 from tests.viewer.shown import Shown, in_front, looked_for, small
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from recorder.records import Record
     from tests.viewer.conftest import Headless
@@ -72,6 +76,15 @@ def tellers(folder: Path) -> list[str]:
     return lines
 
 
+def entities(file: Path) -> Iterator[str]:
+    """The entity of each row that holds at all times."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RerunWarning)
+        for chunk in RrdReader(file).stream():
+            if chunk.is_static:
+                yield from [chunk.entity_path] * chunk.num_rows
+
+
 def write(log: Path, *records: Record) -> Path:
     sink = McapSink(log, {})
     for seq, record in enumerate(records):
@@ -96,6 +109,7 @@ def test_two_processes_show_what_one_shows(tmp_path: Path, request: pytest.Fixtu
         for file in (shown, together):
             del file.fixed["/__properties"]["RecordingInfo:start_time"]  # when it was translated
         assert len(shown.rows) > 30
+        assert Counter(entities(one)) == Counter(entities(both))
         assert shown.rows == together.rows
         assert shown.fixed == together.fixed
         assert looked_for(one) == looked_for(both)
