@@ -145,8 +145,23 @@ class Journal:
                 closing.callback(sink.close)
 
 
-#: Id of the task that runs in this context, 0 for none; set by :mod:`recorder.span`.
-task_id: ContextVar[int] = ContextVar("pycram_task", default=0)
+class Running(Protocol):
+    """A task as the journal sees it."""
+
+    @property
+    def id(self) -> int:
+        """Its number, from 1."""
+
+
+#: The task that runs in this context, None for none; set by :mod:`recorder.span`.
+running: ContextVar[Running | None] = ContextVar("pycram_task", default=None)
+
+
+def task_id() -> int:
+    """Id of the task that runs in this context, 0 for none."""
+    task = running.get()
+    return task.id if task is not None else 0
+
 
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
@@ -205,7 +220,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     """
     record.world = world
     record.sim_step = sim_step
-    record.task = task_id.get() if task is None else task
+    record.task = task_id() if task is None else task
     record.thread = threading.current_thread().name
     tell(record)
 

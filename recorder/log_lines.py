@@ -24,24 +24,34 @@ _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # of most values, and faster than what fits any number of them
 
 
-def line_of(record: Record, time_ns: int) -> Log | None:
-    """The line for a record.
+class Lines:
+    """Lines for records, one after the other: in one message that is filled anew each time, which takes half as long.
 
-    Args:
-        record: any.
-        time_ns: when it was, in ns since the Unix epoch.
-
-    Returns:
-        The message; None where there is nothing to say (keyframes, and tasks that are only asked for).
+    For few of them, as the message keeps the room that all its texts have taken.
     """
-    kind = type(record)
-    if kind is Keyframe or (isinstance(record, Task) and record.phase == _ASKED):
-        return None
-    text, level = _TEXTS[kind](record)
-    line = Log(level=level, message=text, name="plan" if kind is Task or kind is Run else record.world or "plan")
-    moment = line.timestamp
-    moment.seconds, moment.nanos = divmod(time_ns, _NS)
-    return line
+
+    def __init__(self) -> None:
+        self._line = Log()
+        self._moment = self._line.timestamp
+
+    def of(self, record: Record, time_ns: int) -> bytes | None:
+        """The line for a record, serialized.
+
+        Args:
+            record: any.
+            time_ns: when it was, in ns since the Unix epoch.
+
+        Returns:
+            None where there is nothing to say (keyframes, and tasks that are only asked for).
+        """
+        kind = type(record)
+        if kind is Keyframe or (isinstance(record, Task) and record.phase == _ASKED):
+            return None
+        line, moment = self._line, self._moment
+        line.message, line.level = _TEXTS[kind](record)
+        line.name = "plan" if kind is Task or kind is Run else record.world or "plan"
+        moment.seconds, moment.nanos = divmod(time_ns, _NS)
+        return line.SerializeToString()
 
 
 def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:

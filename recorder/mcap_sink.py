@@ -23,7 +23,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
 from recorder.frames import FrameTree
-from recorder.log_lines import line_of
+from recorder.log_lines import Lines
 from recorder.mcap_writer import MAGIC, McapWriter
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 
@@ -172,9 +172,9 @@ class McapSink:
             payload = message.SerializeToString()
             self._taken.append(((topic, "", 0), record.seq, self._now, payload, None))
             self._size += len(payload)
-        line = line_of(record, self._now)
+        line = Lines().of(record, self._now)
         if line is not None:
-            self._taken.append((_LINES, record.seq, self._now, line.SerializeToString(), None))
+            self._taken.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
         """Packs what was taken, and hands it to the operating system: all at once, which is faster than one by one."""
@@ -185,11 +185,11 @@ class McapSink:
 
     def _messages(self, taken: list[_Taken]) -> Iterator[tuple[int, int, int, bytes]]:
         """What was taken as the file has it, each line after its task."""
-        lines = self._channels[_LINES]
+        lines, channel = Lines(), self._channels[_LINES]
         for key, seq, time_ns, payload, task in taken:
             yield self._channel(key), seq, time_ns, payload
-            if task is not None and (line := line_of(task, time_ns)) is not None:
-                yield lines, seq, time_ns, line.SerializeToString()
+            if task is not None and (line := lines.of(task, time_ns)) is not None:
+                yield channel, seq, time_ns, line
 
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)

@@ -15,9 +15,8 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 from recorder import journal
 from recorder.interrupts import Uninterrupted
@@ -27,6 +26,7 @@ from recorder.way import Way, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from contextvars import ContextVar, Token
     from types import FrameType, TracebackType
 
     from typing_extensions import Self
@@ -37,7 +37,7 @@ KEPT_BYTES: Final = 100_000_000
 
 _FINISHED: Final = Task.FINISHED
 _ids = itertools.count(1)
-_current: ContextVar[Span | None] = ContextVar("pycram_span", default=None)
+_current: Final = cast("ContextVar[Span | None]", journal.running)
 
 
 class Cancelled(BaseException):
@@ -92,7 +92,7 @@ class Span:
 
     kind: str
     name: str
-    parent: int = field(default_factory=journal.task_id.get)
+    parent: int = field(default_factory=journal.task_id)
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0
     source: Way | None = None
@@ -103,7 +103,7 @@ class Span:
     _start: int = 0
     _ended: bool = False
     _body: FrameType | None = field(default=None, init=False, repr=False)  # the code that began it, as long as it runs
-    _tokens: tuple[Token[Span | None], Token[int]] = field(init=False, repr=False)
+    _token: Token[Span | None] = field(init=False, repr=False)
 
     def ask(self) -> None:
         """Says that it is going to run, for what is asked for in one thread and runs in another."""
@@ -145,12 +145,10 @@ class Span:
         """Runs its block as part of this task, which begins and ends elsewhere."""
         self._way()
         token = _current.set(self)
-        id_token = journal.task_id.set(self.id)
         try:
             yield
         finally:
             _current.reset(token)
-            journal.task_id.reset(id_token)
 
     def __enter__(self) -> Self:
         """Begins, as the current task of this context."""
@@ -158,7 +156,7 @@ class Span:
             outer = _current.get()
             frame = sys._getframe(1)  # noqa: SLF001  see way_here()
             self.source, self._body = walk(frame, outer.source if outer is not None else None)
-        self._tokens = _current.set(self), journal.task_id.set(self.id)
+        self._token = _current.set(self)
         try:
             self.start()
         except BaseException as error:
@@ -176,9 +174,7 @@ class Span:
             raise
         finally:
             self._body = None
-            current, number = self._tokens
-            _current.reset(current)
-            journal.task_id.reset(number)
+            _current.reset(self._token)
 
     def _way(self) -> Way:
         """The way to where it was asked for; looked for before it is itself the current task."""

@@ -143,7 +143,7 @@ def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
     assert left[0] < 0
     assert current_block() is None
     assert current_scope() is None
-    assert journal.task_id.get() == 0
+    assert journal.task_id() == 0
     assert tasks.tree().find(status=State.RUNNING) == []
 
 
