@@ -119,11 +119,13 @@ def test_two_processes_show_what_one_shows(tmp_path: Path, request: pytest.Fixtu
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("two")
-def test_the_viewer_opens_what_two_processes_have_made(tmp_path: Path, headless: Headless) -> None:
+def test_the_viewer_opens_what_two_processes_have_made(
+    tmp_path: Path, headless: Headless, until: Callable[..., None]
+) -> None:
     with replay.open(GOLDEN) as log:
         convert([log], tmp_path / "log.rrd")
         headless.open(tmp_path / "log.rrd")
-        assert headless.end_of("step") == len(log) - 1
+        until(lambda: headless.end_of("step") == len(log) - 1, "the viewer has all of it")
     assert not headless.complaints()
 
 
