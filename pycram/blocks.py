@@ -315,10 +315,14 @@ class Block(OpenBlock):
             self._span.error = BranchesFailed(self.name, self.failures)
         with Uninterrupted():  # what has begun to end does
             inside, self._inside = self._inside, ()
-            if inside:
+            try:
                 for binding in reversed(inside):
                     binding.__exit__()
-                if self._owns_span:
+            except ValueError as wrong:  # this is another context than it began in
+                error = wrong
+                raise
+            finally:
+                if inside and self._owns_span:
                     self._span.__exit__(type(error) if error is not None else None, error, None)
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import copy_context
 from typing import TYPE_CHECKING
 
 import pytest
@@ -134,3 +135,18 @@ def test_a_block_that_an_exit_stack_ends_before_a_later_one_is_refused() -> None
     assert [branch.state for branch in first.branches] == [F, C]  # the later one, and what it left waiting
     assert current_block() is None
     assert current_scope() is None
+
+
+def test_a_block_that_another_context_ends_has_failed() -> None:
+    def in_pieces() -> Iterator[None]:
+        with par as s:
+            s(succeeds)
+            yield
+
+    pieces = in_pieces()
+    begun = copy_context()
+    begun.run(next, pieces)
+    with pytest.raises(ValueError, match="different Context"):
+        begun.run(copy_context).run(next, pieces)
+    block = tasks.tree().find(kind="block")[-1]
+    assert (block.status, [branch.status for branch in block.children]) == (F, [S])
