@@ -17,7 +17,7 @@ from pycram import nesting, tasks
 from pycram.binding import Binding
 from pycram.cancellation import current_scope
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
-from pycram.nested_blocks import Deferred
+from pycram.nested_blocks import Deferred, _Asked
 from pycram.open_block import current_block
 from recorder import journal
 from recorder.span import span
@@ -222,3 +222,23 @@ def test_ctrl_c_before_the_record_of_a_tasks_end_leaves_no_task_running(monkeypa
     with pytest.raises(KeyboardInterrupt), task:
         monkeypatch.setattr(journal, "recording", interrupted)
     assert tasks.tree().nodes[task.id].status is F
+
+
+@pytest.mark.parametrize("saying", [_Asked.put, _Asked.end])
+def test_ctrl_c_while_a_block_in_another_is_told_something_keeps_no_lock_of_it(
+    saying: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enter = threading.Condition.__enter__
+    left = [saying.__code__]
+
+    def interrupted(condition: threading.Condition) -> bool:
+        taken = enter(condition)
+        if [sys._getframe(1).f_code] == left:
+            left.clear()
+            signal.raise_signal(signal.SIGINT)
+        return taken
+
+    monkeypatch.setattr(threading.Condition, "__enter__", interrupted)
+    with pytest.raises(KeyboardInterrupt), par, seq as q:
+        q(succeeds)
+    assert not left
