@@ -20,7 +20,7 @@ from pycram.language import failure_handling, finally_, par, pursue, seq, timeou
 from pycram.nested_blocks import Deferred, _Asked
 from pycram.open_block import current_block
 from recorder import journal
-from recorder.span import span
+from recorder.span import Span, span
 from recorder.tasks import State
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
 
@@ -117,6 +117,7 @@ def plan_of_attempts() -> None:
     [
         *itertools.product([plan_of_blocks], [Binding], ["__enter__", "__exit__"], range(4)),
         (plan_of_attempts, _GeneratorContextManager, "__exit__", 0),
+        (plan_of_attempts, Span, "__enter__", 0),
     ],
 )
 def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
