@@ -132,12 +132,18 @@ class _Run:
         try:
             with ExitStack() as entering:
                 entering.enter_context(self._attempts.entered())
-                self._span = Span("attempt", f"attempt {made.number}", parameters=made.parameters, attempt=made.number)
-                entering.enter_context(self._span)
-                token = _attempt.set(made)
-                entering.callback(lambda: _attempt.reset(token))
-                self._exits = entering.pop_all()
+                name = f"attempt {made.number}"
+                with Uninterrupted():  # what has begun is known to be
+                    self._span = Span("attempt", name, parameters=made.parameters, attempt=made.number)
+                    entering.enter_context(self._span)
+                    token = _attempt.set(made)
+                    entering.callback(lambda: _attempt.reset(token))
+                    self._exits = entering.pop_all()
         except BaseException as stopped:
+            with Uninterrupted():
+                if self._span is not None:
+                    self._span.finish(stopped)
+                self._exits.close()
             self._attempts.finish(stopped)
             raise
         return made

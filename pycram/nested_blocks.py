@@ -182,7 +182,11 @@ class Deferred(OpenBlock):
 
 
 class _Asked:
-    """What a body asks for, in order, until it ends."""
+    """What a body asks for, in order, until it ends.
+
+    The body's side of it holds Ctrl-C back: a condition that is broken off while it takes or gives back its lock keeps
+    it, and the other side would wait for ever.
+    """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -193,7 +197,7 @@ class _Asked:
 
     def put(self, branch: Branch) -> None:
         """Adds a branch; drops it if nobody is going to do it any more."""
-        with self._changed:
+        with Uninterrupted(), self._changed:
             if not self._closed:
                 self._branches.append(branch)
                 self._changed.notify_all()
@@ -206,7 +210,7 @@ class _Asked:
         Args:
             error: what it raised.
         """
-        with self._changed:
+        with Uninterrupted(), self._changed:
             if not self._ended:
                 self._ended = True
                 self._error = error

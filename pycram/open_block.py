@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram.actions import Result, name_of, run
 from pycram.binding import Binding
@@ -31,10 +31,6 @@ if TYPE_CHECKING:
 
     from pycram.cancellation import Scope
     from recorder.span import Span
-
-
-#: Who asks a block to start a branch is no code of the plan's, but what that has called.
-_ASKING: Final = 2
 
 
 class BlockClosed(UsageError):
@@ -216,7 +212,7 @@ class OpenBlock(ABC):
             A handle that serves as its result.
         """
         branch = Branch(name, action, self.changed, ordered=ordered, dropped=dropped, span=span)
-        branch.span.source = way_here(_ASKING)
+        branch.span.source = way_here()
         self.take(branch)
         return Handle(branch)
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 _SIGINT: Final = int(signal.SIGINT)
-_held = False  # whether the main thread is in such a block
+_holder = 0  # identifies the main thread while it is in such a block
 
 
 class Uninterrupted:
@@ -34,24 +34,30 @@ class Uninterrupted:
     __slots__ = ("_handler", "noted")
 
     def __enter__(self) -> Self:
-        global _held  # noqa: PLW0603  there is one main thread
+        global _holder  # noqa: PLW0603  there is one main thread
         self._handler: Callable[[int, FrameType | None], Any] | None = None
         self.noted = False
-        if not _held and threading.get_ident() == threading.main_thread().ident:
+        thread = threading.get_ident()
+        if thread != _holder and thread == threading.main_thread().ident:
             handler = _signal.getsignal(_SIGINT)
             if callable(handler):
                 self._handler = handler  # first: an interrupt may raise up to the moment when it is only noted
                 _signal.signal(_SIGINT, self._note)
-                _held = True
+                _holder = thread
         return self
 
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        self.noted = True
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        handler = self._handler
+        if handler is not None and threading.get_ident() != _holder:  # forked by another thread: nobody is in the block
+            _signal.signal(_SIGINT, handler)
+            handler(number, frame)
+        else:
+            self.noted = True
 
     def __exit__(self, *_: object) -> None:
-        global _held  # noqa: PLW0603  see above
+        global _holder  # noqa: PLW0603  see above
         if self._handler is not None:
-            _held = False
+            _holder = 0
             _signal.signal(_SIGINT, self._handler)
             if self.noted:
                 signal.raise_signal(signal.SIGINT)

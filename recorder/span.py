@@ -22,7 +22,7 @@ from recorder import journal
 from recorder.interrupts import Uninterrupted
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
-from recorder.way import Way, walk
+from recorder.way import Way, plan_frame, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -223,19 +223,16 @@ def current() -> Span | None:
     return _current.get()
 
 
-def way_here(above: int = 1) -> Way:
-    """The way through the plan's code to the caller.
-
-    Args:
-        above: how many functions, the caller and those that called it, are none of the plan's for sure.
-    """
-    frame = sys._getframe(above).f_back  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
+def way_here() -> Way:
+    """The way through the plan's code to the caller."""
+    here = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
     task = _current.get()
     if task is None:
-        return walk(frame)[0]
+        return walk(here)[0]
     outer, body = task.source, task._body  # noqa: SLF001  same module
-    way = outer.turned(frame.f_lineno) if outer is not None and frame is not None and frame is body else None
-    return way or walk(frame, outer)[0]
+    if outer is not None and body is not None and plan_frame(here)[0] is body:
+        return outer.turned(body.f_lineno) or walk(here, outer)[0]
+    return walk(here, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

@@ -113,14 +113,14 @@ def plan_line() -> Place:
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, Place | None]:
     """The plan's next frame from a frame on outwards, and its line; without any, None and a foreign one's."""
-    frame, foreign = _plan_frame(frame)
+    frame, foreign = plan_frame(frame)
     return frame, _place(frame or foreign)
 
 
 def _outwards(frame: FrameType | None) -> tuple[Place, ...]:
     """The plan's lines from a frame on, outermost first."""
     found: list[Place] = []
-    while (frame := _plan_frame(frame)[0]) is not None:
+    while (frame := plan_frame(frame)[0]) is not None:
         place = frame.f_code.co_filename, frame.f_lineno
         if not found or place != found[-1]:
             found.append(place)
@@ -133,8 +133,12 @@ def _place(frame: FrameType | None) -> Place | None:
     return (frame.f_code.co_filename, frame.f_lineno) if frame is not None else None
 
 
-def _plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """The plan's next frame from a frame on outwards; and the first foreign one up to there."""
+def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
+    """The plan's next frame from a frame on outwards; and the first foreign one up to there.
+
+    Args:
+        frame: where to begin; not left out itself.
+    """
     foreign = None
     known, plan, elsewhere, runner = _kinds.get, _Kind.PLAN, _Kind.FOREIGN, _Kind.RUNNER  # there are many frames
     while frame is not None:

@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ import pytest
 import recorder
 import replay
 from recorder import journal
+from recorder.interrupts import Uninterrupted
 from recorder.records import Event
 
 if TYPE_CHECKING:
@@ -128,3 +130,24 @@ def test_a_forked_child_may_leave_the_block(tmp_path: Path) -> None:
         with replay.open(path) as log:
             assert log.complete
             assert [record.name for record in log.records(Event)] == [name]
+
+
+def test_a_child_that_another_thread_forks_while_ctrl_c_is_held_back_hears_it() -> None:
+    def hold_back() -> None:
+        with Uninterrupted() as hold:
+            signal.raise_signal(signal.SIGINT)
+            assert hold.noted
+
+    def child() -> None:
+        with pytest.raises(KeyboardInterrupt):
+            hold_back()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+    codes: list[int] = []
+    with Uninterrupted():
+        thread = threading.Thread(target=lambda: codes.append(in_child(child)))
+        thread.start()
+        thread.join()
+    assert codes == [0]

@@ -112,6 +112,19 @@ def test_a_lambda_s_line_stands_once_where_it_was_asked_for_in_that_line(tmp_pat
     assert functions(file, "push") == [here, "do"]
 
 
+def start_in_block(name: str) -> None:
+    with par as block:
+        block.start(name, lambda: None)
+
+
+def test_a_branch_that_is_started_under_a_name_is_asked_for_where_that_stands(tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    with recorder.record(file, source=__file__):
+        start_in_block("push")
+    here = inspect.currentframe().f_code.co_name
+    assert functions(file, "push") == [here, "start_in_block"]
+
+
 def test_a_thread_of_the_plan_s_own_begins_its_own_way(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__), span("motion", "outer"):

@@ -17,10 +17,10 @@ from pycram import nesting, tasks
 from pycram.binding import Binding
 from pycram.cancellation import current_scope
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
-from pycram.nested_blocks import Deferred
+from pycram.nested_blocks import Deferred, _Asked
 from pycram.open_block import current_block
 from recorder import journal
-from recorder.span import span
+from recorder.span import Span, span
 from recorder.tasks import State
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
 
@@ -117,6 +117,7 @@ def plan_of_attempts() -> None:
     [
         *itertools.product([plan_of_blocks], [Binding], ["__enter__", "__exit__"], range(4)),
         (plan_of_attempts, _GeneratorContextManager, "__exit__", 0),
+        (plan_of_attempts, Span, "__enter__", 0),
     ],
 )
 def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
@@ -222,3 +223,23 @@ def test_ctrl_c_before_the_record_of_a_tasks_end_leaves_no_task_running(monkeypa
     with pytest.raises(KeyboardInterrupt), task:
         monkeypatch.setattr(journal, "recording", interrupted)
     assert tasks.tree().nodes[task.id].status is F
+
+
+@pytest.mark.parametrize("saying", [_Asked.put, _Asked.end])
+def test_ctrl_c_while_a_block_in_another_is_told_something_keeps_no_lock_of_it(
+    saying: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    enter = threading.Condition.__enter__
+    left = [saying.__code__]
+
+    def interrupted(condition: threading.Condition) -> bool:
+        taken = enter(condition)
+        if [sys._getframe(1).f_code] == left:
+            left.clear()
+            signal.raise_signal(signal.SIGINT)
+        return taken
+
+    monkeypatch.setattr(threading.Condition, "__enter__", interrupted)
+    with pytest.raises(KeyboardInterrupt), par, seq as q:
+        q(succeeds)
+    assert not left
