@@ -27,6 +27,8 @@ from tests.viewer.shown import Shown, in_front, looked_for, small
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    import rerun as rr
+
     from recorder.records import Record
     from tests.viewer.conftest import Headless
 
@@ -184,6 +186,35 @@ def test_a_recording_that_has_gone_is_told(tmp_path: Path) -> None:
         with pytest.raises(ReplayError, match=r"log.mcap: .*No such file"):
             convert([recording], tmp_path / "log.rrd")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
+def test_a_file_that_has_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Robbed(teller.Teller):
+        def hand_over(self, stream: rr.RecordingStream) -> None:
+            self._process.wait()
+            self._file.unlink()
+            super().hand_over(stream)
+
+    monkeypatch.setattr(translation, "Teller", Robbed)
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording, pytest.raises(ReplayError, match=r"log.rrd: can't be written: .*not found"):
+        convert([recording], tmp_path / "log.rrd")
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("found", [str(REPO), ""], ids=["by its name", "in the folder that one works in"])
+def test_both_are_of_the_same_software(tmp_path: Path, found: str) -> None:
+    (tmp_path / "replay").mkdir()
+    (tmp_path / "replay" / "__init__.py").write_text("raise ImportError('another release')")
+    log = small(tmp_path / "log.mcap")
+    command = [sys.executable, "-c", f"import sys; sys.path[0] = {found!r}{PROGRAM}", log, tmp_path / "log.rrd"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run(command, cwd=REPO, env=environment, capture_output=True, text=True, check=False)
+    assert not ended.stderr
+    assert ended.returncode == 0
 
 
 @pytest.mark.slow
