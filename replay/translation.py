@@ -92,4 +92,7 @@ def show(log: Log, translator: Translator, stop: int | None = None) -> None:
             translator.show(record)
         except _NONSENSE as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
-    translator.finish()
+    try:
+        translator.finish()
+    except _NONSENSE as error:  # as a time that is longer than any
+        raise Damaged(log.path, "a record", f"it makes no sense: {error}") from error

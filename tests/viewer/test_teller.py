@@ -168,6 +168,21 @@ def test_nonsense_is_told_with_its_step(tmp_path: Path, capsys: pytest.CaptureFi
     assert not tellers(tmp_path)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", ["one", "two"])
+def test_a_time_that_is_longer_than_any_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, processes: str
+) -> None:
+    if processes == "two":
+        request.getfixturevalue("two")
+    log = write(tmp_path / "log.mcap", Query(world="w", name="x", answer_json="1", sim_step=2**62))
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
+    told = capsys.readouterr()
+    assert f"{log}: a record is damaged: it makes no sense: " in told.err
+    assert not told.out
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
 @pytest.mark.usefixtures("two")
 def test_a_process_that_was_killed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teller, "_CODE", "import os; os.kill(os.getpid(), 9)")
