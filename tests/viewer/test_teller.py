@@ -183,6 +183,17 @@ def test_a_time_that_is_longer_than_any_is_told(
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
+def test_one_process_does_it_all_where_it_cannot_begin_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording:
+        convert([recording], tmp_path / "log.rrd")
+    assert {"/log/mutation", "/w/bodies/cup"} <= Shown(tmp_path / "log.rrd").rows.keys()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "log.rrd"]
+
+
 @pytest.mark.usefixtures("two")
 def test_a_process_that_was_killed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teller, "_CODE", "import os; os.kill(os.getpid(), 9)")
