@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 _ROOT: Final = str(Path(__file__).parent.parent)
 _CODE: Final = """
 import sys
-sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the folder that one works in could hold anything
+sys.path = sys.argv[5:]  # the other process' own, for the same software: another one may be installed
 from replay.teller import main
-main(*sys.argv[1:])
+main(*sys.argv[1:5])
 """
 _PATIENCE: Final = 60.0  # s for rows to be written
 _ON_THE_WAY: Final = 50  # chunks of rows that memory holds at once
@@ -57,7 +57,7 @@ class Teller:
         told = [str(log.path.absolute()), str(len(log)), root, str(self._file.absolute())]
         try:
             self._process = subprocess.Popen(  # noqa: S603  our own code
-                [sys.executable, "-c", _CODE, _ROOT, *told],
+                [sys.executable, "-c", _CODE, *told, *_path()],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 start_new_session=True,  # Ctrl-C is for this one
@@ -96,7 +96,7 @@ class Teller:
                 stream.send_chunks(chunk)
                 if number % _ON_THE_WAY == 0:
                     stream.flush(timeout_sec=_PATIENCE)
-        except RuntimeError as error:  # the library's type for all that can be
+        except (RuntimeError, ValueError) as error:  # the library's types for all that can be, and for no such file
             raise OSError(str(error)) from error
 
     def _failure(self, said: bytes) -> Exception:
@@ -109,6 +109,12 @@ class Teller:
         if kind == Damaged.__name__:
             return Damaged(self._log.path, *told)
         return ReplayError(*told) if kind == ReplayError.__name__ else OSError(*told)
+
+
+def _path() -> list[str]:
+    """Where this process looks for modules, but not in the folder that one works in: it could hold anything."""
+    path = [entry for entry in sys.path if entry and isinstance(entry, str)]
+    return path if _ROOT in path else [_ROOT, *path]  # which was that folder, or goes by another name
 
 
 def main(path: str, stop: str, root: str, file: str) -> None:

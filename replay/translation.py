@@ -53,12 +53,16 @@ def translated(log: Log, stream: rr.RecordingStream, root: str = "", folder: Pat
         Damaged: a record makes no sense.
         OSError: there is no room.
     """
-    if len(log) < _LONG or os.cpu_count() == 1:
+    teller = None
+    if len(log) >= _LONG and os.cpu_count() != 1:
+        with contextlib.suppress(OSError):  # as where a process can't begin another; if there is no room, that is told
+            teller = Teller(log, root, folder)
+    if teller is None:
         translator = Translator(stream, root)
         _see(log, translator)
         return translator
-    translator = Translator(stream, root, Half.SEEN)
-    with Teller(log, root, folder) as teller:
+    with teller:
+        translator = Translator(stream, root, Half.SEEN)
         _see(log, translator)
         teller.hand_over(stream)
     return translator
@@ -92,4 +96,7 @@ def show(log: Log, translator: Translator, stop: int | None = None) -> None:
             translator.show(record)
         except _NONSENSE as error:
             raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
-    translator.finish()
+    try:
+        translator.finish()
+    except _NONSENSE as error:  # as a time that is longer than any
+        raise Damaged(log.path, "a record", f"it makes no sense: {error}") from error

@@ -27,6 +27,8 @@ from tests.viewer.shown import Shown, in_front, looked_for, small
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    import rerun as rr
+
     from recorder.records import Record
     from tests.viewer.conftest import Headless
 
@@ -166,6 +168,32 @@ def test_nonsense_is_told_with_its_step(tmp_path: Path, capsys: pytest.CaptureFi
     assert not tellers(tmp_path)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", ["one", "two"])
+def test_a_time_that_is_longer_than_any_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, processes: str
+) -> None:
+    if processes == "two":
+        request.getfixturevalue("two")
+    log = write(tmp_path / "log.mcap", Query(world="w", name="x", answer_json="1", sim_step=2**62))
+    assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
+    told = capsys.readouterr()
+    assert f"{log}: a record is damaged: it makes no sense: " in told.err
+    assert not told.out
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
+def test_one_process_does_it_all_where_it_cannot_begin_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording:
+        convert([recording], tmp_path / "log.rrd")
+    assert {"/log/mutation", "/w/bodies/cup"} <= Shown(tmp_path / "log.rrd").rows.keys()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "log.rrd"]
+
+
 @pytest.mark.usefixtures("two")
 def test_a_process_that_was_killed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teller, "_CODE", "import os; os.kill(os.getpid(), 9)")
@@ -184,6 +212,35 @@ def test_a_recording_that_has_gone_is_told(tmp_path: Path) -> None:
         with pytest.raises(ReplayError, match=r"log.mcap: .*No such file"):
             convert([recording], tmp_path / "log.rrd")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
+def test_a_file_that_has_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Robbed(teller.Teller):
+        def hand_over(self, stream: rr.RecordingStream) -> None:
+            self._process.wait()
+            self._file.unlink()
+            super().hand_over(stream)
+
+    monkeypatch.setattr(translation, "Teller", Robbed)
+    log = small(tmp_path / "log.mcap")
+    with replay.open(log) as recording, pytest.raises(ReplayError, match=r"log.rrd: can't be written: .*not found"):
+        convert([recording], tmp_path / "log.rrd")
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("found", [str(REPO), ""], ids=["by its name", "in the folder that one works in"])
+def test_both_are_of_the_same_software(tmp_path: Path, found: str) -> None:
+    (tmp_path / "replay").mkdir()
+    (tmp_path / "replay" / "__init__.py").write_text("raise ImportError('another release')")
+    log = small(tmp_path / "log.mcap")
+    command = [sys.executable, "-c", f"import sys; sys.path[0] = {found!r}{PROGRAM}", log, tmp_path / "log.rrd"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    ended = subprocess.run(command, cwd=REPO, env=environment, capture_output=True, text=True, check=False)
+    assert not ended.stderr
+    assert ended.returncode == 0
 
 
 @pytest.mark.slow
