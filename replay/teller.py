@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 _ROOT: Final = str(Path(__file__).parent.parent)
 _CODE: Final = """
 import sys
-sys.path = sys.argv[5:]  # the other process' own, for the same software: another one may be installed
+sys.path = sys.argv[6:]  # the other process' own, for the same software: another one may be installed
 from replay.teller import main
-main(*sys.argv[1:5])
+main(*sys.argv[1:6])
 """
 _PATIENCE: Final = 60.0  # s for rows to be written
 _ON_THE_WAY: Final = 50  # chunks of rows that memory holds at once
@@ -54,7 +54,7 @@ class Teller:
         self._log = log
         self._folder = tempfile.TemporaryDirectory(prefix=".told.", dir=folder, ignore_cleanup_errors=True)
         self._file = Path(self._folder.name) / "told.rrd"
-        told = [str(log.path.absolute()), str(len(log)), root, str(self._file.absolute())]
+        told = [str(log.path.absolute()), log.identity, str(len(log)), root, str(self._file.absolute())]
         try:
             self._process = subprocess.Popen(  # noqa: S603  our own code
                 [sys.executable, "-c", _CODE, *told, *_path()],
@@ -117,11 +117,12 @@ def _path() -> list[str]:
     return path if _ROOT in path else [_ROOT, *path]  # which was that folder, or goes by another name
 
 
-def main(path: str, stop: str, root: str, file: str) -> None:
+def main(path: str, identity: str, stop: str, root: str, file: str) -> None:
     """Translates what is told of a recording; what goes wrong is said as JSON.
 
     Args:
         path: the recording.
+        identity: of its file; see :class:`~replay.log.Log`.
         stop: the step before which to end.
         root: the entity that all others are below; "" for none.
         file: where it goes.
@@ -129,7 +130,7 @@ def main(path: str, stop: str, root: str, file: str) -> None:
     threading.Thread(target=_end_with_parent, args=[Path(file).parent], name="parent", daemon=True).start()
     gc.disable()  # rows live until they are sent, and it would walk over them in vain
     try:
-        _tell(path, int(stop), root, file)
+        _tell(path, identity, int(stop), root, file)
     except Damaged as error:
         told = [Damaged.__name__, error.where, error.cause]
     except ReplayError as error:
@@ -149,13 +150,15 @@ def _end_with_parent(folder: Path) -> None:
     os._exit(1)
 
 
-def _tell(path: str, stop: int, root: str, file: str) -> None:
+def _tell(path: str, identity: str, stop: int, root: str, file: str) -> None:
     from recorder.viewer.translator import Half, Translator  # noqa: PLC0415  the one that waits has them already
     from recorder.viewer.windows import stream_to_viewer  # noqa: PLC0415
     from replay.log import open_log  # noqa: PLC0415
     from replay.translation import show  # noqa: PLC0415
 
     with open_log(path) as log, stream_to_viewer(part=True) as stream:
+        if log.identity != identity:
+            raise ReplayError(f"{path}: another file stands there since it was opened; begin again")
         stream.save(file)
         show(log, Translator(stream, root, Half.TOLD), stop)
         stream.flush(timeout_sec=_PATIENCE)

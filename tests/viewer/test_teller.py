@@ -216,6 +216,17 @@ def test_a_recording_that_has_gone_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("two")
+def test_a_recording_that_was_replaced_is_not_mixed_with_the_other_one(tmp_path: Path) -> None:
+    log, other = small(tmp_path / "log.mcap"), small(tmp_path / "other.mcap")
+    with replay.open(log) as recording:
+        other.replace(log)
+        with pytest.raises(ReplayError, match=r"log.mcap: another file stands there"):
+            convert([recording], tmp_path / "log.rrd")
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("two")
 def test_a_file_that_has_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Robbed(teller.Teller):
         def hand_over(self, stream: rr.RecordingStream) -> None:
