@@ -168,7 +168,7 @@ def values(arguments: Sequence[Argument]) -> str:
     Args:
         arguments: as records carry them.
     """
-    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]])
+    return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 
 def by_name(text: str) -> str:

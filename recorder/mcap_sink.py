@@ -185,11 +185,11 @@ class McapSink:
 
     def _messages(self, taken: list[_Taken]) -> Iterator[tuple[int, int, int, bytes]]:
         """What was taken as the file has it, each line after its task."""
-        lines, channel = Lines(), self._channels[_LINES]
+        lines, channels, of_lines = Lines(), self._channels, self._channels[_LINES]
         for key, seq, time_ns, payload, task in taken:
-            yield self._channel(key), seq, time_ns, payload
+            yield channels.get(key) or self._channel(key), seq, time_ns, payload
             if task is not None and (line := lines.of(task, time_ns)) is not None:
-                yield channel, seq, time_ns, line
+                yield of_lines, seq, time_ns, line
 
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)

@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 KEPT: Final = 20_000
 KEPT_BYTES: Final = 100_000_000
 
-_FINISHED: Final = Task.FINISHED
+_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
+_RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _current: Final = cast("ContextVar[Span | None]", journal.running)
 
@@ -112,7 +113,7 @@ class Span:
     def start(self) -> None:
         """Says that it begins."""
         self._start = time.perf_counter_ns()
-        self._say(Task.STARTED, Task.RUNNING)
+        self._say(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
         """Says that it ended; nothing happens if that was said before.
@@ -122,15 +123,15 @@ class Span:
         """
         if self._ended:
             return
-        ended = Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
-        record = self._record(_FINISHED, Task.SUCCEEDED if error is None else ended)
+        ended = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
+        record = self._record(_FINISHED, ended)
         record.duration_ns = time.perf_counter_ns() - self._start if self._start else 0
         recorded = journal.recording()
         if recorded:
             if self.solution:
                 record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result) if self.result is not None else "null"
-        if error is not None and ended == Task.FAILED:
+        if error is not None and ended == _FAILED:
             record.failure.CopyFrom(failure(error, trace=recorded))
         with Uninterrupted():  # its end is in the log and in the tree, or in neither
             self._ended = True
@@ -213,7 +214,7 @@ class Span:
         try:
             size = journal.tell(record)
         finally:
-            if not record.wall_time_ns:  # no journal numbered it
+            if not size and not record.wall_time_ns:  # no journal numbered it
                 record.wall_time_ns = time.time_ns()
             _plan.tree.apply(record, size)
 
