@@ -112,9 +112,10 @@ class Teller:
 
 
 def _path() -> list[str]:
-    """Where this process looks for modules, but not in the folder that one works in: it could hold anything."""
-    path = [entry for entry in sys.path if entry and isinstance(entry, str)]
-    return path if _ROOT in path else [_ROOT, *path]  # which was that folder, or goes by another name
+    """Where this process looks for modules; not in the folder that one works in, unless we are there."""
+    known = [(entry, str(Path(entry).absolute())) for entry in sys.path if isinstance(entry, str)]
+    path = [whole for entry, whole in known if entry or whole == _ROOT]
+    return path if _ROOT in path else [_ROOT, *path]  # it goes by another name there
 
 
 def main(path: str, identity: str, stop: str, root: str, file: str) -> None:
