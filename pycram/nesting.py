@@ -12,10 +12,10 @@ from abc import ABC, abstractmethod
 from contextlib import ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.failures import UsageError
+from recorder.way import comes_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
-
-#: The frames of these can be left in the middle of a stretch and come back later.
-_LEFT_AND_RESUMED: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class BlocksMixed(UsageError):
@@ -132,7 +129,7 @@ def _generator() -> int:
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
         frame = frame.f_back
-    return id(frame) if frame.f_code.co_flags & _LEFT_AND_RESUMED else 0
+    return id(frame) if comes_back(frame) else 0
 
 
 class Stretch(Nested[Value], ContextDecorator):

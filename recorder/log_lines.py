@@ -42,16 +42,26 @@ class Lines:
             time_ns: when it was, in ns since the Unix epoch.
 
         Returns:
-            None where there is nothing to say (keyframes, and tasks that are only asked for).
+            None where there is nothing to say; see :func:`has_line`.
         """
-        kind = type(record)
-        if kind is Keyframe or (isinstance(record, Task) and record.phase == _ASKED):
+        if not has_line(record):
             return None
-        line, moment = self._line, self._moment
+        kind, line, moment = type(record), self._line, self._moment
         line.message, line.level = _TEXTS[kind](record)
         line.name = "plan" if kind is Task or kind is Run else record.world or "plan"
         moment.seconds, moment.nanos = divmod(time_ns, _NS)
         return line.SerializeToString()
+
+
+def has_line(record: Record) -> bool:
+    """Whether there is something to say: not of keyframes, nor of tasks that are only asked for.
+
+    Args:
+        record: any.
+    """
+    if type(record) is Task:  # isinstance takes five times as long where it is none
+        return record.phase != _ASKED
+    return type(record) is not Keyframe
 
 
 def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:

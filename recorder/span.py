@@ -230,10 +230,10 @@ def way_here() -> Way:
     task = _current.get()
     if task is None:
         return walk(here)[0]
-    outer, body = task.source, task._body  # noqa: SLF001  same module
+    outer, body, way = task.source, task._body, None  # noqa: SLF001  same module
     if outer is not None and body is not None and plan_frame(here)[0] is body:
-        return outer.turned(body.f_lineno) or walk(here, outer)[0]
-    return walk(here, outer)[0]
+        way = outer.turned(body.f_lineno)
+    return way or walk(here, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

@@ -102,8 +102,17 @@ def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameT
     lines = around if once else (*around, *innermost)
     if len(lines) > MOST:
         lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
-    stays = frame is not None and not once and not frame.f_code.co_flags & _LEFT_AND_RESUMED
+    stays = frame is not None and not once and not comes_back(frame)
     return Way(lines, before, thread, _told.callers(lines), recording), frame if stays else None
+
+
+def comes_back(frame: FrameType) -> bool:
+    """Whether code can be left in the middle and gone on with from elsewhere, as generators can.
+
+    Args:
+        frame: the code.
+    """
+    return bool(frame.f_code.co_flags & _LEFT_AND_RESUMED)
 
 
 def plan_line() -> Place:

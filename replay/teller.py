@@ -34,7 +34,6 @@ sys.path = sys.argv[6:]  # the other process' own, for the same software: anothe
 from replay.teller import main
 main(*sys.argv[1:6])
 """
-_PATIENCE: Final = 60.0  # s for rows to be written
 _ON_THE_WAY: Final = 50  # chunks of rows that memory holds at once
 
 
@@ -86,7 +85,9 @@ class Teller:
             ReplayError: the recording can't be read any more, or the process was ended.
             OSError: its file can't be written, or read again.
         """
-        from rerun.chunk import RrdReader  # noqa: PLC0415
+        from rerun.chunk import RrdReader  # noqa: PLC0415  the process itself begins without
+
+        from recorder.viewer.windows import WRITING  # noqa: PLC0415
 
         said = self._process.stdout.read() if self._process.stdout is not None else b""
         if self._process.wait():
@@ -95,7 +96,7 @@ class Teller:
             for number, chunk in enumerate(RrdReader(self._file).stream(), 1):
                 stream.send_chunks(chunk)
                 if number % _ON_THE_WAY == 0:
-                    stream.flush(timeout_sec=_PATIENCE)
+                    stream.flush(timeout_sec=WRITING)
         except (RuntimeError, ValueError) as error:  # the library's types for all that can be, and for no such file
             raise OSError(str(error)) from error
 
@@ -153,14 +154,12 @@ def _end_with_parent(folder: Path) -> None:
 
 def _tell(path: str, identity: str, stop: int, root: str, file: str) -> None:
     from recorder.viewer.translator import Half, Translator  # noqa: PLC0415  the one that waits has them already
-    from recorder.viewer.windows import stream_to_viewer  # noqa: PLC0415
+    from recorder.viewer.windows import stream_to_file  # noqa: PLC0415
     from replay.log import open_log  # noqa: PLC0415
     from replay.translation import show  # noqa: PLC0415
 
-    with open_log(path) as log, stream_to_viewer(part=True) as stream:
+    with open_log(path) as log:
         if log.identity != identity:
             raise ReplayError(f"{path}: another file stands there since it was opened; begin again")
-        stream.save(file)
-        show(log, Translator(stream, root, Half.TOLD), stop)
-        stream.flush(timeout_sec=_PATIENCE)
-        stream.disconnect()
+        with stream_to_file(Path(file), part=True) as stream:
+            show(log, Translator(stream, root, Half.TOLD), stop)

@@ -24,7 +24,7 @@ from recorder.errors import RecordingError
 from recorder.viewer.audience import PORT, Kind, ViewerGone, Wish, address, answers
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
 from recorder.viewer.stage import acts
-from recorder.viewer.windows import open_window, stream_to_viewer
+from recorder.viewer.windows import open_window, stream_to_file
 from replay.errors import ReplayError
 from replay.translation import translated
 
@@ -39,7 +39,6 @@ _TO_LOAD: Final = 20.0  # s for the viewer to load a file
 _LOOK_AGAIN: Final = 0.1  # s
 _MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that wrote it
 _HEADER: Final = 7
-_PATIENCE: Final = 60.0  # s for the last rows to be written
 
 
 def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
@@ -60,15 +59,8 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     os.close(handle)
     try:
-        with stream_to_viewer() as stream:
-            stream.save(name)
-            with _without_collecting():
-                translate(logs, stream, at, path.parent)
-            try:
-                stream.flush(timeout_sec=_PATIENCE)
-            except RuntimeError as error:  # the library has one type for all, and has said why
-                raise ReplayError(f"{path}: can't be written: {error}") from error
-            stream.disconnect()
+        with stream_to_file(Path(name)) as stream, _without_collecting():
+            translate(logs, stream, at, path.parent)
         Path(name).chmod(0o644)
         Path(name).replace(path)
     except OSError as error:

@@ -13,7 +13,8 @@ import pyarrow as pa
 import rerun as rr
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import TOPICS, Keyframe, Task
+from recorder.log_lines import has_line
+from recorder.records import TOPICS
 from recorder.viewer.marks import RED, YELLOW
 
 if TYPE_CHECKING:
@@ -46,10 +47,8 @@ class Lines:
             level: how grave that is.
             now: when.
         """
-        kind = type(record)
-        if kind is Keyframe or (type(record) is Task and record.phase == Task.ASKED):
-            return
-        self._lines[kind].add(now, (numbered(text, now), _LEVELS[level]))
+        if has_line(record):
+            self._lines[type(record)].add(now, (numbered(text, now), _LEVELS[level]))
 
 
 def numbered(text: str, now: Moment) -> str:

@@ -18,11 +18,13 @@ from recorder.viewer.page import Page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
 APPLICATION: Final = "pycram"  # viewers remember a layout for each application
 _LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
 _TRIES: Final = 5
 _PATIENCE: Final = 5.0  # s for a server to begin
+WRITING: Final = 60.0  # s for rows to be written into a file
 _SWITCH: Final = "RERUN"  # the variable that silences programs which log to viewers
 
 
@@ -39,6 +41,27 @@ def stream_to_viewer(*, part: bool = False) -> Iterator[rr.RecordingStream]:
     finally:
         if switched is not None:
             os.environ[_SWITCH] = switched
+
+
+@contextlib.contextmanager
+def stream_to_file(file: Path, *, part: bool = False) -> Iterator[rr.RecordingStream]:
+    """What rows are sent by into a file; at the end of its block all are there.
+
+    Args:
+        file: where they go; replaced.
+        part: see :func:`stream_to_viewer`.
+
+    Raises:
+        OSError: they can't be written.
+    """
+    with stream_to_viewer(part=part) as stream:
+        stream.save(file)
+        yield stream
+        try:
+            stream.flush(timeout_sec=WRITING)
+        except RuntimeError as error:  # the library has one type for all, and has said why
+            raise OSError(str(error)) from error
+        stream.disconnect()
 
 
 def serve_page(stream: rr.RecordingStream) -> str:
