@@ -12,7 +12,7 @@ from inspect import GEN_CREATED, getgeneratorstate
 from types import AsyncGeneratorType, CoroutineType, FunctionType, GeneratorType, MethodType
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
-from pycram.failures import BadArgument
+from pycram.foundation.failures import BadArgument
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,14 +10,14 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from pycram.cancellation import current_scope
-from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import PlanFailure, UsageError
+from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.failures import PlanFailure, UsageError
 from pycram.nesting import Nested
 from pycram.open_block import alone
-from recorder.interrupts import Uninterrupted
 from recorder.records import told_error
-from recorder.span import Span
-from recorder.way import plan_line
+from recorder.tracing.call_site import plan_line
+from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager

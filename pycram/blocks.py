@@ -22,13 +22,13 @@ from typing import TYPE_CHECKING, Any
 
 from pycram.attempts import Retry
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
-from pycram.error_chain import chained, raise_unchanged
-from pycram.failed_blocks import leaves_uncleaned
-from pycram.failures import BranchesFailed, PlanFailure
+from pycram.failed_blocks import BranchesFailed, leaves_uncleaned
+from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.failures import PlanFailure
 from pycram.open_block import BlockClosed, OpenBlock, enter_branch, hosted
-from recorder.interrupts import Uninterrupted
-from recorder.span import Span
 from recorder.tasks import State
+from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from types import FrameType, TracebackType

@@ -6,10 +6,10 @@ from contextvars import Context, copy_context
 from typing import TYPE_CHECKING, Final
 
 from pycram.cancellation import checkpoint, wait
-from pycram.failures import UsageError
+from pycram.foundation.failures import UsageError
 from pycram.handle import unwrap
-from recorder.span import Span
 from recorder.tasks import State
+from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     import threading

@@ -9,24 +9,24 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pycram import checks
-from pycram.failures import ReasoningError
+from pycram.foundation import checks
+from pycram.foundation.failures import ReasoningError
 from pycram.handle import unwrap
-from pycram.reasoning import choice as _choice
-from pycram.reasoning import contact as _contact
-from pycram.reasoning import outline as _outline
-from pycram.reasoning import reach as _reach
-from pycram.reasoning import reachability as _reachability
-from pycram.reasoning import rehearsal as _rehearsal
-from pycram.reasoning import stability as _stability
-from pycram.reasoning import visibility as _visibility
-from pycram.reasoning.query import Asking, Found, Verdict, asking, robot_of, world_of
+from pycram.reasoning.collision import checker as _rehearsal
+from pycram.reasoning.collision import ray_cast as _outline
+from pycram.reasoning.grasping import choice as _choice
+from pycram.reasoning.kinematics import reach as _reach
+from pycram.reasoning.queries import contact as _contact
+from pycram.reasoning.queries import reachability as _reachability
+from pycram.reasoning.queries import stability as _stability
+from pycram.reasoning.queries import visibility as _visibility
+from pycram.reasoning.queries.query import Asking, Found, Verdict, asking, robot_of, world_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from pycram.bullet_world import BulletWorld
-    from pycram.objects import Object
+    from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
     from recorder.geometry import Pose, Quaternion
 
 __all__ = [
@@ -56,7 +56,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:  # noqa
 
     Returns:
         False if it would move more than 1 cm or turn more than 5 degrees within 2 s; the evidence says how far.
-        See :mod:`pycram.reasoning.stability` for why creep doesn't count.
+        See :mod:`pycram.reasoning.queries.stability` for why creep doesn't count.
     """
     body: Object = unwrap(object)
     place = world_of(body, world=world)

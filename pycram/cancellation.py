@@ -2,8 +2,8 @@
 
 A scope is a stretch of the plan that can be cancelled, or that has a deadline; scopes nest as the blocks of the plan
 do. Nothing is interrupted: a cancelled branch stops by itself at its next checkpoint, where the world is consistent, by
-a :class:`~recorder.span.Cancelled` that rises through it. Checkpoints are: before a motion, in a wait, and before a
-change of a world, except within a motion, which is done as a whole.
+a :class:`~recorder.tracing.span.Cancelled` that rises through it. Checkpoints are: before a motion, in a wait, and
+before a change of a world, except within a motion, which is done as a whole.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from pycram.binding import Binding
-from recorder.span import Cancelled
+from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

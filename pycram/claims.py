@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.cancellation import wait
-from pycram.failures import BadArgument, UsageError
+from pycram.foundation.failures import BadArgument, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 from pycram.actions import name_of, run
 from pycram.attempts import Retry
 from pycram.cancellation import Cancelled, shielded
-from pycram.error_chain import chained, raise_unchanged
-from pycram.failures import BadArgument, NotCleanedUp, PlanFailure
+from pycram.failed_blocks import NotCleanedUp
+from pycram.foundation.error_chain import chained, raise_unchanged
+from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.nesting import stretch
 from pycram.open_block import alone
-from recorder.span import span
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -12,11 +12,11 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pycram.failures import PlanFailure, PycramError
+from pycram.foundation.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
-from recorder.mcap_sink import versions
+from recorder.mcap.sink import versions
 from recorder.records import told_error
-from recorder.viewer.audience import Kind, Wish
+from recorder.viewer.connection import Kind, Wish
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ import functools
 import traceback
 from typing import TYPE_CHECKING
 
-from pycram.error_families import PlanFailure, PycramError, slots_of
+from pycram.foundation.error_families import PlanFailure, PycramError, slots_of
 from recorder.records import told_error
 
 if TYPE_CHECKING:

@@ -46,14 +46,14 @@ from typing import Any, Final, TypeAlias, overload
 from pycram.attempts import retry
 from pycram.blocks import Block
 from pycram.cleanup import finally_
-from pycram.failures import BadArgument
+from pycram.foundation.failures import BadArgument
 from pycram.nested_blocks import nested
 from pycram.nesting import Nested
 from pycram.open_block import OpenBlock, Rule, current_block
 from pycram.retries import failure_handling
 from pycram.timeouts import timeout
 from recorder.tasks import State
-from recorder.way import plan_line
+from recorder.tracing.call_site import plan_line
 
 __all__ = [
     "State",

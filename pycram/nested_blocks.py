@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING
 from pycram.blocks import Block
 from pycram.branch import Branch
 from pycram.cancellation import Cancelled, current_scope, entered, wait
-from pycram.failures import PlanFailure
+from pycram.foundation.failures import PlanFailure
 from pycram.open_block import OpenBlock, hosted
-from recorder.interrupts import Uninterrupted
-from recorder.span import Span
 from recorder.tasks import State
+from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -14,8 +14,8 @@ from contextvars import ContextVar
 from functools import wraps
 from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, TypeVar
 
-from pycram.failures import UsageError
-from recorder.way import comes_back
+from pycram.foundation.failures import UsageError
+from recorder.tracing.call_site import comes_back
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

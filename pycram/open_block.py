@@ -17,11 +17,11 @@ from pycram.actions import Result, name_of, run
 from pycram.binding import Binding
 from pycram.branch import Branch
 from pycram.cancellation import checkpoint, enter
-from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.handle import Handle
 from pycram.nesting import nothing_open
-from recorder.span import way_here
 from recorder.tasks import State
+from recorder.tracing.span import way_here
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from pycram.cancellation import Scope
-    from recorder.span import Span
+    from recorder.tracing.span import Span
 
 
 class BlockClosed(UsageError):

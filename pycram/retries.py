@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 from pycram.actions import run
 from pycram.attempts import Attempts, Parameters, told_to_stop
 from pycram.failed_blocks import leaves_uncleaned
-from pycram.failures import BadArgument, PlanFailure, UsageError
+from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 
 if TYPE_CHECKING:
     from typing_extensions import Self

@@ -6,8 +6,8 @@ from a recording, with the same classes. A plan that runs for days keeps its las
 
 from __future__ import annotations
 
-from recorder import span
 from recorder.tasks import Moment, Node, State, Tree
+from recorder.tracing import span
 
 __all__ = ["Moment", "Node", "State", "Tree", "current", "tree"]
 

@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
-from pycram.checks import number
-from pycram.failures import BadArgument, NoWorld, PlanFailure
+from pycram.foundation.checks import number
+from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.nesting import stretch
 from pycram.open_block import alone
 from recorder.records import STEPS_PER_SECOND
-from recorder.span import span
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -81,7 +81,7 @@ def _timer(seconds: float) -> Iterator[Scope]:
 @contextmanager
 def _watch(seconds: float) -> Iterator[Scope]:
     """A scope whose deadline is on the current world's time."""
-    from pycram.bullet_world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
+    from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
 
     world = BulletWorld.current_bullet_world
     if world is None:

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder import journal
-from recorder.asset import AssetFile
 from recorder.errors import RecordingError
-from recorder.journal import Journal
-from recorder.mcap_sink import McapSink
+from recorder.mcap.sink import McapSink
 from recorder.records import Run, failure
-from recorder.rerun_sink import RerunSink
-from recorder.uncaught import uncaught_noted
+from recorder.records.asset import AssetFile
+from recorder.tracing import journal
+from recorder.tracing.journal import Journal
+from recorder.tracing.uncaught import uncaught_noted
+from recorder.viewer.sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

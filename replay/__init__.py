@@ -5,10 +5,10 @@ world after one. Needs neither the plan nor the physics engine.
 """
 
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
-from replay.fold import fold, state_at
-from replay.log import Log
-from replay.log import open_log as open  # noqa: A004  replay.open reads well
-from replay.state import Attachment, Body, State, World
+from replay.file.log import Log
+from replay.file.log import open_log as open  # noqa: A004  replay.open reads well
+from replay.state.fold import fold, state_at
+from replay.state.state import Attachment, Body, State, World
 
 __all__ = [
     "Attachment",

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from recorder import journal
+from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.asset import AssetFile
     from recorder.records import Record
+    from recorder.records.asset import AssetFile
 
 
 class MemorySink:

@@ -17,7 +17,7 @@ import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.process_module import ProcessModule
-from recorder.proto import log_pb2
+from recorder.records import log_pb2
 
 if TYPE_CHECKING:
     from collections.abc import Callable

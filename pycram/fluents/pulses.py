@@ -10,12 +10,12 @@ import weakref
 from enum import Enum
 from typing import TYPE_CHECKING, cast
 
-from pycram.fluents.terms import Ended, Leaf, lock, wake
+from pycram.fluents.expressions import Ended, Leaf, lock, wake
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from pycram.fluents.terms import State, Term, Value
+    from pycram.fluents.expressions import State, Term, Value
 
 
 class Behavior(Enum):

@@ -5,15 +5,16 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING
 
+from pycram.fluents.expressions import Ended, Leaf, lock, wake
 from pycram.fluents.pulses import accounts_on, pulse
-from pycram.fluents.terms import Ended, Leaf, lock, wake
-from recorder import journal, records
-from recorder.interrupts import Uninterrupted
+from recorder import records
+from recorder.tracing import journal
+from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from pycram.fluents.terms import Term, Value
+    from pycram.fluents.expressions import Term, Value
 
 _numbers = itertools.count(1)
 

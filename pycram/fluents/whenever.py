@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, overload
 
 from pycram.actions import lazy, run
 from pycram.cancellation import checkpoint
-from pycram.failures import BadArgument
 from pycram.fluents.pulses import Account
-from pycram.fluents.watch import first_value
+from pycram.fluents.waiting import first_value
+from pycram.foundation.failures import BadArgument
 from pycram.handle import unwrap
 from pycram.open_block import await_turn
-from recorder.span import span
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.fluent import Fluent
-    from pycram.fluents.terms import Term, Value
+    from pycram.fluents.expressions import Term, Value
+    from pycram.fluents.fluent import Fluent
 
 
 @overload
@@ -55,7 +55,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         BadArgument: not a fluent, or a body that can't be called.
         Cancelled: the branch has been told to stop.
     """
-    from pycram.fluent import Fluent  # noqa: PLC0415  which shows this function
+    from pycram.fluents.fluent import Fluent  # noqa: PLC0415  which shows this function
 
     watched = unwrap(fluent)
     if not isinstance(watched, Fluent):

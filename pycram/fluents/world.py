@@ -19,22 +19,22 @@ from __future__ import annotations
 import weakref
 from typing import TYPE_CHECKING
 
-from pycram.failures import BadArgument
-from pycram.fluent import Derived
-from pycram.fluents.terms import Ended
+from pycram.fluents.expressions import Ended
+from pycram.fluents.fluent import Derived
 from pycram.fluents.variables import Variable, change, end
+from pycram.foundation.failures import BadArgument
 from pycram.handle import unwrap
-from pycram.reasoning.contact import touches
-from pycram.reasoning.query import world_of
+from pycram.reasoning.queries.contact import touches
+from pycram.reasoning.queries.query import world_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from pycram.bullet_world import BulletWorld
-    from pycram.fluent import Fluent
-    from pycram.fluents.terms import Value
-    from pycram.funnel import Change
-    from pycram.objects import Object
+    from pycram.fluents.expressions import Value
+    from pycram.fluents.fluent import Fluent
+    from pycram.world.object import Object
+    from pycram.world.transaction import Change
+    from pycram.world.world import BulletWorld
 
 __all__ = ["contact", "holding", "joint", "pose", "position"]
 

@@ -11,8 +11,8 @@ import threading
 from collections import OrderedDict, deque
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.asset import AssetFile
 from recorder.records import Event, Fluent, Mutation
+from recorder.records.asset import AssetFile
 
 if TYPE_CHECKING:
     from recorder.records import Record

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Final
 import rerun.blueprint as rrb
 from rerun import new_entity_path
 
-from recorder.frames import ROOT
-from recorder.viewer.graph import GRAPH
-from recorder.viewer.lanes import LANES
-from recorder.viewer.lines import LOG
+from recorder.records.frames import ROOT
+from recorder.viewer.log_lines import LOG
 from recorder.viewer.plots import HEIGHTS, JOINTS
-from recorder.viewer.questions import PAGE, PICTURE, QUERIES
+from recorder.viewer.query_view import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
 from recorder.viewer.tables import KINDS, RECORDS
 from recorder.viewer.targets import FAILURES
+from recorder.viewer.task_graph import GRAPH
+from recorder.viewer.timeline import LANES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

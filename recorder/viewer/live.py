@@ -1,7 +1,7 @@
 """The process between a recording and its viewer: translates records and hands them over.
 
 Whatever a viewer does to those who talk to it, it does to this process: stall it, fill its memory, hang its exit. The
-recording (:mod:`recorder.rerun_sink`) sends a batch and goes on when the viewer has taken it. At its end it gives all
+recording (:mod:`recorder.viewer.sink`) sends a batch and goes on when the viewer has taken it. At its end it gives all
 that is left, and this process has a while of its own to hand that over, also if it was still loading the viewer's
 library by then. That and translating cost the plan nothing either, but for the core that they run on.
 
@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.audience import LINGERING, Kind, ViewerGone, Wish, Word, answers
+from recorder.viewer.connection import LINGERING, Kind, ViewerGone, Wish, Word, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,7 +9,7 @@ import rerun as rr
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from recorder.frames import Moved
+    from recorder.records.frames import Moved
     from recorder.viewer.columns import Columns, Moment, Series
     from recorder.viewer.scene import Body
 

@@ -18,18 +18,18 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder import geometry
-from recorder.frames import ROOT, frame_name
+from recorder.geometry.shapes import read_shapes
 from recorder.records import Keyframe
-from recorder.shapes import read_shapes
+from recorder.records.frames import ROOT, frame_name
 from recorder.viewer.shapes import drawn
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.asset import AssetFile
-    from recorder.frames import Frame, FrameTree, Moved
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
+    from recorder.records.asset import AssetFile
+    from recorder.records.frames import Frame, FrameTree, Moved
     from recorder.viewer.columns import Columns, Moment, Series
 
 BODIES: Final = "bodies"

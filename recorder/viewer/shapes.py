@@ -11,7 +11,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from recorder.shapes import Color, Shape
+    from recorder.geometry.shapes import Color, Shape
 
 _MEDIA: Final = {"stl": "model/stl", "obj": "model/obj"}
 

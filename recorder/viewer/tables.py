@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 import pyarrow as pa
 import rerun as rr
 
-from recorder.log_lines import by_name, values
 from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, told_failure
+from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -11,15 +11,15 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Task
-from recorder.viewer.lines import numbered
+from recorder.viewer.log_lines import numbered
 from recorder.viewer.marks import BLUE, RED, Marks, arrow, line, points
-from recorder.viewer.places import eye, numbers, robot, target, values_of
+from recorder.viewer.scene_lookup import eye, numbers, robot, target, values_of
 
 if TYPE_CHECKING:
     from recorder.geometry import Vector
     from recorder.viewer.columns import Columns, Moment
-    from recorder.viewer.places import Values
     from recorder.viewer.scene import Scene
+    from recorder.viewer.scene_lookup import Values
 
 TARGETS: Final = "targets"
 FAILURES: Final = "failures"

@@ -6,17 +6,17 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
 from recorder.viewer.columns import Columns, Moment, simulated
-from recorder.viewer.report import Report
-from recorder.viewer.stage import Stage
+from recorder.viewer.log_view import Report
+from recorder.viewer.scene_view import Stage
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     import rerun as rr
 
-    from recorder.asset import AssetFile
     from recorder.geometry import Vector
     from recorder.records import Record
+    from recorder.records.asset import AssetFile
 
 _BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more room
 

@@ -13,8 +13,8 @@ from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.viewer.audience import HOST, PAGE_PORT, PORT, RECORDS_PORT, ViewerGone, address, answers, free_port
-from recorder.viewer.page import Page
+from recorder.viewer.connection import HOST, PAGE_PORT, PORT, RECORDS_PORT, ViewerGone, address, answers, free_port
+from recorder.viewer.web_page import Page
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

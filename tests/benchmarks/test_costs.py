@@ -19,8 +19,8 @@ import pytest
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
-from recorder import journal
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
+from recorder.tracing import journal
 from tests.benchmarks.timing import ratio, seconds
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.camera import FAR, NEAR
-from pycram.engine import bullet
+from pycram.physics.engine import bullet
+from pycram.vision.camera import FAR, NEAR
 from recorder import geometry
 from tests.benchmarks.timing import ratio, seconds
 

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder import journal
 from recorder.recording import record
 from recorder.records import BodyState, Effect, Keyframe, LoadBody, MoveBody, Mutation, OpenWorld, Query, Run
+from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from pathlib import Path

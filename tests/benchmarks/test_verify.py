@@ -13,7 +13,7 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from replay.verify import verify
+from replay.restore.verify import verify
 from tests.benchmarks.timing import ratio, seconds
 
 if TYPE_CHECKING:

@@ -25,8 +25,8 @@ import pytest
 import rerun_cli
 
 import recorder
-from recorder.viewer.audience import address, answers
-from replay.cli import main
+from recorder.viewer.connection import address, answers
+from replay.cli.main import main
 from tests.benchmarks.test_reading import write
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
 CONVERTER = """
 import os, pathlib, resource, sys, time
 import replay
-from replay.view import convert
+from replay.view.rrd import convert
 
 start = time.perf_counter()
 with replay.open(sys.argv[1]) as log:

@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from pycram import bullet_world_reasoning as btr
-from pycram.assets import resources
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import AssetError, BadArgument, DisplayError, JointLimitError, UnknownName, UsageError
+from pycram.models.load import resources
 from pycram.process_module import ProcessModule
 from tests.conftest import furnish
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pycram import raster
-from pycram.raster import Window, rasterize
+from pycram.vision import rasterizer
+from pycram.vision.rasterizer import Window, rasterize
 
 WINDOW = Window(-0.7, -0.5, 0.6, 0.4)
 SIZE = (26, 18)
@@ -75,7 +75,7 @@ def test_large_ones_are_seen_whole_band_by_band(flat: bool, monkeypatch: pytest.
             triangles[:, 1, 1:] = triangles[:, 0, 1:]  # an edge along the rows
         told = []
         for large in (-1, 1 << 30):
-            monkeypatch.setattr(raster, "_LARGE", large)
+            monkeypatch.setattr(rasterizer, "_LARGE", large)
             told.append(rasterize(triangles, WINDOW, (60, 80), NEAR, FAR))
         assert (told[0][1] == told[1][1]).all()
         assert told[0][0] == pytest.approx(told[1][0])

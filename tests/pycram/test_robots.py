@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-import pycram.robots
+import pycram.models.robots
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
-from pycram.robots.description import RobotDescription
+from pycram.models.robots.description import RobotDescription
 
-PR2 = (Path(pycram.robots.__file__).parent / "pr2.toml").read_text()
+PR2 = (Path(pycram.models.robots.__file__).parent / "pr2.toml").read_text()
 
 BROKEN = {
     "not TOML": ("robot = ", "robot = = ", "TOML"),

@@ -21,9 +21,9 @@ from pycram.failures import PlanFailure, Unreachable
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_in_order
 from pycram.process_module import ProcessModule
 from recorder.records import Task
-from recorder.span import span
 from recorder.tasks import Tree
-from replay.cli import main
+from recorder.tracing.span import span
+from replay.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -16,7 +16,7 @@ from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
 from pycram.language import par
 from pycram.process_module import ProcessModule
-from pycram.reasoning.query import asking
+from pycram.reasoning.queries.query import asking
 from recorder.records import Task
 
 if TYPE_CHECKING:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from recorder import compile_proto
-from recorder.records import TOPICS
+from recorder.records import TOPICS, compile_proto
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -16,8 +15,8 @@ if TYPE_CHECKING:
 def test_checked_in_modules_are_what_the_definition_compiles_to(tmp_path: Path) -> None:
     compile_proto.compile_proto(tmp_path)
     for name in ("log_pb2.py", "log_pb2.pyi"):
-        made = (tmp_path / "recorder" / "proto" / name).read_text()
-        kept = (compile_proto.ROOT / "recorder" / "proto" / name).read_text()
+        made = (tmp_path / "recorder" / "records" / name).read_text()
+        kept = (compile_proto.ROOT / "recorder" / "records" / name).read_text()
         # the compiler writes its own version, which may be newer on another machine
         assert _without_version(made) == _without_version(kept), f"run: make proto ({name})"
 

@@ -32,15 +32,16 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder import RecordingError, journal
+from recorder import RecordingError
 from recorder.records import Event, Keyframe, Mutation, Run, Task
-from recorder.span import span
+from recorder.tracing import journal
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from recorder.asset import AssetFile
     from recorder.records import Record
+    from recorder.records.asset import AssetFile
 
 
 def record_something(file: Path) -> None:

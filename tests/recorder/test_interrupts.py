@@ -16,9 +16,9 @@ import pytest
 
 import recorder
 import replay
-from recorder import journal
-from recorder.interrupts import Uninterrupted
 from recorder.records import Event
+from recorder.tracing import journal
+from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

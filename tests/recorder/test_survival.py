@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 VICTIM = """
 import os, sys, random, threading
 import recorder
-from recorder import journal
+from recorder.tracing import journal
 from recorder.records import Event, Failure, Task
 rng = random.Random(int(sys.argv[2]))
 pause = threading.Event()
@@ -100,7 +100,7 @@ def test_a_full_disk_is_told_at_once_and_the_plan_goes_no_further(tmp_path: Path
     program = """
 import resource, signal, sys
 import recorder
-from recorder import journal
+from recorder.tracing import journal
 from recorder.records import Event
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
-from recorder.urdf import Urdf
-from recorder.urdf_joint import UrdfError
+from recorder.geometry.joints import UrdfError
+from recorder.geometry.urdf import Urdf
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

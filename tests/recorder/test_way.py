@@ -16,12 +16,12 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.span import span
-from recorder.way import MOST, Way
-from replay.blame import blame
-from replay.causes import causes
-from replay.cli import main
-from replay.source import Source
+from recorder.tracing.call_site import MOST, Way
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain.blame import blame
+from replay.explain.causes import causes
+from replay.explain.source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +41,7 @@ ball = Object("ball", "ball", "apple.stl")
 tidy(ball)
 """
 HELPERS = """
-from recorder.span import span
+from recorder.tracing.span import span
 
 def put(ball, height):
     with span("motion", "put"):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from recorder.records import Mutation
 
 if TYPE_CHECKING:
-    from replay.log import Log
+    from replay.file.log import Log
 
 
 def mutation(log: Log, command: str, which: int = 0) -> int:

@@ -20,7 +20,7 @@ from tests.conftest import furnish
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.log import Log
+    from replay.file.log import Log
 
 GOLDEN = Path(__file__).parent / "golden"
 DEMOS = Path(__file__).parents[2] / "demos"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AttachmentError
-from pycram.funnel import read
+from pycram.world.transaction import read
 from recorder import geometry
 from recorder.records import Keyframe, Mutation
 

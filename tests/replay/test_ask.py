@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from pycram import worlds
+from pycram.world import current
 from recorder.records import Query
-from replay import words
-from replay.ask import QUERIES, Move, again, ask
-from replay.cli import main
-from replay.question import BadQuestion, Name, Question, parse
+from replay.cli.main import main
+from replay.explain import wording
+from replay.restore.ask import QUERIES, Move, again, ask
+from replay.restore.question import BadQuestion, Name, Question, parse
 from tests.replay.near import assert_near
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
                 assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
                 assert_near(found.evidence, live, where, within=1e-6)
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_what_a_record_shows_can_be_asked(demo_log: Path, failed_log: Path, caps
             asked = {record.name: record for record in log.records(Query)}
             assert asked
             for record in asked.values():
-                shown = words.question(record)
+                shown = wording.question(record)
                 assert main(["ask", str(file), str(record.seq), shown, "--json"]) == 0, shown
                 assert json.loads(capsys.readouterr().out)["answer"] == names(record.answer_json), shown
 
@@ -191,7 +191,7 @@ def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None
 def test_questions_without_an_answer_say_why(scene_log: Path, question: str, told: str) -> None:
     with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=told):
         ask(log, first(log, "visible").seq, question)
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 def test_words_stay_words() -> None:
@@ -217,7 +217,9 @@ def test_the_verb_prints_the_answer_and_its_evidence(scene_log: Path, capfd: pyt
 
 @pytest.mark.slow
 def test_without_the_engine_it_says_what_is_missing(scene_log: Path) -> None:
-    script = "import sys; sys.modules['pybullet'] = None; from replay.cli import main; sys.exit(main(sys.argv[1:]))"
+    script = (
+        "import sys; sys.modules['pybullet'] = None; from replay.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
     asked = [sys.executable, "-c", script, "ask", str(scene_log), "-3", "stable(milk)"]
     told = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert told.returncode == 2

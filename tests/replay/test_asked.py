@@ -11,19 +11,19 @@ import pytest
 import recorder
 import replay
 from pycram import bullet_world_reasoning as btr
-from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
-from recorder.span import span
-from replay.blame import blame
-from replay.cli import main
-from replay.why import why
+from pycram.world import current
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain.blame import blame
+from replay.explain.why import why
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from replay.log import Log
+    from replay.file.log import Log
 
 
 def take_what_is_gone(file: Path) -> None:
@@ -74,8 +74,8 @@ def take_after(file: Path, change: str) -> None:
 def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Log]:
     with pytest.raises(PlanFailure):
         take_after(tmp_path / "x.mcap", request.param)
-    while worlds.opened():
-        worlds.opened()[-1].exit()
+    while current.opened():
+        current.opened()[-1].exit()
     with replay.open(tmp_path / "x.mcap") as log:
         yield log
 

@@ -12,15 +12,15 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.cli import run
 from recorder.records import Mutation
-from recorder.span import span
-from replay.blame import blame
-from replay.cli import main
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain.blame import blame
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from replay.log import Log
+    from replay.file.log import Log
 
 
 def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:

@@ -13,8 +13,8 @@ from pycram import tasks
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import failure_handling, par, try_in_order
-from recorder.span import span
-from replay.why import why
+from recorder.tracing.span import span
+from replay.explain.why import why
 
 if TYPE_CHECKING:
     from collections.abc import Callable

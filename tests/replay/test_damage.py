@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 import replay
-from replay.cli import main
+from replay.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,17 +10,17 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Task
-from recorder.span import span
-from replay import words
-from replay.cli import main
-from replay.diff import difference
-from replay.runs import compare
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain import wording
+from replay.explain.compare import compare
+from replay.state.diff import difference
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from replay.log import Log
+    from replay.file.log import Log
 
 
 def test_a_step_differs_from_itself_in_nothing(small: Log) -> None:
@@ -175,4 +175,4 @@ def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_numbers_are_told_with_the_digits_that_tell_them_apart(
     before: float, after: float, told: tuple[str, str]
 ) -> None:
-    assert words.apart(before, after) == told
+    assert wording.apart(before, after) == told

@@ -9,7 +9,7 @@ import pytest
 
 import replay
 from recorder.records import Mutation, Query, Task
-from replay.cli import main
+from replay.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path

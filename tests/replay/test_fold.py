@@ -14,8 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import replay
-from recorder.journal import Journal
-from recorder.mcap_sink import McapSink
+from recorder.mcap.sink import McapSink
 from recorder.records import (
     AttachBody,
     Attachment,
@@ -34,6 +33,7 @@ from recorder.records import (
     SetGravity,
     Simulate,
 )
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
     from recorder.records import Record

@@ -14,16 +14,16 @@ import pytest
 
 import replay
 from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
-from replay.blame import blame
-from replay.cli import main
-from replay.plain import plain_record
-from replay.tree import tree
-from replay.why import why
+from replay.cli.main import main
+from replay.explain.blame import blame
+from replay.explain.tree import tree
+from replay.explain.why import why
+from replay.state.json_data import plain_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.log import Log
+    from replay.file.log import Log
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
 COMMANDS = [

@@ -10,13 +10,13 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder import mcap_sink
-from recorder.mcap_sink import McapSink
+from recorder.mcap import sink as mcap_sink
+from recorder.mcap.sink import McapSink
 from recorder.records import Mutation
-from replay.cli import main
-from replay.diff import difference
-from replay.lives import title
-from replay.summary import summary
+from replay.cli.main import main
+from replay.explain.summary import summary
+from replay.file.lifetimes import title
+from replay.state.diff import difference
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

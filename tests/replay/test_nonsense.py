@@ -11,12 +11,12 @@ from google.protobuf.descriptor import FieldDescriptor
 import recorder
 import replay
 from pycram import bullet_world_reasoning as btr
-from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
-from recorder.asset import AssetFile
-from recorder.mcap_sink import McapSink
+from pycram.world import current
+from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Task
-from replay.cli import main
+from recorder.records.asset import AssetFile
+from replay.cli.main import main
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -109,7 +109,7 @@ def check(sound: Path, target: Path, seed: int) -> None:
         ["render", file, "-20", "-o", str(target.with_suffix(".png")), "--size", "8x8"],
     ):
         assert main(asked) in (0, 1, 2, 3), f"seed {seed}: {asked}"
-        assert not worlds.opened(), f"seed {seed}: {asked}"
+        assert not current.opened(), f"seed {seed}: {asked}"
 
 
 def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:

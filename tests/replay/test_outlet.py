@@ -14,9 +14,9 @@ import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
-from recorder.span import span
-from replay.cli import main
-from replay.outlet import tell, tell_json, visible
+from recorder.tracing.span import span
+from replay.cli.console import tell, tell_json, visible
+from replay.cli.main import main
 
 SPOON = "Löffel 🥄"
 RED = "\x1b[31mred\x9b0m\r\x07\u202e"
@@ -26,7 +26,7 @@ VERBS = (
 )  # fmt: skip
 ASCII = """
 import sys
-from replay.cli import main
+from replay.cli.main import main
 for line in sys.argv[2:]:
     verb, *rest = line.split("|") if "|" in line else line.split()
     print(main([verb, sys.argv[1], *rest, "--json"]), file=sys.stderr)

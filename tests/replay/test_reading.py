@@ -13,10 +13,10 @@ import pytest
 
 import recorder
 import replay
-from recorder import journal
 from recorder.records import Event, MoveBody, Mutation, Task
-from recorder.span import span
-from replay.cli import VERBS, main
+from recorder.tracing import journal
+from recorder.tracing.span import span
+from replay.cli.main import VERBS, main
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 WRITER = """
 import os, sys
 import recorder
-from recorder import journal
+from recorder.tracing import journal
 from recorder.records import Event
 with recorder.record(sys.argv[1]):
     print("open", flush=True)
@@ -180,7 +180,7 @@ class Refuse:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Refuse())
-from replay.cli import main
+from replay.cli.main import main
 for verb in "info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why":
     name, *rest = verb.split()
     print(verb, main([name, sys.argv[1], *rest]), file=sys.stderr)
@@ -260,7 +260,7 @@ def test_what_is_read_behind_its_with_is_not_called_damaged(small_log: Path) -> 
 
 EACH_VERB = """
 import sys
-from replay.cli import main
+from replay.cli.main import main
 for verb, *rest in (["info"], ["log"], ["state", "last"], ["why"], ["show", "3"]):
     for more in ([], ["--json"]):
         assert main([verb, sys.argv[1], *rest, *more]) == 0, verb

@@ -11,11 +11,11 @@ from PIL import Image
 
 import recorder
 import replay
-from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.world import current
 from recorder.records import Query
-from replay.cli import main
-from replay.render import render
+from replay.cli.main import main
+from replay.restore.render import render
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,7 +52,7 @@ def test_it_shows_that_moment_from_that_place(file: Path) -> None:
         wide = render(log, 2, size=(100, 50))
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 @pytest.mark.slow

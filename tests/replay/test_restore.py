@@ -13,11 +13,11 @@ import pytest
 
 import recorder
 import replay
-from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.world import current
 from recorder.records import Keyframe, Mutation
-from replay.cli import main
-from replay.verify import verify
+from replay.cli.main import main
+from replay.restore.verify import verify
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -74,7 +74,7 @@ def test_a_scripts_end_is_the_verbs(
     told = capfd.readouterr()
     assert ("ZeroDivisionError" in told.err) is (text == "1/0")
     assert not told.out
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_wrong_usage_is_told_on_stderr(
     told = capfd.readouterr()
     assert words in told.err
     assert not told.out
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ import replay
 from pycram.cli import run
 from pycram.failures import PlanFailure
 from recorder.records import Run
-from recorder.span import span
-from replay.cli import main
-from replay.why import why
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain.why import why
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,7 +24,7 @@ PLAN = """
 import threading
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
-from recorder.span import span
+from recorder.tracing.span import span
 
 def lift(ball):
     with span("motion", "lift"):

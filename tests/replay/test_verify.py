@@ -13,23 +13,24 @@ import pytest
 import recorder
 import replay
 from pycram import bullet_world_reasoning as btr
-from pycram import worlds
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par
-from recorder import mcap_sink
-from recorder.asset import AssetFile
-from recorder.mcap_sink import McapSink
+from pycram.world import current
+from recorder.mcap import sink
+from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Record, Run, Task
-from recorder.span import span
-from replay import verify as verifying
-from replay.cli import main
-from replay.verify import verify
+from recorder.records.asset import AssetFile
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.restore.verify import verify
 from tests.replay.near import assert_near
 from tests.replay.plans import RandomPlan, Witness, everything
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+
+    from replay.state.integrity import Problem
 
 
 CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
@@ -38,7 +39,7 @@ CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 def rewritten(source: Path, target: Path, change: Callable[[Record], Record | None], **metadata: str) -> Path:
@@ -55,7 +56,7 @@ def rewritten(source: Path, target: Path, change: Callable[[Record], Record | No
     return target
 
 
-def problem_of(file: Path) -> verifying.Problem:
+def problem_of(file: Path) -> Problem:
     with replay.open(file) as log:
         found = verify(log).problem
     assert found is not None
@@ -306,7 +307,7 @@ def test_on_another_machine_it_says_how_near_it_is(run_log: Path, tmp_path: Path
     with replay.open(same) as log:
         verdict = verify(log)
     assert verdict.exact
-    assert verdict.environment == (f"pybullet {mcap_sink.versions()['pybullet']} instead of 3.2.5",)
+    assert verdict.environment == (f"pybullet {sink.versions()['pybullet']} instead of 3.2.5",)
     with replay.open(rewritten(run_log, tmp_path / "near.mcap", nudge(1e-5), pybullet="3.2.5")) as log:
         verdict = verify(log)
     assert verdict.sound

@@ -16,12 +16,12 @@ from pycram.cli import run
 from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.records import Query, Run
-from recorder.span import span
-from replay.cli import main
-from replay.why import why
+from recorder.tracing.span import span
+from replay.cli.main import main
+from replay.explain.why import why
 
 if TYPE_CHECKING:
-    from replay.log import Log
+    from replay.file.log import Log
 
 
 def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Log) -> None:

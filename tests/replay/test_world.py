@@ -11,11 +11,11 @@ import pytest
 
 import recorder
 import replay
-from pycram import attachments, worlds
 from pycram.bullet_world import BulletWorld, Object
+from pycram.world import attachment, current
 from recorder import geometry
 from recorder.records import Keyframe, Mutation, OpenWorld
-from replay.ask import ask
+from replay.restore.ask import ask
 from tests.replay.near import assert_near
 from tests.replay.plans import RandomPlan, everything
 
@@ -32,7 +32,7 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    for world in worlds.opened():
+    for world in current.opened():
         world.exit()
 
 
@@ -127,7 +127,7 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> 
             step = end_of(log)
             ask(log, step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
-            assert worlds.opened() == (now,)
+            assert current.opened() == (now,)
             past = log.world_at(step)
         past.simulate(0.1)
         past.exit()
@@ -162,7 +162,7 @@ def test_steps_without_a_world_say_so(planned: Path) -> None:
             log.world_at("last", "kitchen")
         with pytest.raises(replay.NoSuchName, match="kitchen"):
             log.world_at(20, "kitchn")
-    assert not worlds.opened()
+    assert not current.opened()
 
 
 def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> None:
@@ -231,7 +231,7 @@ def make(world: BulletWorld, change: Mutation) -> None:
     elif command == "move_joints":
         world.get_object(told.body).set_joint_positions(dict(zip(told.joints, told.positions, strict=True)))
     elif command == "attach_body":
-        attachments.attach(
+        attachment.attach(
             world.get_object(told.carrier), world.get_object(told.body), told.carrier_link, told.body_link
         )
     elif command == "detach_body":

@@ -30,7 +30,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
-from recorder.viewer.audience import address, answers
+from recorder.viewer.connection import address, answers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

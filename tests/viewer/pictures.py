@@ -16,9 +16,9 @@ import numpy as np
 from PIL import Image
 
 import replay
-from recorder.viewer.audience import free_port
-from replay.cli import main
-from replay.view import convert
+from recorder.viewer.connection import free_port
+from replay.cli.main import main
+from replay.view.rrd import convert
 from tests.viewer.conftest import Headless, wait_until
 
 WORLD = "world_1"

@@ -12,7 +12,7 @@ from rerun.error_utils import RerunWarning
 import recorder
 from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
-from replay.cli import main
+from replay.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path

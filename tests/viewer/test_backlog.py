@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.asset import AssetFile
 from recorder.records import (
     AttachBody,
     Event,
@@ -24,6 +23,7 @@ from recorder.records import (
     Simulate,
     Task,
 )
+from recorder.records.asset import AssetFile
 from recorder.viewer.backlog import Backlog, is_passing
 
 if TYPE_CHECKING:

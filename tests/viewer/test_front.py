@@ -15,7 +15,7 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation
 from recorder.viewer.translator import Translator
-from replay.cli import main
+from replay.cli.main import main
 from tests.viewer.shown import in_front, small
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def test_the_world_in_front_is_the_one_that_is_looked_at(tmp_path: Path, two_wor
 
 
 def test_what_is_kept_beside_a_recording_begins_at_its_beginning(two_worlds: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     with replay.open(two_worlds) as log:
         for step, world in [(moved(log, "milk"), "try"), (None, "kitchen"), (moved(log, "cup"), "kitchen")]:

@@ -20,9 +20,9 @@ import pytest
 
 import recorder
 import replay
-from recorder import rerun_sink
-from recorder.viewer.audience import LINGERING, Kind, Wish, answers, free_port
-from replay.view import convert
+from recorder.viewer import sink
+from recorder.viewer.connection import LINGERING, Kind, Wish, answers, free_port
+from replay.view.rrd import convert
 from tests.viewer.conftest import rows_of, wait_until
 
 if TYPE_CHECKING:
@@ -54,15 +54,15 @@ Path("begun").touch()
 
 
 HURRY = """
-from recorder import rerun_sink
-rerun_sink._TO_START = dict.fromkeys(rerun_sink.Kind, 0.0)
-rerun_sink._AT_THE_END = 0.0
+from recorder.viewer import sink
+sink._TO_START = dict.fromkeys(sink.Kind, 0.0)
+sink._AT_THE_END = 0.0
 """
 
 
 PATIENT = """
-from recorder import rerun_sink
-rerun_sink._TO_START = dict.fromkeys(rerun_sink.Kind, 60.0)
+from recorder.viewer import sink
+sink._TO_START = dict.fromkeys(sink.Kind, 60.0)
 """
 
 
@@ -211,7 +211,7 @@ def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
 def test_a_short_plan_waits_no_longer_than_it_takes_to_see_that_nobody_is_there(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rerun_sink, "_AT_THE_END", 90.0)
+    monkeypatch.setattr(sink, "_AT_THE_END", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass

@@ -14,17 +14,17 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder.asset import AssetFile
-from recorder.mcap_sink import McapSink
+from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Argument, Failure, Picture, Query, Record, Task
-from replay.cli import main
+from recorder.records.asset import AssetFile
+from replay.cli.main import main
 from tests.viewer.shown import Shown, in_front, small, view
 
 REPO = Path(__file__).parent.parent.parent
 
 
 def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     log = small(tmp_path / "log.mcap")
     with replay.open(log) as recording:
@@ -39,7 +39,7 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
 
 
 def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     with replay.open(small(tmp_path / "log.mcap")) as recording:
         kept = cached(recording)
@@ -79,7 +79,7 @@ def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_o
 
 
 def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
     temporary.mkdir()
@@ -98,7 +98,7 @@ def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: p
 
 
 def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp_path: Path) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
@@ -143,7 +143,7 @@ def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from replay.view import cached  # noqa: PLC0415
+    from replay.view.rrd import cached  # noqa: PLC0415
 
     whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
     sink = McapSink(log, {})

@@ -16,12 +16,12 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 
 import replay
-from recorder.mcap_sink import McapSink
+from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Argument, Picture, Query
-from replay import teller, translation
-from replay.cli import main
+from replay.cli.main import main
 from replay.errors import ReplayError
-from replay.view import convert
+from replay.view import translation, worker
+from replay.view.rrd import convert
 from tests.viewer.shown import Shown, in_front, looked_for, small
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ GOLDEN = REPO / "tests" / "replay" / "golden" / "0.1.0.mcap"
 PROGRAM = """
 import sys
 from replay import translation
-from replay.cli import main
+from replay.cli.main import main
 translation._LONG = 0
 sys.exit(main(["view", sys.argv[1], "--save", sys.argv[2]]))
 """
@@ -196,7 +196,7 @@ def test_one_process_does_it_all_where_it_cannot_begin_another(tmp_path: Path, m
 
 @pytest.mark.usefixtures("two")
 def test_a_process_that_was_killed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(teller, "_CODE", "import os; os.kill(os.getpid(), 9)")
+    monkeypatch.setattr(worker, "_CODE", "import os; os.kill(os.getpid(), 9)")
     log = small(tmp_path / "log.mcap")
     with replay.open(log) as recording, pytest.raises(ReplayError, match=r"log.mcap: .* was ended \(status -9\)"):
         convert([recording], tmp_path / "log.rrd")
@@ -228,7 +228,7 @@ def test_a_recording_that_was_replaced_is_not_mixed_with_the_other_one(tmp_path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("two")
 def test_a_file_that_has_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Robbed(teller.Teller):
+    class Robbed(worker.Teller):
         def hand_over(self, stream: rr.RecordingStream) -> None:
             self._process.wait()
             self._file.unlink()

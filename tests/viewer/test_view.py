@@ -21,9 +21,9 @@ from pycram.failures import PlanFailure
 from pycram.language import par, seq
 from recorder import geometry
 from recorder.records import Mutation, Query, Task
-from recorder.span import Span
-from replay import ask
-from replay.cli import main
+from recorder.tracing.span import Span
+from replay.cli.main import main
+from replay.restore import ask
 from tests.viewer.conftest import rows_of
 from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, alike, golden, robot_pixels, structure
 from tests.viewer.shown import Shown, in_world, looked_for, small, view
@@ -188,7 +188,7 @@ def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
 
 PLAN = """\
 from pycram.bullet_world import BulletWorld, Object
-from recorder.span import Span
+from recorder.tracing.span import Span
 
 def shove(cup):
     cup.set_position([1, 0, 1])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 
 from pycram.fluent import Fluent
-from pycram.fluents.terms import Term
-from pycram.fluents.watch import Watch
+from pycram.fluents.expressions import Term
+from pycram.fluents.waiting import Watch
 
 
 def test_dropped_networks_leave_nothing_behind() -> None:

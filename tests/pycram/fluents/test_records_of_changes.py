@@ -14,10 +14,10 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.fluent import Fluent
 from pycram.fluents.world import position
 from pycram.language import par
-from recorder import journal
 from recorder.records import Fluent as FluentRecord
 from recorder.records import Mutation, Task
-from replay import cli
+from recorder.tracing import journal
+from replay.cli import main
 from tests.pycram.fluents.waiters import PATIENCE, Running
 
 if TYPE_CHECKING:
@@ -64,14 +64,14 @@ def test_every_change_is_on_record_and_comes_back_from_the_file(
         assert json.loads(waits[1].result_json) is True
         assert log.counts()["fluent"] == 4
         step = told[3].seq
-    assert cli.main(["log", str(file), "--kind", "fluent"]) == 0
+    assert main.main(["log", str(file), "--kind", "fluent"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
     assert lines[0].endswith("fluent battery: 100 -> 50")
     assert lines[2].endswith("fluent battery pulsed at 10")
-    assert cli.main(["log", str(file), "--kind", "fluent", "--object", "cup"]) == 0
+    assert main.main(["log", str(file), "--kind", "fluent", "--object", "cup"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1
-    assert cli.main(["show", str(file), str(step), "--json"]) == 0
+    assert main.main(["show", str(file), str(step), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert (shown["kind"], shown["before"], shown["after"]) == ("fluent", [0, 0, 1], [1, 0, 1])
 

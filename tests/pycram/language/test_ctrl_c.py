@@ -19,9 +19,9 @@ from pycram.cancellation import current_scope
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
 from pycram.nested_blocks import Deferred, _Asked
 from pycram.open_block import current_block
-from recorder import journal
-from recorder.span import Span, span
 from recorder.tasks import State
+from recorder.tracing import journal
+from recorder.tracing.span import Span, span
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
 
 if TYPE_CHECKING:

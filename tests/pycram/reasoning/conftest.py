@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld
-from pycram.funnel import put, read
+from pycram.world.transaction import put, read
 from tests.conftest import furnish
 
 if TYPE_CHECKING:

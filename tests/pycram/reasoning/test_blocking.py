@@ -14,10 +14,12 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from pycram import bullet_world_reasoning as btr
-from pycram import cargo
 from pycram.bullet_world import BulletWorld, Object
-from pycram.reasoning import boxes, grasps, reach, rehearsal
-from pycram.reasoning.twin import twin
+from pycram.reasoning.collision import boxes, checker
+from pycram.reasoning.collision.simulation_clone import twin
+from pycram.reasoning.grasping import grasps
+from pycram.reasoning.kinematics import reach
+from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -72,7 +74,7 @@ def slowly(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[fl
     opened = arm.gripper.positions("open")
     copy = twin(robot.world, "reach")
     bodies = copy.sync()
-    moving = cargo.moved_links(robot.urdf, [*solver.joints, *opened])
+    moving = carried.moved_links(robot.urdf, [*solver.joints, *opened])
     held = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     place = {
         other: geometry.multiply(
@@ -110,7 +112,7 @@ def overlaps(
         if other is robot or other in held:
             continue
         for touch in copy.engine.link_touches(bodies[mover.name], link, bodies[other.name]):
-            if touch.distance <= -rehearsal.DEPTH:
+            if touch.distance <= -checker.DEPTH:
                 depths[other] = max(depths.get(other, 0.0), -touch.distance)
     return depths
 
@@ -166,13 +168,13 @@ def test_what_is_touched_elsewhere_is_what_the_engine_says(kitchen: BulletWorld,
         joints = {name: min(max(value, low_high[name][0]), low_high[name][1]) for name, value in joints.items()}
         lean = rng.uniform(-0.05, 0.05) if seed % 2 else 0.0
         base = (rng.uniform(0.3, 1.2), rng.uniform(0.3, 1.2), 0.0), geometry.from_rpy(lean, 0, rng.uniform(-3, 3))
-        found = rehearsal.in_the_way(robot, joints, base=base, everything=True)
-        place = {other: at for other, _, at in rehearsal._held(robot)}
+        found = checker.in_the_way(robot, joints, base=base, everything=True)
+        place = {other: at for other, _, at in checker._held(robot)}
         copy = twin(kitchen, "reach")
         bodies = copy.sync()
         copy.engine.set_pose(bodies[robot.name], base)
         copy.engine.pose_joints(bodies[robot.name], joints)
-        for other, link, at in rehearsal._held(robot):
+        for other, link, at in checker._held(robot):
             pose = geometry.multiply(copy.engine.link_pose(bodies[robot.name], link), at)
             copy.engine.set_pose(bodies[other.name], pose)
         depths = overlaps(copy, robot, list(robot.links), [*place], [*place], bodies)

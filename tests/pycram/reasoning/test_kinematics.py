@@ -9,11 +9,11 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pycram.reasoning import subproblems
-from pycram.reasoning.closed_form import ClosedForm
-from pycram.reasoning.kinematics import ArmKinematics
+from pycram.reasoning.kinematics import subproblems
+from pycram.reasoning.kinematics.arm import ArmKinematics
+from pycram.reasoning.kinematics.closed_form import ClosedForm
 from recorder import geometry
-from recorder.urdf import Urdf
+from recorder.geometry.urdf import Urdf
 
 numbers = st.floats(-1, 1)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

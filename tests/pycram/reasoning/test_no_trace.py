@@ -13,7 +13,8 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import ChangeRefused
 from pycram.language import par
-from pycram.reasoning import contact, rehearsal, stability, visibility
+from pycram.reasoning.collision import checker
+from pycram.reasoning.queries import contact, stability, visibility
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -176,7 +177,7 @@ def test_a_reach_that_fails_in_the_middle_leaves_the_robot(scene: BulletWorld, m
     robot, milk = scene.robot, scene.get_object("milk")
     before, right = bits(scene), btr.blocking(milk, robot, LEFT).evidence
     with monkeypatch.context() as patch:
-        patch.setattr(rehearsal.Rehearsal, "touched", lambda _: 1 / 0)
+        patch.setattr(checker.Rehearsal, "touched", lambda _: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             btr.blocking(milk, robot, LEFT)
     assert bits(scene) == before

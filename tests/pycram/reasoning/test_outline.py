@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.engine import bullet
-from pycram.reasoning.outline import Outline, Scan
+from pycram.physics.engine import bullet
+from pycram.reasoning.collision.ray_cast import Outline, Scan
 from recorder import geometry
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument
 from pycram.process_module import ProcessModule
-from pycram.reasoning import visibility
+from pycram.reasoning.queries import visibility
 from recorder import geometry
 
 if TYPE_CHECKING:

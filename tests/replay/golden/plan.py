@@ -13,7 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.fluent import Fluent
 from pycram.language import par
-from recorder.span import span
+from recorder.tracing.span import span
 
 HERE = Path(__file__).parent
 CARTON = str(HERE / "carton.stl")

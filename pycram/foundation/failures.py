@@ -1,0 +1,343 @@
+"""What can go wrong, in two families (:mod:`pycram.foundation.error_families`).
+
+A :class:`PlanFailure` says that the world refused (out of reach, not seen, in collision): a plan may catch it and try
+something else. A :class:`UsageError` says that the program is wrong (a misspelt joint, a pose with NaN): nothing
+should catch it. Every error keeps its data as attributes, which the recording stores beside the message.
+"""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING
+
+from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+__all__ = [
+    "AccessFailed",
+    "AssetError",
+    "AttachmentError",
+    "BadArgument",
+    "ChangeRefused",
+    "DisplayError",
+    "GraspFailed",
+    "InCollision",
+    "JointLimitError",
+    "LookingFailed",
+    "NoWorld",
+    "NotDrivable",
+    "PerceptionError",
+    "PlaceFailed",
+    "PlanFailure",
+    "PostureInCollision",
+    "PycramError",
+    "ReasoningError",
+    "UnknownName",
+    "Unreachable",
+    "UsageError",
+    "WorldClosed",
+]
+
+_FEW = 10  # names that fit into a message
+
+
+# --- usage ---------------------------------------------------------------------------------------------------------
+
+
+class BadArgument(UsageError, ValueError):
+    """A value that no world could accept (NaN, wrong length, zero quaternion, ...).
+
+    Attributes:
+        argument: name of the parameter.
+        value: what was given.
+        expected: what it takes.
+    """
+
+    def __init__(self, argument: str, value: object, expected: str) -> None:
+        super().__init__(f"{argument} = {value!r}: expected {expected}")
+        self.argument = argument
+        self.value = value
+        self.expected = expected
+
+
+class JointLimitError(BadArgument):
+    """A joint value outside the limits of the model.
+
+    Attributes:
+        joint: name of the joint.
+        body: name of the object.
+        lower: lower limit in rad or m.
+        upper: upper limit in rad or m.
+    """
+
+    def __init__(self, body: str, joint: str, value: float, lower: float, upper: float) -> None:
+        super().__init__(f"joint {joint} of {body}", value, f"a value from {lower:g} to {upper:g}")
+        self.body = body
+        self.joint = joint
+        self.lower = lower
+        self.upper = upper
+
+
+class UnknownName(UsageError, LookupError):
+    """A name that the world, object or registry doesn't have.
+
+    Attributes:
+        kind: what was looked for ("joint", "link", "object", ...).
+        name: what was given.
+        owner: where it was looked for.
+        nearest: the most similar names that exist there.
+    """
+
+    def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
+        names = list(known)
+        nearest = difflib.get_close_matches(str(name), names, n=3, cutoff=0.4)
+        hint = (
+            f"did you mean {', '.join(nearest)}?"
+            if nearest
+            else f"it has {', '.join(names) or 'none'}"
+            if len(names) <= _FEW
+            else f"it has {len(names)} of them"
+        )
+        super().__init__(f"{owner} has no {kind} {name!r}; {hint}")
+        self.kind = kind
+        self.name = name
+        self.owner = owner
+        self.nearest = nearest
+
+
+class AssetError(UsageError):
+    """A model or mesh file that can't be used.
+
+    Attributes:
+        path: the file.
+        cause: why.
+    """
+
+    def __init__(self, path: str | Path, cause: str) -> None:
+        super().__init__(f"{path}: {cause}")
+        self.path = str(path)
+        self.cause = cause
+
+
+class AttachmentError(UsageError):
+    """An attachment that can't be made (cycle, itself, another world, already carried).
+
+    Attributes:
+        carrier: name of the object that should carry.
+        body: name of the object that should be carried.
+        reason: why not.
+    """
+
+    def __init__(self, carrier: str, body: str, reason: str) -> None:
+        super().__init__(f"{carrier} can't carry {body}: {reason}")
+        self.carrier = carrier
+        self.body = body
+        self.reason = reason
+
+
+class WorldClosed(UsageError):
+    """Something was asked of a world after its exit, or of an object after its removal.
+
+    Attributes:
+        world: name of the world.
+        action: what was tried.
+    """
+
+    def __init__(self, world: str, action: str, what: str = "the world") -> None:
+        super().__init__(f"can't {action} in {world}: {what} is gone")
+        self.world = world
+        self.action = action
+
+
+class NoWorld(UsageError):
+    """Nothing is current: no world was opened, or all have ended."""
+
+    def __init__(self, what: str = "world") -> None:
+        super().__init__(
+            "there is no current world; open one with BulletWorld()"
+            if what == "world"
+            else "the current world has no robot; set BulletWorld.robot"
+        )
+        self.what = what
+
+
+class ChangeRefused(UsageError):
+    """A change of a world was tried inside a reasoning query.
+
+    Attributes:
+        change: the change that was tried.
+        query: the query that was running.
+    """
+
+    def __init__(self, change: str, query: str) -> None:
+        super().__init__(f"{change} was tried inside the query {query}; queries leave no trace")
+        self.change = change
+        self.query = query
+
+
+class DisplayError(UsageError):
+    """A window was asked for where none can open.
+
+    Attributes:
+        reason: why not.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f'BulletWorld("GUI") can\'t open its window: {reason}; BulletWorld() runs without one')
+        self.reason = reason
+
+
+# --- plan failures -------------------------------------------------------------------------------------------------
+
+
+class ReasoningError(PlanFailure):
+    """What a plan had to rely on isn't so (thesis, Listing 5.5)."""
+
+
+class PerceptionError(PlanFailure):
+    """Nothing of the asked kind is seen or known (thesis 5.1).
+
+    Attributes:
+        object_type: what was looked for.
+        reasons: for each object of that type, why it isn't seen.
+    """
+
+    def __init__(self, object_type: str = "", reasons: Mapping[str, str] | None = None) -> None:
+        self.object_type = object_type
+        self.reasons = dict(reasons or {})
+        told = "; ".join(f"{name} {reason}" for name, reason in self.reasons.items())
+        super().__init__(f"no {object_type or 'object'} found: {told or 'the world has none'}")
+
+
+class Unreachable(PlanFailure):
+    """No posture of the arm brings the tool there.
+
+    Attributes:
+        arm: "left" or "right" (or the tool frame).
+        target: xyz in m, world frame.
+        distance: how near the tool came, in m.
+        reason: what else was in the way.
+    """
+
+    def __init__(self, arm: str, target: Sequence[float], distance: float | None = None, reason: str = "") -> None:
+        near = f"; the nearest posture stays {distance:.3f} m away" if distance is not None else ""
+        where = ", ".join(f"{x:.3f}" for x in target)
+        super().__init__(f"{arm} arm can't reach [{where}]{near}{'; ' + reason if reason else ''}")
+        self.arm = arm
+        self.target = [float(x) for x in target]
+        self.distance = distance
+        self.reason = reason
+
+
+class InCollision(PlanFailure):
+    """The robot would touch something there.
+
+    Attributes:
+        position: xyz of the refused base pose in m.
+        orientation: xyzw of the refused base pose.
+        bodies: names of what it would touch.
+    """
+
+    def __init__(self, position: Sequence[float], orientation: Sequence[float], bodies: Sequence[str]) -> None:
+        where = ", ".join(f"{x:.3f}" for x in position)
+        super().__init__(f"the robot at [{where}] would touch {', '.join(bodies)}; it stays where it is")
+        self.position = [float(x) for x in position]
+        self.orientation = [float(x) for x in orientation]
+        self.bodies = list(bodies)
+
+
+class NotDrivable(PlanFailure):
+    """A base can't stand there: it drives on its ground, and upright.
+
+    Attributes:
+        position: xyz of the refused base pose in m.
+        orientation: xyzw of the refused base pose.
+        reason: why not.
+    """
+
+    def __init__(self, position: Sequence[float], orientation: Sequence[float], reason: str) -> None:
+        where = ", ".join(f"{x:.3f}" for x in position)
+        super().__init__(f"the robot can't drive to [{where}]: {reason}; it stays where it is")
+        self.position = [float(x) for x in position]
+        self.orientation = [float(x) for x in orientation]
+        self.reason = reason
+
+
+class PostureInCollision(PlanFailure):
+    """Arms would touch something in a posture that they don't touch now.
+
+    Attributes:
+        arms: names of the arms.
+        bodies: names of what they would touch.
+    """
+
+    def __init__(self, arms: Sequence[str], bodies: Sequence[str]) -> None:
+        told = " and ".join(arms)
+        super().__init__(f"in that posture the {told} arm would touch {', '.join(bodies)}; it stays where it is")
+        self.arms = list(arms)
+        self.bodies = list(bodies)
+
+
+class LookingFailed(PlanFailure):
+    """The head can't turn the camera to the target.
+
+    Attributes:
+        target: xyz in m, world frame.
+        angle: angle in rad that remains between the camera's axis and the target.
+    """
+
+    def __init__(self, target: Sequence[float], angle: float) -> None:
+        where = ", ".join(f"{x:.3f}" for x in target)
+        super().__init__(f"the head can't look at [{where}]: {angle:.3f} rad remain at its joint limits")
+        self.target = [float(x) for x in target]
+        self.angle = angle
+
+
+class GraspFailed(PlanFailure):
+    """The gripper can't take the object.
+
+    Attributes:
+        arm: "left" or "right".
+        body: name of the object.
+        reason: why not.
+    """
+
+    def __init__(self, arm: str, body: str, reason: str) -> None:
+        super().__init__(f"{arm} gripper can't take {body}: {reason}")
+        self.arm = arm
+        self.body = body
+        self.reason = reason
+
+
+class PlaceFailed(PlanFailure):
+    """The object can't be set down there.
+
+    Attributes:
+        body: name of the object.
+        target: xyz in m, world frame.
+        reason: why not.
+    """
+
+    def __init__(self, body: str, target: Sequence[float], reason: str) -> None:
+        where = ", ".join(f"{x:.3f}" for x in target)
+        super().__init__(f"{body} can't be placed at [{where}]: {reason}")
+        self.body = body
+        self.target = [float(x) for x in target]
+        self.reason = reason
+
+
+class AccessFailed(PlanFailure):
+    """A container can't be opened as asked.
+
+    Attributes:
+        joint: its joint.
+        reason: why not.
+    """
+
+    def __init__(self, joint: str, reason: str) -> None:
+        super().__init__(f"{joint} can't be opened: {reason}")
+        self.joint = joint
+        self.reason = reason

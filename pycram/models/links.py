@@ -1,0 +1,134 @@
+"""Links of a URDF: what PyBullet would refuse without a reason or take without a word is refused here by name.
+
+Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import AssetError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DENSITY: Final = 700.0  # kg/m^3, of things in a household that nothing more is known of
+_FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
+_FRAME_INERTIA: Final = 1e-6  # kg m^2
+_SHAPES: Final = {
+    "box": (("size", 3),),
+    "sphere": (("radius", 1),),
+    "cylinder": (("radius", 1), ("length", 1)),
+    "capsule": (("radius", 1), ("length", 1)),
+    "mesh": (),
+}
+_MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+def check(source: Path, link: ET.Element) -> None:
+    """Refuses what the engine can't use.
+
+    Args:
+        source: the file, for errors.
+        link: a ``<link>`` element.
+
+    Raises:
+        AssetError: a shape is missing or unknown, or has sizes that can't be; an origin, a mass, an inertia or a colour
+            isn't made of finite numbers.
+    """
+    where = f"link {link.get('name', '')!r}"
+    for role in ("visual", "collision"):
+        for element in link.findall(role):
+            _check_origin(source, f"{where}, {role}", element)
+            _check_shape(source, f"{where}, {role}", element.find("geometry"))
+            for color in element.iter("color"):
+                rgba = _numbers(source, f"{where}, color", color, "rgba", 4)
+                if min(rgba) < 0 or max(rgba) > 1:
+                    raise AssetError(source, f"{where}: the colour {color.get('rgba')!r} isn't within 0 and 1")
+    inertial = link.find("inertial")
+    if inertial is not None:
+        _check_inertial(source, where, inertial)
+
+
+def _check_shape(source: Path, where: str, geometry: ET.Element | None) -> None:
+    shapes = list(geometry) if geometry is not None else []
+    if len(shapes) != 1:
+        raise AssetError(source, f"{where}: takes one shape in <geometry>, has {len(shapes) or 'none'}")
+    shape = shapes[0]
+    if shape.tag not in _SHAPES:
+        raise AssetError(source, f"{where}: <{shape.tag}> is none of {', '.join(_SHAPES)}")
+    for attribute, count in _SHAPES[shape.tag]:
+        values = _numbers(source, f"{where}, {shape.tag}", shape, attribute, count)
+        if min(values) <= 0:
+            raise AssetError(
+                source, f"{where}: {attribute} of the {shape.tag} is {shape.get(attribute)!r}, not above 0"
+            )
+    if shape.get("scale") is not None and 0.0 in _numbers(source, f"{where}, mesh", shape, "scale", 3):
+        raise AssetError(source, f"{where}: a mesh scaled by {shape.get('scale')!r} has no volume")
+
+
+def _check_inertial(source: Path, where: str, inertial: ET.Element) -> None:
+    _check_origin(source, f"{where}, inertial", inertial)
+    for name, attributes in (("mass", ("value",)), ("inertia", _MOMENTS)):
+        element = inertial.find(name)
+        if element is None:
+            raise AssetError(source, f"{where}: its <inertial> has no <{name}>")
+        for attribute in attributes:
+            (value,) = _numbers(source, f"{where}, {name}", element, attribute, 1)
+            if value < 0 and attribute in ("value", "ixx", "iyy", "izz"):
+                raise AssetError(source, f"{where}: its {name} is {element.get(attribute)!r}, less than 0")
+
+
+def _check_origin(source: Path, where: str, element: ET.Element) -> None:
+    origin = element.find("origin")
+    for attribute in ("xyz", "rpy"):
+        if origin is not None and origin.get(attribute) is not None:
+            _numbers(source, f"{where}, origin", origin, attribute, 3)
+
+
+def _numbers(source: Path, where: str, element: ET.Element, attribute: str, count: int) -> list[float]:
+    text = element.get(attribute)
+    try:
+        values = [float(part) for part in (text or "").split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise AssetError(source, f"{where}: {attribute} takes {wanted}, has {text!r}")
+    return values
+
+
+def give_inertia(link: ET.Element) -> None:
+    """Gives a link the mass and inertia that it doesn't have.
+
+    Args:
+        link: a ``<link>`` element that was checked.
+    """
+    if link.find("inertial") is not None:
+        return
+    sizes = [size for collision in link.findall("collision") if (size := _box(collision)) is not None]
+    if sizes:
+        # a solid of household density in place of the kilogram that PyBullet would assume
+        mass = sum(DENSITY * x * y * z for x, y, z in sizes)
+        x, y, z = max(sizes, key=lambda size: size[0] * size[1] * size[2])
+        moments = [mass / 12 * (b * b + c * c) for b, c in ((y, z), (x, z), (x, y))]
+    else:
+        mass, moments = _FRAME_MASS, [_FRAME_INERTIA] * 3
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "mass", value=repr(mass))
+    tensor = dict.fromkeys(_MOMENTS, "0") | dict(zip(("ixx", "iyy", "izz"), map(repr, moments), strict=True))
+    ET.SubElement(inertial, "inertia", attrib=tensor)
+
+
+def _box(collision: ET.Element) -> tuple[float, float, float] | None:
+    """Extents in m of a primitive shape; None for meshes."""
+    shape = collision.find("geometry/*")
+    if shape is None or shape.tag == "mesh":
+        return None
+    if shape.tag == "box":
+        x, y, z = (float(part) for part in shape.get("size", "").split())
+        return x, y, z
+    d = 2 * float(shape.get("radius", "0"))
+    return d, d, float(shape.get("length", d))

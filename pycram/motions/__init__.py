@@ -1,0 +1,1 @@
+"""Designators and the process modules that carry them out (thesis 4.5-4.9)."""

@@ -1,0 +1,47 @@
+"""The ten process modules of the thesis (table 4.15), for any robot that has a description, in simulation."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.motions.modules.arm import MoveJoints, MoveTCP, PickUp, Place
+from pycram.motions.modules.container import Accessing
+from pycram.motions.modules.gripper import MoveGripper
+from pycram.motions.modules.head import MoveHead
+from pycram.motions.modules.navigation import Navigation
+from pycram.motions.modules.perception import Detecting, WorldStateDetecting
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from pycram.motions.process_module import ProcessModule
+
+__all__ = [
+    "Accessing",
+    "Detecting",
+    "MoveGripper",
+    "MoveHead",
+    "MoveJoints",
+    "MoveTCP",
+    "Navigation",
+    "PickUp",
+    "Place",
+    "WorldStateDetecting",
+    "default_modules",
+]
+
+
+def default_modules() -> Mapping[str, ProcessModule]:
+    """New process modules, by the ``cmd`` that they take; one set serves one robot."""
+    return {
+        "navigate": Navigation(),
+        "pick": PickUp(),
+        "place": Place(),
+        "access": Accessing(),
+        "looking": MoveHead(),
+        "move-gripper": MoveGripper(),
+        "detecting": Detecting(),
+        "move-tcp": MoveTCP(),
+        "move-joints": MoveJoints(),
+        "world-state-detecting": WorldStateDetecting(),
+    }

@@ -1,0 +1,47 @@
+"""Moving the base (thesis, Listing 4.3): it drives on its ground, and nowhere where the robot would touch something."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import InCollision, NotDrivable
+from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.collision import checker
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.motions.designator import Designator
+    from pycram.world.object import Object
+    from recorder.geometry import Quaternion
+
+_UNEVEN: Final = 0.05  # m between the ground here and there
+_TILT: Final = math.radians(2)
+
+
+class Navigation(SimulatedModule):
+    """Puts the robot to a pose, with what it holds; refuses a pose in collision and leaves the world as it was."""
+
+    def _execute(self, designator: Designator) -> None:
+        solution = designator.reference()
+        robot = self.robot()
+        target, orientation = solution["target"], solution["orientation"]
+        with robot.world.lock:
+            _check_ground(robot, target, orientation)
+            touched = checker.in_the_way(robot, {}, base=(tuple(target), tuple(orientation)), everything=True)
+            if touched:
+                raise InCollision(target, orientation, [body.name for body in touched])
+            robot.set_position_and_orientation(target, orientation)
+
+
+def _check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
+    position, heading = robot.get_position_and_orientation()
+    if abs(target[2] - position[2]) > _UNEVEN:
+        reason = f"its wheels would leave the ground, which is {target[2] - position[2]:+.2f} m away there"
+        raise NotDrivable(target, orientation, reason)
+    up, now = geometry.rotate(orientation, (0.0, 0.0, 1.0)), geometry.rotate(heading, (0.0, 0.0, 1.0))
+    lean = math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(up, now, strict=True)))))
+    if lean > _TILT:
+        raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")

@@ -1,0 +1,54 @@
+"""What process modules for simulated robots have in common: the robot of the current world, and its description."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from pycram.foundation.failures import UsageError
+from pycram.motions.process_module import ProcessModule
+from pycram.world.world import BulletWorld
+
+if TYPE_CHECKING:
+    from pycram.models.robots.description import Arm, RobotDescription
+    from pycram.world.object import Object
+
+
+class NoDescription(UsageError):
+    """The robot has no description, so that process modules can't know its arms.
+
+    Attributes:
+        robot: its name.
+    """
+
+    def __init__(self, robot: str) -> None:
+        super().__init__(f"nothing is known of the robot {robot}; give Object(..., description=...) its TOML file")
+        self.robot = robot
+
+
+class SimulatedModule(ProcessModule):
+    """A process module that works on the current world's robot."""
+
+    @staticmethod
+    def robot() -> Object:
+        """The robot.
+
+        Raises:
+            NoWorld: there is none.
+        """
+        return BulletWorld.current_robot()
+
+    @staticmethod
+    def held(robot: Object, arm: Arm) -> Object | None:
+        """What a robot holds with the gripper of an arm; None if nothing."""
+        return next((held.body for held in robot.carried if held.carrier_link == arm.tool_frame), None)
+
+    @staticmethod
+    def description(robot: Object) -> RobotDescription:
+        """What is known of a robot.
+
+        Raises:
+            NoDescription: nothing.
+        """
+        if robot.description is None:
+            raise NoDescription(robot.name)
+        return robot.description

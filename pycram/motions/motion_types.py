@@ -1,0 +1,312 @@
+"""The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and what they claim.
+
+One resolver serves them all. It checks the slots and gives the solutions: dictionaries with ``cmd`` and every parameter
+that the process module needs, inferred where the plan left it out.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from pycram.claims import WHOLE, Claims
+from pycram.foundation.failures import BadArgument
+from pycram.handle import branch_of, unwrap
+from pycram.motions import slot_checks
+from pycram.motions.designator import DesignatorError
+from pycram.world.world import BulletWorld
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pycram.motions.designator import MotionDesignator
+    from pycram.motions.slot_checks import Check
+    from pycram.motions.solutions import Solution
+
+Value: TypeAlias = Any
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One slot.
+
+    Attributes:
+        name: its name in designators.
+        check: what it may hold.
+        required: whether it has to be there.
+        default: what stands for it otherwise, from what is given; None leaves it out of the solution's decisions.
+        aliases: other names that it goes by.
+    """
+
+    name: str
+    check: Check
+    required: bool = False
+    default: Callable[[dict[str, Value]], Value] | None = None
+    aliases: tuple[str, ...] = ()
+
+    def describe(self) -> str:
+        """In words, for messages."""
+        names = " or ".join((self.name, *self.aliases))
+        need = "required" if self.required else "optional"
+        return f"{names} ({need}): {(self.check.__doc__ or '').strip().rstrip('.')}"
+
+
+@dataclass(frozen=True, slots=True)
+class MotionType:
+    """One type of motion designator.
+
+    Attributes:
+        type: value of its slot ``type``.
+        cmd: value of ``cmd`` in its solutions, which process modules go by.
+        slots: what it takes beside ``type``.
+        one_of: slots of which at least one has to be there.
+        only_one: whether it has to be just one.
+        claims: what it needs of the robot, by its slots or by its solution.
+        fixed: further parameters of its solutions.
+    """
+
+    type: str
+    cmd: str
+    slots: tuple[Slot, ...]
+    claims: Callable[[dict[str, Value]], Claims]
+    one_of: tuple[str, ...] = ()
+    only_one: bool = False
+    fixed: tuple[tuple[str, str], ...] = ()
+
+    def describe(self) -> str:
+        """What it takes, in words."""
+        lines = [f"a {self.type} designator takes", "  type (required): " + repr(self.type)]
+        lines += [f"  {slot.describe()}" for slot in self.slots]
+        if self.one_of:
+            how = "exactly one" if self.only_one else "at least one"
+            lines.append(f"  {how} of {', '.join(self.one_of)} has to be there")
+        return "\n".join(lines)
+
+
+def _heading(_: dict[str, Value]) -> Value:
+    return BulletWorld.current_robot().get_orientation()
+
+
+def _left(_: dict[str, Value]) -> Value:
+    return "left"
+
+
+def _holding_arm(given: dict[str, Value]) -> Value:
+    """The arm that holds the object; the left one if none does."""
+    body = given.get("object")
+    attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
+    description = BulletWorld.current_robot().description
+    if attachment is None or description is None:
+        return "left"
+    arm = description.arm_of(attachment.carrier_link)
+    return arm.name if arm else "left"
+
+
+def _claims(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Claims:
+    return Claims(frozenset(moves), frozenset(at_rest))
+
+
+def _arm_claims(given: dict[str, Value]) -> Claims:
+    return _claims(tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",))
+
+
+def _gripper_claims(given: dict[str, Value]) -> Claims:
+    return _claims(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
+
+
+def _joint_claims(given: dict[str, Value]) -> Claims:
+    return _claims(tuple(f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given))
+
+
+def _base_claims(_: dict[str, Value]) -> Claims:
+    return _claims(("base",), tuple(f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")))
+
+
+def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
+    side = given.get(slot)
+    return (side,) if isinstance(side, str) else slot_checks.sides()  # not known yet: either may be it
+
+
+_ARM: Final = Slot("arm", slot_checks.side, default=_left)
+_GRIPPER: Final = Slot("gripper", slot_checks.side, required=True)
+
+TYPES: Final = {
+    motion.type: motion
+    for motion in (
+        MotionType(
+            "moving",
+            "navigate",
+            (
+                Slot("target", slot_checks.position, required=True),
+                Slot("orientation", slot_checks.orientation, default=_heading),
+            ),
+            _base_claims,
+        ),
+        MotionType(
+            "pick-up",
+            "pick",
+            (Slot("object", slot_checks.body, required=True), _ARM, Slot("grasp", slot_checks.grasp)),
+            _arm_claims,
+        ),
+        MotionType(
+            "place",
+            "place",
+            (
+                Slot("object", slot_checks.body, required=True),
+                Slot("target", slot_checks.position, required=True),
+                Slot("orientation", slot_checks.orientation),
+                Slot("arm", slot_checks.side, default=_holding_arm),
+            ),
+            _arm_claims,
+        ),
+        MotionType(
+            "accessing",
+            "access",
+            (
+                Slot("drawer-joint", slot_checks.name, required=True),
+                Slot("drawer-handle", slot_checks.name, required=True),
+                Slot("part-of", slot_checks.body, required=True),
+                _ARM,
+                Slot("distance", slot_checks.distance, default=lambda _: 0.3),
+            ),
+            _arm_claims,
+        ),
+        MotionType(
+            "looking",
+            "looking",
+            (Slot("target", slot_checks.position), Slot("object", slot_checks.body)),
+            lambda _: _claims(("head",), ("base",)),
+            one_of=("target", "object"),
+            only_one=True,
+        ),
+        MotionType("opening-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "open"),)),
+        MotionType("closing-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "close"),)),
+        MotionType(
+            "detecting",
+            "detecting",
+            (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
+            lambda _: _claims((), (WHOLE,)),
+        ),
+        MotionType(
+            "move-tcp",
+            "move-tcp",
+            (Slot("target", slot_checks.position, required=True), Slot("orientation", slot_checks.orientation), _ARM),
+            _arm_claims,
+        ),
+        MotionType(
+            "move-arm-joints",
+            "move-joints",
+            (Slot("left-arm", slot_checks.posture), Slot("right-arm", slot_checks.posture)),
+            _joint_claims,
+            one_of=("left-arm", "right-arm"),
+        ),
+        MotionType(
+            "world-state-detecting",
+            "world-state-detecting",
+            (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
+            lambda _: Claims(),
+        ),
+    )
+}
+
+
+def claims_by_type(designator: MotionDesignator) -> Claims | None:
+    """What a designator needs of the robot, by its type and slots.
+
+    Args:
+        designator: any; handles among its slots are not waited for.
+
+    Returns:
+        Its claims; None for a type that isn't one of the eleven.
+    """
+    given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
+    kind = given.get("type")
+    motion = TYPES.get(kind) if isinstance(kind, str) else None
+    return motion.claims(given) if motion else None
+
+
+def claims_of(solution: Solution) -> Claims | None:
+    """What a solution needs of the robot, whichever type it came from.
+
+    Args:
+        solution: what a designator was resolved to.
+
+    Returns:
+        Its claims; None for a ``cmd`` that isn't PyCRAM's own.
+    """
+    given = {key: value for key, value in solution.items() if value is not None}
+    motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
+    return motion.claims(given) if motion else None
+
+
+def resolve(designator: MotionDesignator) -> Iterator[Solution]:
+    """Solutions of the eleven types (thesis 4.6).
+
+    Args:
+        designator: a designator.
+
+    Yields:
+        The solution; for ``moving`` with an orientation also one with the robot's present orientation.
+
+    Raises:
+        DesignatorError: its type is unknown, or a slot is missing, unknown or wrong.
+    """
+    given: dict[str, Value] = {}
+    for key, value in designator.description:
+        if key in given:
+            raise DesignatorError(f"slot {key} is given twice", type=designator.type, slot=key, value=unwrap(value))
+        if value is not None:
+            given[key] = unwrap(value)
+    kind = given.pop("type", None)
+    if not isinstance(kind, str) or kind not in TYPES:
+        known = ", ".join(TYPES)
+        near = difflib.get_close_matches(str(kind), TYPES, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        problem = "has no slot type" if kind is None else f"has the unknown type {kind!r}"
+        raise DesignatorError(
+            f"the designator {problem}{hint}", type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}"
+        )
+    motion = TYPES[kind]
+    checked = _checked(motion, given)
+    solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
+    for slot in motion.slots:
+        if slot.name not in solution and slot.default is not None:
+            solution[slot.name] = slot.default(checked)
+    yield solution
+    if motion.type == "moving" and "orientation" in checked:
+        yield {**solution, "orientation": _heading(checked)}
+
+
+def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
+    """The slots by their names, each checked."""
+    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
+    takes = motion.describe()
+    checked: dict[str, Value] = {}
+    for key, value in given.items():
+        slot = names.get(key)
+        if slot is None:
+            near = difflib.get_close_matches(key, names, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise DesignatorError(f"unknown slot {key}{hint}", type=motion.type, slot=key, value=value, takes=takes)
+        if slot.name in checked:
+            raise DesignatorError(
+                f"slot {slot.name} is given twice", type=motion.type, slot=key, value=value, takes=takes
+            )
+        try:
+            checked[slot.name] = slot.check(key, value)
+        except BadArgument as error:
+            problem = f"wrong value in slot {error}"
+            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes) from error
+    missing = [slot.name for slot in motion.slots if slot.required and slot.name not in checked]
+    if missing:
+        raise DesignatorError(f"missing slot {', '.join(missing)}", type=motion.type, slot=missing[0], takes=takes)
+    present = [name for name in motion.one_of if name in checked]
+    if motion.one_of and (not present or (motion.only_one and len(present) > 1)):
+        problem = (
+            f"slots {' and '.join(present)} exclude each other"
+            if present
+            else f"missing slot {' or '.join(motion.one_of)}"
+        )
+        raise DesignatorError(problem, type=motion.type, slot=motion.one_of[0], takes=takes)
+    return checked

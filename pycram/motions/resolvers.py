@@ -1,0 +1,88 @@
+"""Resolvers: a list of functions that users can add to, asked one after the other."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from pycram.foundation.failures import BadArgument, UnknownName
+from pycram.world.event import qualified_name
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+
+
+class Resolvers(Generic[Function]):
+    """Functions in the order in which they were added. Whoever goes through them goes through a snapshot."""
+
+    def __init__(self, owner: str) -> None:
+        """Makes an empty list.
+
+        Args:
+            owner: what they resolve, for messages.
+        """
+        self.owner = owner
+        self._lock = threading.Lock()
+        self._functions: tuple[Function, ...] = ()
+
+    def append(self, function: Function) -> Function:
+        """Adds a function at the end, once; serves as decorator too.
+
+        Args:
+            function: the function.
+
+        Returns:
+            The function.
+
+        Raises:
+            BadArgument: it can't be called.
+        """
+        if not callable(function):
+            raise BadArgument(f"resolver of {self.owner}", function, "a function that takes a designator")
+        with self._lock:
+            if function not in self._functions:
+                self._functions = (*self._functions, function)
+        return function
+
+    def remove(self, function: Function) -> None:
+        """Removes a function.
+
+        Args:
+            function: one that was added.
+
+        Raises:
+            UnknownName: it isn't in the list.
+        """
+        with self._lock:
+            kept = tuple(known for known in self._functions if known != function)
+            if len(kept) == len(self._functions):
+                raise UnknownName("resolver", qualified_name(function), self.owner, map(qualified_name, kept))
+            self._functions = kept
+
+    @contextmanager
+    def added(self, function: Function) -> Iterator[Function]:
+        """Adds a function for as long as its block runs.
+
+        Args:
+            function: one that isn't in the list.
+
+        Yields:
+            The function.
+        """
+        self.append(function)
+        try:
+            yield function
+        finally:
+            self.remove(function)
+
+    def __iter__(self) -> Iterator[Function]:
+        return iter(self._functions)
+
+    def __len__(self) -> int:
+        return len(self._functions)
+
+    def __contains__(self, function: object) -> bool:
+        return function in self._functions

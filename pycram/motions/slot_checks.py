@@ -1,0 +1,100 @@
+"""What the slots of motion designators may hold: one check per kind of value.
+
+A check takes the slot's value and gives it back in the form that process modules work with, or raises BadArgument with
+what is expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument
+from pycram.reasoning.kinematics.reach import GRASPS
+from pycram.world.world import BulletWorld, Object
+
+if TYPE_CHECKING:
+    from pycram.models.robots.description import Arm
+
+Value: TypeAlias = Any
+Check: TypeAlias = Callable[[str, Value], Value]
+
+
+def sides() -> tuple[str, ...]:
+    """Names of the current robot's arms; those of most robots where nothing is known of it."""
+    return tuple(_arms()) or ("left", "right")
+
+
+def position(name: str, value: Value) -> Value:
+    """[x, y, z] in m, world frame."""
+    return list(checks.vector(name, value))
+
+
+def orientation(name: str, value: Value) -> Value:
+    """A quaternion [x, y, z, w], world frame."""
+    return list(checks.quaternion(name, value))
+
+
+def name(name: str, value: Value) -> Value:
+    """A name."""
+    return checks.text(name, value)
+
+
+def body(name: str, value: Value) -> Value:
+    """An Object of a world."""
+    world = BulletWorld.current_bullet_world
+    if not isinstance(value, Object):
+        raise BadArgument(name, value, "an Object of a world")
+    if world is not None and value.world is not world:
+        raise BadArgument(name, value, f"an Object of the current world {world.name}, not of {value.world.name}")
+    return value
+
+
+def kind(name: str, value: Value) -> Value:
+    """A type of objects, or an object of that type."""
+    return checks.text(name, getattr(value, "type", value))
+
+
+def side(name: str, value: Value) -> Value:
+    """An arm's name: "left" or "right" on the PR2."""
+    arms = sides()
+    if checks.text(name, value) not in arms:
+        raise BadArgument(name, value, f"one of {', '.join(arms)}")
+    return value
+
+
+def grasp(name: str, value: Value) -> Value:
+    """The side from which the gripper comes: "front", "top", "left" or "right"."""
+    if value not in GRASPS:
+        raise BadArgument(name, value, f"one of {', '.join(GRASPS)}")
+    return value
+
+
+def distance(name: str, value: Value) -> Value:
+    """A distance in m, or an angle in rad for what turns, from 0 up."""
+    return checks.at_least(name, value, 0.0)
+
+
+def posture(name: str, value: Value) -> Value:
+    """A named posture such as "park", or a list of joint values in rad."""
+    arm = _arms().get(name.removesuffix("-arm"))
+    if isinstance(value, str):
+        if arm is not None and checks.text(name, value) not in arm.poses:
+            raise BadArgument(name, value, f"one of {', '.join(arm.poses)}, or a list of joint values")
+        return value
+    if not isinstance(value, Iterable | np.ndarray):
+        raise BadArgument(name, value, '"park" or a list of joint values')
+    values = [checks.number(name, item) for item in value]
+    if arm is not None and len(values) != len(arm.joints):
+        raise BadArgument(name, value, f"{len(arm.joints)} joint values, for {', '.join(arm.joints)}")
+    return values
+
+
+def _arms() -> Mapping[str, Arm]:
+    """The arms of the current robot; none where nothing is known of it."""
+    world = BulletWorld.current_bullet_world
+    robot = world.robot if world is not None else None
+    return robot.description.arms if robot is not None and robot.description is not None else {}

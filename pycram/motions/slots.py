@@ -1,0 +1,99 @@
+"""Descriptions: the slots of a designator, (name, value) pairs that nobody can change once it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from pycram.foundation.failures import UsageError
+
+#: Slots as plans write them, and the constraints and properties of the same form.
+Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
+#: What a slot holds, or what a designator stands for: whatever the plan gave.
+Value: TypeAlias = Any
+T = TypeVar("T")
+
+
+class DesignatorError(UsageError):
+    """A designator that can't be resolved: a slot is missing, unknown or wrong.
+
+    Attributes:
+        type: the designator's type, "" if it has none.
+        slot: the slot in question, "" for none.
+        value: what stands there.
+        takes: what such a designator takes.
+    """
+
+    def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
+        super().__init__(f"{problem}\n{takes}" if takes else problem)
+        self.type = type
+        self.slot = slot
+        self.value = value
+        self.takes = takes
+
+
+def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
+    """A description's slots, with containers of their own, so that nobody changes them later.
+
+    Args:
+        description: as a plan wrote it.
+
+    Raises:
+        DesignatorError: it isn't a list of pairs.
+    """
+    try:
+        if isinstance(description, str):
+            raise TypeError  # noqa: TRY301  pairs of letters, by chance
+        items = tuple(description.items() if isinstance(description, Mapping) else map(tuple, description))
+        slots = tuple((name, own(value)) for name, value in items)
+    except (TypeError, ValueError):
+        slots = None
+    if slots is None or not all(isinstance(name, str) for name, _ in slots):
+        raise DesignatorError(
+            "a designator is described by a list of (name, value) pairs, such as "
+            f"[('type', 'looking'), ('target', [1, 0, 1])]; not by {description!r}",
+            value=description,
+        )
+    return slots
+
+
+def own(value: T) -> T:
+    """The same value, in lists, dictionaries, sets and arrays of its own.
+
+    Args:
+        value: anything; what it holds beside containers stays what it is.
+    """
+    made: T = _own(value, {})
+    return made
+
+
+def _own(value: Value, known: dict[int, Value]) -> Value:
+    if id(value) in known:  # a container that holds itself
+        return known[id(value)]
+    if type(value) is list:
+        made: list[Value] = []
+        known[id(value)] = made
+        made.extend(_own(item, known) for item in value)
+        return made
+    if type(value) is dict:
+        table: dict[Value, Value] = {}
+        known[id(value)] = table
+        table.update((key, _own(item, known)) for key, item in value.items())
+        return table
+    if type(value) is tuple:
+        return tuple(_own(item, known) for item in value)
+    return value.copy() if type(value) in (set, np.ndarray) else value
+
+
+def same(left: Value, right: Value) -> bool:
+    """Whether two values are equal, arrays too.
+
+    Args:
+        left: one.
+        right: the other.
+    """
+    if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
+        return bool(np.array_equal(left, right))
+    return bool(left == right)

@@ -1,0 +1,70 @@
+"""PyBullet's window: whether one can open, before PyBullet tries (it would end the whole process).
+
+The window has its own native thread inside PyBullet, which ends with its client; no thread of ours keeps it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import socket
+import sys
+from typing import TYPE_CHECKING
+
+from pycram.foundation.failures import DisplayError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_TIMEOUT = 2.0  # s
+
+
+def check_display(open_windows: Sequence[str]) -> None:
+    """Makes sure that a window can open.
+
+    Args:
+        open_windows: names of the worlds that have one already.
+
+    Raises:
+        DisplayError: there is no display, it doesn't answer, or PyBullet's one window is taken.
+    """
+    if open_windows:
+        raise DisplayError(f"PyBullet has one window, and {open_windows[0]} has it; end that world first")
+    if sys.platform in ("darwin", "win32"):
+        return
+    display = os.environ.get("DISPLAY", "")
+    if not display:
+        raise DisplayError("DISPLAY is not set")
+    host, _, number = display.rpartition(":")
+    screen = number.partition(".")[0]
+    if not screen.isdigit():
+        raise DisplayError(f"DISPLAY={display} names no display")
+    if host in ("", "unix"):
+        answers, why = _answers(display)
+    else:
+        answers, why = _listens(host, 6000 + int(screen))
+    if not answers:
+        raise DisplayError(f"no X server answers at DISPLAY={display}{why}")
+
+
+def _answers(display: str) -> tuple[bool, str]:
+    """Whether a display of this machine can be opened, by the library that PyBullet opens it with."""
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError as error:
+        return False, f" ({error})"
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
+    opened = x11.XOpenDisplay(display.encode())
+    if opened:
+        x11.XCloseDisplay(opened)
+    return bool(opened), ""
+
+
+def _listens(host: str, port: int) -> tuple[bool, str]:
+    """Whether another machine's display takes connections; one that doesn't would keep the library waiting."""
+    try:
+        socket.create_connection((host, port), timeout=_TIMEOUT).close()
+    except OSError as error:
+        return False, f" ({error.strerror})"
+    return True, ""

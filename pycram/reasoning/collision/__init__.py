@@ -1,0 +1,1 @@
+"""What a robot would touch in other postures, without touching the world."""

@@ -1,0 +1,1 @@
+"""How hands take objects, and where objects come to rest."""

@@ -1,0 +1,70 @@
+"""Where an object comes to rest when it is set down at a place: the height at which it touches what is below."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import PlaceFailed
+from pycram.reasoning.collision.simulation_clone import twin
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.world.object import Object
+    from recorder.geometry import Quaternion, Vector
+
+_ABOVE: Final = 0.05  # m by which the support may be higher than the target says
+_BELOW: Final = 0.10  # m by which it may be lower
+_MARCH: Final = 0.005  # m between looks; thinner things than this are thick enough to stop a gripper
+_EXACT: Final = 2e-4  # m
+_OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
+
+
+def set_down(body: Object, target: Sequence[float], turn: Quaternion) -> Vector:
+    """Finds the height at which an object rests.
+
+    Args:
+        body: the object; robots and what they hold don't count as support.
+        target: where it is wanted, m.
+        turn: its orientation there, xyzw.
+
+    Returns:
+        The target with the height at which the object first touches something when it comes from above.
+
+    Raises:
+        PlaceFailed: there is no room, or nothing below that it could stand on.
+    """
+    world = body.world
+    copy = twin(world, "reach")
+    others = [other for other in world.objects if other is not body and not other.is_robot and other.carrier is None]
+    bodies = copy.sync()
+    mine, engine = bodies[body.name], copy.engine
+    x, y, z = target
+
+    def touched(height: float) -> list[str]:
+        engine.set_pose(mine, ((x, y, height), turn))
+        return [
+            other.name
+            for other in others
+            if any(touch.distance < -_OVERLAP for touch in engine.touches(mine, bodies[other.name]))
+        ]
+
+    try:
+        high = z + _ABOVE
+        blockers = touched(high)
+        if blockers:
+            raise PlaceFailed(body.name, target, f"{', '.join(blockers)} is there already")
+        low = high
+        while not touched(low):
+            high, low = low, low - _MARCH
+            if low < z - _BELOW:
+                raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
+        while high - low > _EXACT:
+            half = (high + low) / 2
+            if touched(half):
+                low = half
+            else:
+                high = half
+    finally:
+        copy.disturbed(body.name)
+    return x, y, high

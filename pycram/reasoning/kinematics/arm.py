@@ -1,0 +1,253 @@
+"""Inverse kinematics that keeps to joint limits and leaves no trace: arithmetic on the URDF, no engine.
+
+Arms that can be solved in closed form are (:mod:`pycram.reasoning.kinematics.closed_form`). What that misses, and every
+other arm, is searched (:mod:`pycram.reasoning.kinematics.descent`) from the nearest misses, or else from the present
+posture, the named ones and some all over the joints' range. Many targets are worked out at once, in about the time of
+one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.reasoning.kinematics.chain import Chain
+from pycram.reasoning.kinematics.closed_form import ClosedForm
+from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend, spread
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from recorder.geometry.urdf import Urdf
+
+    Array = NDArray[np.float64]
+    Target = tuple[Sequence[float], Sequence[float] | None]
+
+_BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
+_CHUNK: Final = 16  # targets that are solved at once
+_COMPARED: Final = 60  # misses of the closed form
+_NEAREST: Final = 6  # misses of the closed form that are searched from
+_DIFFERENT: Final = 0.35  # rad or m in some joint between postures that count as two
+_MOST: Final = 16  # postures that are told of
+_STRAINED: Final = 1.0  # rad of strain beyond which there is no solution nearby
+_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
+_HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
+_TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class Posture:
+    """A posture that was found.
+
+    Attributes:
+        positions: joint values in rad or m by name, within limits.
+        position_error: m that the tool stays away from the target.
+        turn_error: rad by which it is turned from the target; 0 where none was asked for.
+        reached: both are within tolerance.
+    """
+
+    positions: Mapping[str, float]
+    position_error: float
+    turn_error: float
+    reached: bool
+
+
+class ArmKinematics:
+    """Postures of a chain of joints with a tool at its end.
+
+    Args:
+        urdf: of the robot.
+        base_link: the link that targets are given in.
+        tool_link: the link that is to reach them.
+        joints: names of the joints that may move, in order; others of the chain keep their value.
+        fixed: values of those others; 0 by default.
+    """
+
+    def __init__(
+        self,
+        urdf: Urdf,
+        base_link: str,
+        tool_link: str,
+        joints: Sequence[str],
+        fixed: Mapping[str, float] | None = None,
+    ) -> None:
+        self.chain = Chain(urdf, base_link, tool_link, joints, fixed)
+        self._closed: ClosedForm | None = None
+        if self.chain.joints and not self.chain.sliding:
+            self._closed = ClosedForm.of(*self.chain.at_zero(), self.chain.lower, self.chain.upper, self.chain.bounded)
+
+    def solve(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float] | None = None,
+        seeds: Iterable[Mapping[str, float]] = (),
+    ) -> Posture:
+        """Finds a posture that brings the tool to a target, near the first seed if there are several.
+
+        Args:
+            position: xyz in the base link, m.
+            orientation: xyzw in the base link; None if any will do.
+            seeds: postures to start from first.
+
+        Returns:
+            The posture; the nearest miss if none reaches.
+        """
+        return self.solve_all([(position, orientation)], seeds)[0][0]
+
+    def solve_all(
+        self,
+        targets: Sequence[Target],
+        seeds: Iterable[Mapping[str, float]] = (),
+        *,
+        thorough: bool = False,
+        quick: bool = False,
+        enough: float = POSITION_TOLERANCE,
+    ) -> list[list[Posture]]:
+        """As :meth:`solve`, but all distinct postures found: those that reach, nearest to the first seed first.
+
+        Args:
+            targets: positions xyz in m and orientations xyzw in the base link; orientations for all or for none.
+            seeds: postures to start from first.
+            thorough: start from all starting postures even if some reach soon.
+            quick: start from a few only; a miss then proves nothing.
+            enough: m to the target that a miss has to come near for being of any use.
+
+        Returns:
+            For each target at least one; if the first doesn't reach, none does.
+        """
+        goals, turns = _arrays(targets)
+        first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
+        home = self.chain.limited((first[0] if first else np.zeros(len(self.chain.joints)))[None])[0]
+        if self._closed is not None:
+            starts = self._written(self._closed, goals, turns, home, enough)
+        else:
+            starts = [self._scattered(goal, home, first) for goal in goals]
+        chosen = []
+        for number, (known, batches) in enumerate(starts):
+            goal, turn = goals[number], None if turns is None else turns[number]
+            tried = [known]
+            for batch in batches if not quick else batches[:1] if self._closed is None else ():
+                postures, reached = descend(self.chain, batch, goal, turn, stop_early=not thorough)
+                tried.append(postures)
+                if reached.any() and not thorough:
+                    break
+            chosen.append(self._best(np.vstack(tried), home, goal, turn) if len(tried) > 1 else known)
+        return self._told(chosen, goals, turns)
+
+    def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
+        """Those that reach and differ, or else the nearest miss."""
+        misses = self.chain.errors(found, goal, turn) / _TOLERANCES
+        reaching = found[(misses < 1.0).all(axis=1)]
+        return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
+
+    def at_once(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
+        """What closed form says of many targets, in a fraction of the time; searches nothing.
+
+        Args:
+            targets: as for :meth:`solve_all`.
+            seed: a posture; postures near it come first.
+
+        Returns:
+            For each target the postures that reach it; an empty list says nothing.
+        """
+        told: list[list[Posture]] = [[] for _ in targets]
+        if self._closed is None or not targets:
+            return told
+        goals, turns = _arrays(targets)
+        home = self.chain.limited(np.array([[seed.get(name, 0.0) for name in self.chain.joints]]))[0]
+        within = np.flatnonzero(self._closed.miss(goals, turns) == 0.0)
+        for start in range(0, len(within), _CHUNK):
+            chunk = within[start : start + _CHUNK]
+            if turns is not None:
+                exact = self._closed.solutions(goals[chunk], turns[chunk], home)
+            else:
+                found, strain = self._closed.postures(goals[chunk], None, home)
+                exact = [ways[strains == 0.0] for ways, strains in zip(found, strain, strict=True)]
+            exact = [_distinct(ways, home) for ways in exact]
+            ways = self._told(exact, goals[chunk], None if turns is None else turns[chunk])
+            for number, each in zip(chunk.tolist(), ways, strict=True):
+                told[number] = each
+        return told
+
+    def _written(
+        self, closed: ClosedForm, goals: Array, turns: Array | None, home: Array, enough: float
+    ) -> list[tuple[Array, list[Array]]]:
+        """For each target postures in closed form: solutions, or else misses and from which of them to search."""
+        patience = math.inf if enough > _HOPELESS else 1.0
+        near = closed.miss(goals, turns) <= max(_HOPELESS, enough)
+        found, strains = closed.postures(goals, turns, home)
+        written: list[tuple[Array, list[Array]]] = []
+        for number, known in enumerate(self._known(found, strains, home, goals, turns)):
+            least, batches = float(strains[number].min()), []
+            if turns is not None and near[number] and 0.0 < least <= patience * _STRAINED:
+                one = slice(number, number + 1)
+                closer, strain = closed.closer(goals[number], turns[number], known)
+                (known,) = self._known(closer[None], strain[None], home, goals[one], turns[one])  # noqa: PLW2901
+                least = float(strain.min())
+            if near[number] and 0.0 < least < patience * _SEARCHED:
+                batches = [known]
+            written.append((known if batches or not least else known[:1], batches))
+        return written
+
+    def _known(self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None) -> list[Array]:
+        """Of each target's postures (m, n, joints) the solutions, or else the least strained misses, nearest first."""
+        ways = [_distinct(mine[it == 0.0], home) for mine, it in zip(found, strain, strict=True)]
+        missed = np.array([number for number, way in enumerate(ways) if not len(way)], dtype=np.intp)
+        if len(missed):
+            least = np.argsort(strain[missed], axis=1, kind="stable")[:, :_COMPARED]
+            limited = self.chain.limited(found[missed[:, None], least])
+            which = np.repeat(missed, least.shape[1])
+            turned = None if turns is None else turns[which]
+            errors = self.chain.errors(limited.reshape(len(which), -1), goals[which], turned) / _TOLERANCES
+            for number, mine, misses in zip(missed, limited, errors.sum(axis=1).reshape(least.shape), strict=True):
+                ways[number] = _different(mine[np.argsort(misses, kind="stable")], _NEAREST)
+        return ways
+
+    def _scattered(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
+        """Where to search from if nothing is known: the stretched arm if that is too short, else all over its range."""
+        few, many = _BATCHES
+        if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
+            return descend(self.chain, home[None], goal, None, stop_early=True)[0], []
+        starts = [np.vstack([home, *seeds, *spread(self.chain, 0, few)]), spread(self.chain, few, many)]
+        return home[None], starts
+
+    def _told(self, postures: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:
+        """The postures of each target, as others know them."""
+        which = np.repeat(np.arange(len(goals)), [len(ways) for ways in postures])
+        rows = self.chain.limited(np.concatenate(postures))
+        errors = self.chain.errors(rows, goals[which], None if turns is None else turns[which])
+        reached = np.all(errors < _TOLERANCES, axis=1)
+        told = [
+            Posture(dict(zip(self.chain.joints, row, strict=True)), away, turned, there)
+            for row, (away, turned), there in zip(rows.tolist(), errors.tolist(), reached.tolist(), strict=True)
+        ]
+        ends = np.cumsum([len(ways) for ways in postures]).tolist()
+        return [told[end - len(ways) : end] for end, ways in zip(ends, postures, strict=True)]
+
+
+def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
+    """Positions (n, 3) and orientations (n, 3, 3) of targets, None if any will do."""
+    goals = np.array([position for position, _ in targets], dtype=np.float64)
+    turns = [turn for _, turn in targets if turn is not None]
+    return goals, geometry.to_matrices(np.array(turns)) if turns else None
+
+
+def _distinct(found: Array, home: Array) -> Array:
+    """Postures that differ from each other, nearest to another first."""
+    return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MOST)
+
+
+def _different(found: Array, most: int) -> Array:
+    """The first of postures (n, joints) that are alike."""
+    kept: list[Array] = []
+    left = found
+    while len(left) and len(kept) < most:
+        kept.append(left[0])
+        left = left[(np.abs(left - left[0]) > _DIFFERENT).any(axis=1)]
+    return np.array(kept).reshape(-1, found.shape[1])

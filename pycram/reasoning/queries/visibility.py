@@ -1,0 +1,196 @@
+"""What a camera sees of an object (thesis 4.4.3, 4.4.4).
+
+Two pictures are compared pixel by pixel: of the object alone, and of all that could be before it. They show just the
+part of the image in which the object can be, so that a few thousand pixels decide precisely however far it is. The
+object's pixels outside of the camera's image count as not seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import zlib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, cast
+
+import numpy as np
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, NoWorld
+from pycram.reasoning.collision.ray_cast import middle
+from pycram.vision.camera import NEAR, Camera
+from pycram.vision.rasterizer import Window
+from recorder import geometry
+from recorder.geometry import IDENTITY
+from recorder.records import Picture
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.vision.camera import Sight
+    from pycram.world.object import Object
+
+_PIXELS: Final = 80**2  # of the part that is looked at
+_WIDE: Final = math.radians(60)  # field of view where only a position is given
+_MOST_NAMES: Final = 250  # in a picture; beyond them it shows nothing
+_MARGIN: Final = 0.05  # of the part's size around the object
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """What of an object is seen.
+
+    Attributes:
+        share: seen pixels of all its pixels, 0 to 1.
+        alone: pixels that it would have if nothing else were there and the image had no border.
+        seen: pixels of it that are seen.
+        hiding: share of its pixels that each other object hides, most hiding first.
+        reason: in words, where nothing is seen.
+        bodies: names of the object and of what is before it; empty if nothing was looked at.
+        pixels: (height, width) what was looked at: 0 where nothing is, n where the n-th body is.
+    """
+
+    share: float
+    alone: int
+    seen: int
+    hiding: Mapping[str, float]
+    reason: str = ""
+    bodies: Sequence[str] = ()
+    pixels: NDArray[np.uint8] | None = None
+
+    def picture(self) -> Picture | None:
+        """What was looked at, as records carry it."""
+        if self.pixels is None:
+            return None
+        height, width = self.pixels.shape
+        return Picture(width=width, height=height, bodies=self.bodies, pixels=zlib.compress(self.pixels.tobytes()))
+
+    def evidence(self) -> dict[str, object]:
+        """As records carry it."""
+        told: dict[str, object] = {"share": self.share, "pixels_seen": self.seen, "pixels_alone": self.alone}
+        return told | {"hidden_by": dict(self.hiding)} | ({"reason": self.reason} if self.reason else {})
+
+
+def camera_at(where: object, target: Object, robot: Object | None = None) -> Camera:
+    """The camera that a query means.
+
+    Args:
+        where: a position (looks at the target), a pair of position and orientation of an optical frame, or the name of
+            a robot's camera frame.
+        target: what is looked at.
+        robot: whose frame it is; the world's robot by default.
+
+    Raises:
+        NoWorld: a frame is named, but the world has no robot.
+        UnknownName: the robot has no such frame.
+        BadArgument: anything else.
+    """
+    if isinstance(where, str):
+        return _of_robot(where, robot or target.world.robot)
+    try:
+        parts = list(cast("Iterable[object]", where))
+    except TypeError:
+        raise BadArgument("camera", where, "a position, a position and an orientation, or a frame's name") from None
+    if len(parts) == 2:
+        pose = (checks.vector("camera position", parts[0]), checks.quaternion("camera orientation", parts[1]))
+    else:
+        eye = checks.vector("camera position", parts)
+        aim = middle(target)
+        inside = math.dist(eye, aim) < NEAR  # it is seen from nowhere then, whatever the direction
+        pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
+    wide = math.tan(_WIDE / 2)
+    return Camera(pose, wide, wide)
+
+
+def _of_robot(frame: str, robot: Object | None) -> Camera:
+    if robot is None:
+        raise NoWorld("robot")
+    position, orientation = robot.get_link_position_and_orientation(frame)
+    pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
+    description = robot.description
+    if description is None or description.camera is None or description.camera.frame != frame:
+        wide = math.tan(_WIDE / 2)
+        return Camera(pose, wide, wide)
+    camera = description.camera
+    return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
+
+
+def view(body: Object, camera: Camera) -> View:
+    """Looks at an object.
+
+    Args:
+        body: the object.
+        camera: the camera.
+    """
+    frame = camera.window
+    window, reason = _window(body, camera, frame)
+    if window is None:
+        return View(0.0, 0, 0, {}, reason)
+    width, height = window.right - window.left, window.bottom - window.top
+    scale = math.sqrt(_PIXELS / (width * height))
+    size = (max(8, round(scale * width)), max(8, round(scale * height)))
+    alone = camera.look([body], window, size)
+    mine = alone.bodies == 0
+    pixels = int(mine.sum())
+    if not pixels:
+        return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
+    others = [other for other in body.world.objects if other is not body]
+    before = camera.look(others, window, size, float(alone.depth[mine].max()))
+    inside = mine & _inside(window, frame, size)
+    hidden = inside & (before.depth < alone.depth)
+    seen = int(inside.sum() - hidden.sum())
+    hiding = _hiding(others, before.bodies[hidden], pixels)
+    reason = "" if seen else "is hidden" if hiding else "is out of view"
+    return View(seen / pixels, pixels, seen, hiding, reason, *_seen(body, others, alone, before))
+
+
+def _seen(body: Object, others: Sequence[Object], alone: Sight, before: Sight) -> tuple[list[str], NDArray[np.uint8]]:
+    """Names of the bodies that are looked at, and which of them each pixel shows."""
+    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 nothing
+    near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MOST_NAMES]
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last one is that of -1
+    numbers[0] = 1
+    numbers[near] = range(2, len(near) + 2)
+    return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
+
+
+def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -> dict[str, float]:
+    counts = np.bincount(covering, minlength=len(others))
+    shares = {other.name: int(count) / alone for other, count in zip(others, counts, strict=True) if count}
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
+    """The part of the image plane that can show the object; None and why if none can."""
+    low, high = body.get_AABB()
+    if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
+        return None, "is around the camera"
+    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    points = camera.to_frame(corners)
+    depth = points[:, 2]
+    if (depth < camera.near).all():
+        return None, "is behind the camera or too near"
+    if (depth > camera.far).all():
+        return None, "is too far away"
+    if (depth < camera.near).any():
+        return frame, ""  # it reaches through the image plane
+    x, y = points[:, 0] / depth, points[:, 1] / depth
+    border = _MARGIN * max(float(np.ptp(x)), float(np.ptp(y)), 1e-6)
+    window = Window(float(x.min()) - border, float(y.min()) - border, float(x.max()) + border, float(y.max()) + border)
+    apart = (
+        window.left > frame.right or window.right < frame.left or window.top > frame.bottom or window.bottom < frame.top
+    )
+    return (None, "is out of view") if apart else (window, "")
+
+
+def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.bool_]:
+    """Which pixels of a part lie within the camera's image."""
+    width, height = size
+    x = window.left + (np.arange(width) + 0.5) / width * (window.right - window.left)
+    y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)
+    columns: NDArray[np.bool_] = (x >= frame.left) & (x <= frame.right)
+    rows: NDArray[np.bool_] = (y >= frame.top) & (y <= frame.bottom)
+    both: NDArray[np.bool_] = rows[:, None] & columns[None, :]
+    return both

@@ -1,1 +1,0 @@
-"""Robots as data: one TOML file each."""

@@ -1,0 +1,202 @@
+"""The tree of a URDF: links, joints with their limits, and where every link is for given joint values.
+
+Pure arithmetic on the description, without any physics engine: inverse kinematics, transforms for viewers and the
+replay of recordings all read poses from here. Lengths are metres, angles radians, velocities per second; poses are
+``(position, quaternion xyzw)`` of the link's frame in the frame of the root link.
+
+A joint without a given value stands at 0. Every joint keeps its own value, as in PyBullet: ``mimic`` says nothing here.
+"""
+
+from __future__ import annotations
+
+import difflib
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from recorder import geometry
+from recorder.geometry import IDENTITY, Pose
+from recorder.geometry.joints import Joint, UrdfError, read_joint
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+
+@dataclass(frozen=True)
+class Urdf:
+    """A robot's or thing's tree of links.
+
+    Attributes:
+        name: name of the robot.
+        root: name of the root link.
+        links: names of the links: the root, then depth first in the document's order.
+        joints: the joints by name, in the document's order.
+        movable: names of the joints with a value, in the document's order.
+    """
+
+    name: str
+    root: str
+    links: tuple[str, ...]
+    joints: Mapping[str, Joint] = field(repr=False)
+    movable: tuple[str, ...] = field(repr=False)
+
+    @classmethod
+    def parse(cls, text: str | bytes) -> Urdf:
+        """Reads a URDF document.
+
+        Args:
+            text: the XML.
+
+        Returns:
+            Its tree.
+
+        Raises:
+            UrdfError: it isn't XML, or not one tree of named links with joints of known types.
+        """
+        try:
+            document = ET.fromstring(text)  # noqa: S314
+        except ET.ParseError as error:
+            raise UrdfError("", f"not well-formed XML: {error}") from error
+        name = document.get("name", "")
+        if document.tag != "robot":
+            raise UrdfError(name, f"its root element is <{document.tag}>, not <robot>")
+        links = _unique(name, "link", (element.get("name", "") for element in document.findall("link")))
+        if not links:
+            raise UrdfError(name, "it has no links")
+        joints = [read_joint(name, element) for element in document.findall("joint")]
+        _unique(name, "joint", (joint.name for joint in joints))
+        return cls._of(name, links, joints)
+
+    @classmethod
+    def _of(cls, name: str, links: list[str], joints: list[Joint]) -> Urdf:
+        parents, children = _ends(name, links, joints)
+        roots = [link for link in links if link not in parents]
+        if not roots:
+            raise UrdfError(name, "its joints form a cycle: every link has a parent")
+        if len(roots) > 1:
+            raise UrdfError(name, f"it has {len(roots)} root links where one is needed: {', '.join(roots)}")
+        ordered: list[str] = []
+        pending = roots
+        while pending:
+            link = pending.pop()
+            ordered.append(link)
+            pending.extend(reversed(children.get(link, [])))
+        if len(ordered) < len(links):
+            lost = [link for link in links if link not in set(ordered)]
+            raise UrdfError(name, f"its joints form a cycle: {', '.join(lost)} don't hang on {ordered[0]}")
+        by_name = {joint.name: joint for joint in joints}
+        movable = tuple(joint.name for joint in joints if joint.movable)
+        return cls(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
+
+    def joint(self, name: str) -> Joint:
+        """A joint by its name.
+
+        Args:
+            name: its name.
+
+        Raises:
+            UrdfError: there is no such joint.
+        """
+        try:
+            return self.joints[name]
+        except KeyError:
+            raise UrdfError(self.name, f"it has no joint {name!r}; {_near(name, self.joints)}") from None
+
+    def parent_joint(self, link: str) -> Joint | None:
+        """The joint that holds a link.
+
+        Args:
+            link: name of the link.
+
+        Returns:
+            The joint, or None for the root.
+
+        Raises:
+            UrdfError: there is no such link.
+        """
+        joint = self._parents.get(link)
+        if joint is None and link != self.root:
+            raise UrdfError(self.name, f"it has no link {link!r}; {_near(link, self.links)}")
+        return joint
+
+    def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
+        """The joints that lead from one link out to another, fixed ones too.
+
+        Args:
+            base_link: where it starts: the tip itself or one of its ancestors.
+            tip_link: where it ends.
+
+        Returns:
+            The joints from base to tip.
+
+        Raises:
+            UrdfError: a link doesn't exist, or the tip doesn't hang on the base.
+        """
+        self.parent_joint(base_link)
+        found: list[Joint] = []
+        link = tip_link
+        while link != base_link:
+            joint = self.parent_joint(link)
+            if joint is None:
+                raise UrdfError(self.name, f"link {tip_link} doesn't hang on {base_link}")
+            found.append(joint)
+            link = joint.parent
+        return tuple(reversed(found))
+
+    def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
+        """Where a link is.
+
+        Args:
+            positions: joint values in rad or m by name; joints that aren't named stand at 0.
+            link: name of the link.
+
+        Returns:
+            Position in m and orientation xyzw in the root link.
+
+        Raises:
+            UrdfError: there is no such link.
+        """
+        pose = IDENTITY
+        for joint in self.chain(self.root, link):
+            pose = geometry.multiply(pose, joint.pose(positions.get(joint.name, 0.0)))
+        return pose
+
+    @cached_property
+    def _parents(self) -> dict[str, Joint]:
+        return {joint.child: joint for joint in self.joints.values()}
+
+
+def _near(name: str, known: Iterable[str]) -> str:
+    names = list(known)
+    nearest = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
+    return f"did you mean {', '.join(nearest)}?" if nearest else f"it has {len(names)} of them"
+
+
+def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
+    found: dict[str, None] = {}
+    for name in names:
+        if not name:
+            raise UrdfError(robot, f"a {kind} has no name")
+        if name in found:
+            raise UrdfError(robot, f"it has two {kind}s of the name {name}")
+        found[name] = None
+    return list(found)
+
+
+def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, Joint], dict[str, list[str]]]:
+    """The joint above each link, and the links below it."""
+    known = set(links)
+    parents: dict[str, Joint] = {}
+    children: dict[str, list[str]] = {}
+    for joint in joints:
+        for role, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in known:
+                raise UrdfError(robot, f"{role} {link!r} of joint {joint.name} is no link; {_near(link, links)}")
+        if joint.child in parents:
+            other = parents[joint.child].name
+            raise UrdfError(robot, f"link {joint.child} has two parent joints, {other} and {joint.name}")
+        parents[joint.child] = joint
+        children.setdefault(joint.parent, []).append(joint.child)
+    return parents, children

@@ -1,1 +1,0 @@
-"""The definition of the log and the modules compiled from it."""

@@ -1,0 +1,375 @@
+"""The journal: numbers records, keeps them in order, hands them to sinks.
+
+Lock order: a world's lock, then a journal's, never the other way round; a journal calls no user code and no world
+while it holds its lock. Whoever emits holds the lock of the world that changed, so the order in the log is the order
+in the world.
+"""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+import weakref
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Protocol
+
+from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.tracing.interrupts import Uninterrupted
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from recorder.records.asset import AssetFile
+
+
+class Sink(Protocol):
+    """Where records go. Called under the journal's lock, in order; must not call back or keep the record object.
+
+    That of a task may be kept, since nothing changes in it any more but the number and time that another journal gives.
+    """
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Takes a record and its serialized form.
+
+        Raises:
+            RecordingError: it can't be kept.
+        """
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file, once per content."""
+
+    def close(self) -> None:
+        """Ends; all that was taken is safe afterwards."""
+
+
+class Source(Protocol):
+    """A world as the journal sees it: something that can tell its whole state."""
+
+    name: str
+    sim_step: int
+
+    def record_keyframe(self, journal: Journal) -> None:
+        """Appends the whole state to the given journal, assets included."""
+
+
+class Journal:
+    """One numbering of records, fanned out to sinks."""
+
+    def __init__(self, sinks: Sequence[Sink], clock_ns: Callable[[], int] = time.time_ns) -> None:
+        """Starts numbering at 0.
+
+        Args:
+            sinks: where records go.
+            clock_ns: nanoseconds since the Unix epoch.
+        """
+        self._sinks = tuple(sinks)
+        self._clock_ns = clock_ns
+        self._lock = threading.Lock()
+        self._next = 0
+        self._latest_ns = 0
+        self._attached: set[str] = set()
+        self._expected: set[str] = set()
+
+    @property
+    def length(self) -> int:
+        """How many records there are; the next one's seq."""
+        return self._next
+
+    def add_sink(self, sink: Sink) -> None:
+        """Adds a sink; it gets the records from here on.
+
+        Args:
+            sink: where they go too; closed with the others.
+        """
+        with self._lock:
+            self._sinks = (*self._sinks, sink)
+
+    def expect(self, worlds: Iterable[str]) -> None:
+        """Says which worlds are going to tell their state: what changes them before is part of that, no record.
+
+        Args:
+            worlds: their names.
+        """
+        with self._lock:
+            self._expected.update(worlds)
+
+    def append(self, record: Record) -> int:
+        """Numbers and keeps a record.
+
+        Args:
+            record: without seq and wall time.
+
+        Returns:
+            Its size in bytes; 0 if it isn't kept, as it is part of what a world tells later.
+
+        Raises:
+            RecordingError: a sink can't keep it.
+        """
+        topic = TOPICS[type(record)]
+        with Uninterrupted(), self._lock:
+            if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
+                if isinstance(record, Mutation) and not record.HasField("open_world"):
+                    return 0
+                self._expected.remove(record.world)
+            self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
+            record.seq = self._next
+            record.wall_time_ns = self._latest_ns
+            self._next += 1
+            payload = record.SerializeToString()
+            for sink in self._sinks:
+                sink.write(topic, record, payload)
+            return len(payload)
+
+    def attach(self, assets: Iterable[AssetFile]) -> None:
+        """Keeps files, each content once.
+
+        Args:
+            assets: the files.
+
+        Raises:
+            RecordingError: a sink can't keep one.
+        """
+        for asset in assets:
+            with Uninterrupted(), self._lock:
+                if asset.key not in self._attached:
+                    for sink in self._sinks:
+                        sink.attach(asset)
+                    self._attached.add(asset.key)
+
+    def close(self) -> None:
+        """Closes every sink; the first error is raised when all are closed."""
+        with Uninterrupted(), self._lock, ExitStack() as closing:
+            for sink in reversed(self._sinks):
+                closing.callback(sink.close)
+
+
+class Running(Protocol):
+    """A task as the journal sees it."""
+
+    @property
+    def id(self) -> int:
+        """Its number, from 1."""
+
+
+#: The task that runs in this context, None for none; set by :mod:`recorder.tracing.span`.
+running: ContextVar[Running | None] = ContextVar("pycram_task", default=None)
+
+
+def task_id() -> int:
+    """Id of the task that runs in this context, 0 for none."""
+    task = running.get()
+    return task.id if task is not None else 0
+
+
+_registry = threading.Lock()
+_open: tuple[Journal, ...] = ()
+_sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
+_openings = itertools.count()
+_current: weakref.ref[Source] | None = None
+_known: weakref.WeakSet[Source] = weakref.WeakSet()
+_opened = 0
+_forward: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_forward", default=None)
+_aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
+
+
+def _listening() -> tuple[Journal, ...]:
+    """The journals that get what happens in this context."""
+    own = _aside.get()
+    return _open if own is None else own
+
+
+def recording() -> bool:
+    """Whether any journal listens; without one nothing is read back or built."""
+    return bool(_listening())
+
+
+def is_aside() -> bool:
+    """Whether what happens in this context is none of a plan's doing; see :func:`aside`."""
+    return _aside.get() is not None
+
+
+@contextmanager
+def aside(*journals: Journal) -> Iterator[None]:
+    """What its block does is told to these journals and no others; without any it is on no record.
+
+    Worlds that are opened in it are unknown outside until they are introduced.
+
+    Args:
+        journals: who listens.
+    """
+    token = _aside.set(journals)
+    try:
+        yield
+    finally:
+        _aside.reset(token)
+
+
+def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
+    """Appends a record to every open journal.
+
+    Args:
+        record: without its envelope.
+        world: name of the world that it is about.
+        sim_step: simulated steps of that world.
+        task: id of its task; by default the current one.
+
+    Raises:
+        RecordingError: a sink can't keep it.
+    """
+    record.world = world
+    record.sim_step = sim_step
+    record.task = task_id() if task is None else task
+    record.thread = threading.current_thread().name
+    tell(record)
+
+
+def tell(record: Record) -> int:
+    """Appends a record that has its envelope, but for number and wall time, to every open journal.
+
+    Args:
+        record: the record.
+
+    Returns:
+        Its size in bytes; 0 if nobody listens.
+
+    Raises:
+        RecordingError: a sink can't keep it.
+    """
+    size = 0
+    for journal in _listening():
+        size = journal.append(record)
+    return size
+
+
+def attach(assets: Iterable[AssetFile]) -> None:
+    """Keeps files in every open journal.
+
+    Args:
+        assets: the files.
+    """
+    files = list(assets)
+    for journal in _listening():
+        journal.attach(files)
+
+
+def register(source: Source) -> None:
+    """Makes a world known, for as long as it lives, to journals that open later.
+
+    Args:
+        source: the world; held weakly.
+    """
+    if _aside.get() is None:
+        with _registry:
+            _sources[next(_openings)] = source
+            _find_current()
+
+
+def introduce(source: Source) -> None:
+    """Makes a world known that was opened aside: journals that are open get its state now, others when they open.
+
+    Args:
+        source: the world; held weakly.
+    """
+    register(source)
+    for journal in _listening():
+        source.record_keyframe(journal)
+
+
+def put_forward(source: Source) -> None:
+    """Makes a registered world the current one: in this context, and wherever no other was put forward.
+
+    Args:
+        source: the world.
+    """
+    with _registry:
+        before = [number for number, other in _sources.items() if other is source]
+        if before:  # one that was opened aside stays unknown
+            _sources[next(_openings)] = source
+            _forward.set(weakref.ref(source))
+        for number in before:
+            del _sources[number]
+        _find_current()
+
+
+def unregister(source: Source) -> None:
+    """Forgets a world that has ended.
+
+    Args:
+        source: the world.
+    """
+    with _registry:
+        for number in [number for number, other in _sources.items() if other is source]:
+            del _sources[number]
+        _find_current()
+
+
+def _find_current() -> None:
+    """Notes which sources there are, and the last: looking for it at each task would cost more than all else."""
+    global _current, _known  # noqa: PLW0603  see open_journal
+    _known = weakref.WeakSet(_sources.values())
+    last = next(reversed(list(_sources.values())), None)
+    _current = weakref.ref(last) if last is not None else None
+
+
+def now() -> tuple[str, int]:
+    """The world that is current in this context and its simulated steps; "", 0 if none is."""
+    chosen = _forward.get()
+    source = chosen() if chosen is not None else None
+    if source is None or source not in _known:
+        source = _current() if _current is not None else None
+    return (source.name, source.sim_step) if source is not None else ("", 0)
+
+
+def openings() -> int:
+    """How many journals have been opened so far."""
+    return _opened
+
+
+def open_journal(journal: Journal) -> None:
+    """From now on everything is appended to this journal; worlds that exist already give a keyframe first.
+
+    Args:
+        journal: the journal.
+
+    Raises:
+        RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
+    """
+    global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
+    with _registry:
+        _opened += 1
+        sources = list(_sources.values())
+        journal.expect(source.name for source in sources)
+        _open = (*_open, journal)
+    try:
+        for source in sources:
+            source.record_keyframe(journal)
+    except BaseException:
+        forget_journal(journal)
+        raise
+
+
+def close_journal(journal: Journal) -> None:
+    """Ends a journal and closes its sinks.
+
+    Args:
+        journal: the journal.
+
+    Raises:
+        RecordingError: a sink could not keep all it had taken.
+    """
+    global _open  # noqa: PLW0603  see open_journal
+    with _registry:
+        _open = tuple(other for other in _open if other is not journal)
+    journal.close()
+
+
+def forget_journal(journal: Journal) -> None:
+    """Ends recording to a journal without touching its sinks.
+
+    Args:
+        journal: the journal.
+    """
+    global _open  # noqa: PLW0603  see open_journal
+    _open = tuple(other for other in _open if other is not journal)

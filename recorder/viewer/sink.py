@@ -1,0 +1,185 @@
+"""Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
+
+Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
+(:mod:`recorder.viewer.live`) that translates them, and goes on when the viewer has taken a batch. When the recording
+ends, the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand
+it over. What the viewer has not got is counted and said: the file has it all, and says how many records there was no
+room for.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing import Pipe
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from recorder.viewer.backlog import Backlog, is_passing
+from recorder.viewer.connection import LINGERING, Kind, Wish, Word
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+    from recorder.records import Record
+    from recorder.records.asset import AssetFile
+
+_AT_THE_END: Final = 1.8  # s for the viewer to take what is left
+_TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
+_HANDING: Final = 0.5  # s for the process to read the rest
+_RHYTHM: Final = 0.2  # s between batches: many small ones cost more than they show
+_MOST_ITEMS: Final = 500
+_MOST_BYTES: Final = 4 << 20
+_ROOT: Final = str(Path(__file__).parent.parent.parent)
+_NICE: Final = 10  # the plan goes first where cores are few, also while that process loads the viewer's library
+_CODE: Final = f"""
+import os, sys
+os.nice({_NICE})
+sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
+from recorder.viewer.live import main
+main(sys.argv[1:])
+"""
+
+
+_lingering: Final[list[subprocess.Popen[bytes]]] = []  # that hand over the rest
+
+
+class RerunSink:
+    """A sink that is a viewer.
+
+    Args:
+        live: who is to show it: "spawn", "connect", "connect:URL", "serve" or a URL.
+        title: name of the recording.
+
+    Attributes:
+        missed: how many records the viewer didn't get; known at the end.
+
+    Raises:
+        RecordingError: ``live`` is none of these.
+    """
+
+    def __init__(self, live: str, title: str) -> None:
+        self._wish = Wish.parse(live)
+        self._backlog = Backlog()
+        self._records = 0
+        self._taken = 0
+        self._ended = threading.Event()
+        self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
+        self._sending = threading.Lock()
+        self._started = time.monotonic()
+        self.missed = 0
+        self._connection, theirs = Pipe()
+        with theirs:
+            self._process = _start(theirs, live, title)
+        self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
+        self._thread.start()
+
+    def told(self) -> dict[str, str]:
+        """What the file is told of it when it ends: how many records there was no room for, whatever comes."""
+        return {"viewer_dropped": str(self._backlog.dropped)}
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Takes a record; see :class:`recorder.tracing.journal.Sink`."""
+        self._records += 1
+        self._backlog.put((topic, payload), passing=is_passing(record))
+
+    def attach(self, asset: AssetFile) -> None:
+        """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
+        self._backlog.put(asset, passing=False)
+
+    def close(self) -> None:
+        """Ends; waits a moment for the viewer, but not for ever."""
+        if self._ended.is_set():
+            return
+        self._ended.set()
+        self._backlog.close()
+        now = time.monotonic()
+        settled = self._settled.wait(max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now))
+        behind = not settled and self._hand_over()
+        if self._wish.kind is Kind.SERVE and (behind or settled) and self._process.poll() is None:
+            atexit.register(_stop, self._process)
+        elif not behind:
+            _stop(self._process)  # frees the thread, if it still waits
+        self._thread.join()
+        self._connection.close()
+        self.missed = self._records - self._taken
+        if self.missed:
+            served = self._wish.kind is Kind.SERVE
+            time_left = "the time that it is served" if served else f"{LINGERING:.0f} s"
+            told = f"the viewer is {self.missed} of {self._records} records behind; it has {time_left} to take them"
+            lost = f"the viewer missed {self.missed} of {self._records} records"
+            print(f"recorder: {told if behind else lost}; the file has them all", file=sys.stderr)
+
+    def _hand_over(self) -> bool:
+        """Gives the rest to the process, and frees the thread; whether it was taken."""
+        giving = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
+        giving.start()
+        giving.join(_HANDING)
+        if giving.is_alive():  # the process doesn't read any more
+            return False
+        with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
+            ending.shutdown(socket.SHUT_RD)
+        if self._wish.kind is Kind.SERVE:  # pages have all the time until this process ends
+            return self._process.poll() is None
+        if self._process.stdin is not None:
+            self._process.stdin.close()  # from now on its time runs
+        _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
+        return self._process in _lingering
+
+    def _give_rest(self) -> None:
+        with self._sending, contextlib.suppress(OSError):
+            self._connection.send(self._backlog.rest())
+            self._connection.send([])
+
+    def _run(self) -> None:
+        """The thread's: one batch at a time."""
+        try:
+            while self._connection.recv() is not Word.READY:
+                self._settled.set()
+            self._settled.clear()
+            while sent := self._send():
+                self._taken += self._connection.recv()
+                self._ended.wait(max(_RHYTHM, time.monotonic() - sent))  # where cores are few it uses half of one
+            self._connection.recv()
+        except (EOFError, OSError):  # the process has ended, and has said why; or it has got the rest
+            self._backlog.clear()
+        finally:
+            self._settled.set()
+
+    def _send(self) -> float | None:
+        """Waits for a batch and sends it, an empty one at the end.
+
+        Returns:
+            When it began to send something.
+        """
+        with self._sending:  # what is taken out is sent before the rest
+            batch = self._backlog.take(_MOST_ITEMS, _MOST_BYTES)
+            begun = time.monotonic()
+            self._connection.send(batch)
+        return begun if batch else None
+
+    def wait(self) -> None:
+        """Waits while pages can still be opened: after the end, until somebody ends their server or interrupts."""
+        self._process.wait()
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    with process:  # waits for it, and closes the pipe
+        process.kill()
+
+
+def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
+    """Starts the process between; its standard input is closed when this one ends, however it ends."""
+    return subprocess.Popen(  # noqa: S603  our own code
+        [sys.executable, "-c", _CODE, _ROOT, str(theirs.fileno()), live, title],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        pass_fds=[theirs.fileno()],
+        env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # what matters it says itself; the viewer was asked for
+    )

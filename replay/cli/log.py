@@ -1,0 +1,79 @@
+"""``log``: the records as lines, filtered; also while they are written."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from recorder.records import STEPS_PER_SECOND
+from replay.cli.console import remark, tell, tell_json
+from replay.explain.search import Filter, Search
+from replay.explain.step_names import HINT
+from replay.file.chunks import KINDS
+from replay.state.json_data import kind_of, plain_record
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator
+
+    from recorder.records import Record
+    from replay.file.log import Log
+
+_PAUSE = 0.2  # s between looks at a recording that is being written
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes filters."""
+    parser.add_argument("--kind", choices=sorted(KINDS), action="append", help="only this kind of record; repeatable")
+    parser.add_argument("--task", metavar="ID|NAME", help="only what this task and those below it did")
+    parser.add_argument("--object", metavar="NAME", help="only records that tell of this object")
+    parser.add_argument("--world", metavar="NAME", help="only records about this world")
+    parser.add_argument("--text", metavar="TEXT", help="only lines that contain this")
+    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
+    parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
+    parser.add_argument("--follow", action="store_true", help="go on while the recording is being written")
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Prints the lines; with ``--json`` one object a line."""
+    wanted = Filter(options.kind or (), options.task, options.object, options.world, options.text)
+    search = Search(log, wanted)
+    start, stop = log.step(options.start), log.step(options.end) + 1
+    found = follow(log, search, start) if options.follow else search.matches(start, stop)
+    for record, line in found:
+        if options.json:
+            tell_json(plain_record(record) | {"text": line}, flush=options.follow)
+        else:
+            clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
+            tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}", flush=options.follow)
+    return 0
+
+
+def _world(log: Log, record: Record) -> str:
+    """Which world a record is about, where there is more than one."""
+    life = log.life_at(record.world, record.seq) if record.world and len(log.lives) > 1 else None
+    return f"{life.title}: " if life is not None else ""
+
+
+def follow(
+    log: Log, search: Search, start: int, pause: Callable[[], object] | None = None
+) -> Iterator[tuple[Record, str]]:
+    """The records that fit, and those that will be written, until the recording is closed or its process has gone.
+
+    Args:
+        log: the recording.
+        search: what to look for.
+        start: the first step.
+        pause: waits before the next look.
+    """
+    wait = pause or (lambda: threading.Event().wait(_PAUSE))
+    while True:
+        live = log.live  # asked before the last look, so that nothing that was written until then is missed
+        log.refresh()
+        yield from search.matches(start, len(log))
+        start = len(log)
+        if log.closed or not live:
+            if not log.closed:
+                remark("nobody is writing this recording any more")
+            return
+        wait()

@@ -1,0 +1,86 @@
+"""``view``: a recording, or two side by side, in the Rerun viewer."""
+
+from __future__ import annotations
+
+import threading
+import webbrowser
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from replay.cli.console import remark, results_only, tell, tell_json
+from replay.errors import ReplayError
+from replay.explain.step_names import HINT
+from replay.file.log import open_log
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from replay.file.log import Log
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Takes another recording, where to begin, and where to show or save it."""
+    parser.add_argument("other", metavar="LOG2", nargs="?", help="another recording, shown beside it")
+    parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
+    parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
+    parser.add_argument("--open", action="store_true", help="open it, also if it is saved")
+    parser.add_argument("--web", action="store_true", help="in the browser, as it is at the end, until Ctrl-C")
+    parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
+
+
+def run(log: Log, options: argparse.Namespace) -> int:
+    """Shows or saves it, and prints where."""
+    if options.web and (options.save or options.at or options.connect):
+        raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
+    step = log.step(options.at) if options.at is not None else None
+    with ExitStack() as opened, results_only():
+        logs = [log, *([opened.enter_context(open_log(options.other))] if options.other else [])]
+        if options.web:
+            return _serve(logs, json_wanted=options.json)
+        told = _open(logs, step, options)
+    if options.json:
+        tell_json(told)
+    else:
+        tell(str(told["file"]))
+    return 0
+
+
+def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) -> dict[str, object]:
+    from replay.view.rrd import aside, cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
+
+    check(options.connect)
+    if options.save is not None:
+        file = Path(options.save)
+        if file.suffix != ".rrd":
+            raise ReplayError(f"{file}: what the viewer opens is called .rrd")
+        convert(logs, file, step)
+    elif len(logs) == 1:
+        file = cached(logs[0], step)
+    else:
+        names = "_".join(log.path.stem for log in logs)
+        file = aside(f"{names}.rrd")
+        convert(logs, file, step)
+    told: dict[str, object] = {"file": str(file)}
+    if options.open or options.save is None:
+        told["viewer"] = show(file, step, options.connect)
+    return told
+
+
+def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
+    from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
+    from replay.view.rrd import translate  # noqa: PLC0415
+
+    with stream_to_viewer() as stream:
+        page = serve_page(stream)
+        translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
+        stream.flush()
+        if json_wanted:
+            tell_json({"page": page}, flush=True)
+        else:
+            tell(page, flush=True)
+        remark("shown in the browser until Ctrl-C")
+        webbrowser.open(page)
+        threading.Event().wait()
+    return 0

@@ -1,0 +1,1 @@
+"""What happened, and why: plain functions from recordings to frozen data."""

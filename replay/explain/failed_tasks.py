@@ -1,0 +1,146 @@
+"""The tasks that failed, as a recording is read: what went well is forgotten but for the last of each kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from recorder.records import Task
+from recorder.tasks import is_dealt_with
+from replay.state.json_data import plain_arguments
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from recorder.records import Failure
+    from replay.file.log import Log
+    from replay.state.json_data import Plain
+
+
+@dataclass(slots=True, eq=False)
+class Attempt:
+    """A task, with those of its parts that failed or have not ended.
+
+    Attributes:
+        started: the record of its start.
+        outer: the task that it is part of; None for an outermost one.
+        finished: the record of its end; None if it has not ended.
+        parts: in the order of their start.
+    """
+
+    started: Task
+    outer: Attempt | None = None
+    finished: Task | None = None
+    parts: list[Attempt] = field(default_factory=list)
+
+    @property
+    def failure(self) -> Failure | None:
+        """What it failed with; None if it has not."""
+        return self.finished.failure if self.finished is not None and self.finished.status == Task.FAILED else None
+
+    @property
+    def error(self) -> tuple[str, str] | None:
+        """Type and message of what it failed with."""
+        failure = self.failure
+        return (failure.type, failure.message) if failure is not None else None
+
+    @property
+    def end(self) -> int:
+        """The step of its end; of its start if it has not ended."""
+        return self.finished.seq if self.finished is not None else self.started.seq
+
+    @property
+    def dealt_with(self) -> bool:
+        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        return is_dealt_with(task.finished for task in self.around())
+
+    @property
+    def parameters(self) -> dict[str, Plain]:
+        """What it was given."""
+        return plain_arguments(self.started.parameters)
+
+    @property
+    def outermost(self) -> Attempt:
+        """The outermost task around it that failed too."""
+        found = self
+        while found.outer is not None and found.outer.failure is not None:
+            found = found.outer
+        return found
+
+    @property
+    def origin(self) -> Attempt:
+        """The part in which its failure began: down the parts with the same error, else the last that failed."""
+        found = self
+        while True:
+            failed = [part for part in found.parts if part.failure is not None]
+            same = [part for part in failed if part.error == found.error]
+            if not failed:
+                return found
+            found = (same or failed)[-1]
+
+    @property
+    def motion(self) -> Attempt:
+        """The motion that it is part of, or is; itself if there is none."""
+        for task in self.around():
+            if task.started.kind == "motion":
+                return task
+        return self
+
+    def around(self) -> Iterator[Attempt]:
+        """The task itself and those that it is part of, outwards."""
+        found: Attempt | None = self
+        while found is not None:
+            yield found
+            found = found.outer
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """What failed.
+
+    Attributes:
+        origins: the tasks in which failures began, in the order of their ends.
+        running: the tasks that have not ended, in the order of their starts.
+        successes: the last of each kind and name that went well.
+    """
+
+    origins: tuple[Attempt, ...]
+    running: tuple[Attempt, ...]
+    successes: Mapping[tuple[str, str], Attempt]
+
+    @property
+    def last_success(self) -> Attempt | None:
+        """The last motion, or else task, that went well."""
+        motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
+        return max(motions or self.successes.values(), key=lambda task: task.end, default=None)
+
+
+def failures(log: Log, stop: int | None = None) -> Failures:
+    """What failed in a recording.
+
+    Args:
+        log: the recording.
+        stop: the step before which to end.
+    """
+    running: dict[int, Attempt] = {}
+    successes: dict[tuple[str, str], Attempt] = {}
+    origins: list[Attempt] = []
+    for record in log.records(Task, stop=stop):
+        if not isinstance(record, Task):
+            continue
+        if record.phase == Task.STARTED:
+            outer = running.get(record.parent)
+            task = running[record.task] = Attempt(record, outer)
+            if outer is not None:
+                outer.parts.append(task)
+            continue
+        task = running.pop(record.task) if record.task in running else Attempt(record, running.get(record.parent))
+        task.finished = record
+        if record.status == Task.FAILED:
+            if all(part.failure is None for part in task.parts):
+                origins.append(task)
+        elif task.outer is not None and task in task.outer.parts:
+            task.outer.parts.remove(task)
+        if record.status == Task.SUCCEEDED:
+            successes[record.kind, record.name] = task
+    return Failures(tuple(origins), tuple(running.values()), successes)

@@ -1,0 +1,91 @@
+"""What a plan raised: an exception's printed text taken apart into exceptions, and into lines of the plan."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from replay.explain.source import Line
+
+if TYPE_CHECKING:
+    from replay.explain.source import Source
+
+_FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')
+_NEXT: Final = re.compile(
+    r"^(?:The above exception was the direct cause of|During handling of the above exception).*$", re.MULTILINE
+)
+_START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
+_TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
+#: The executor's folder, told by the frames by which plans come into it.
+_ROOT: Final = re.compile(
+    r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
+    r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
+    r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
+    r"|bullet_world_reasoning|funnel))\.py$"  # as they were named in release 0.1.0
+)
+#: Where nobody keeps plans.
+_FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
+
+
+@dataclass(frozen=True, slots=True)
+class Raised:
+    """One exception.
+
+    Attributes:
+        type: its type's name.
+        message: what it says.
+        lines: the plan's own lines that led to it, outermost first.
+    """
+
+    type: str
+    message: str
+    lines: tuple[Line, ...]
+
+
+def raised(traceback: str, source: Source) -> list[Raised]:
+    """The exceptions in a traceback, causes first.
+
+    Args:
+        traceback: as Python prints it.
+        source: the plan's source.
+    """
+    frames = [frame for text in traceback.splitlines() if (frame := _FRAME.match(text))]
+    roots = tuple({root["root"] for frame in frames if (root := _ROOT.match(frame["file"]))})
+    parts = (part.strip("\n") for part in _NEXT.split(traceback))
+    return [_raised(part, source, roots) for part in parts if part.strip()]
+
+
+def _raised(part: str, source: Source, roots: tuple[str, ...]) -> Raised:
+    lines = part.splitlines()
+    start = next((at for at, text in enumerate(lines) if _START.match(text)), -1)
+    end = start + 1
+    while end < len(lines) and (lines[end][:1] in (" ", "\t") or not lines[end].strip()):
+        end += 1
+    title = _TITLE.match("\n".join(lines[end:]).strip())
+    return Raised(
+        title["type"] if title else "",
+        (title["message"] or "") if title else "\n".join(lines[end:]).strip(),
+        tuple(_lines(lines[:end], source, roots)),
+    )
+
+
+def _lines(texts: list[str], source: Source, roots: tuple[str, ...]) -> list[Line]:
+    found = []
+    for at, text in enumerate(texts):
+        frame = _FRAME.match(text)
+        if frame is None or not _is_plan(frame["file"], source, roots):
+            continue
+        told = texts[at + 1].strip() if at + 1 < len(texts) and not _FRAME.match(texts[at + 1]) else ""
+        known = source.line(frame["file"], int(frame["line"]))
+        function = (known and known.function) or frame["function"].strip()
+        found.append(Line(frame["file"], int(frame["line"]), function, (known and known.text) or told))
+    return found
+
+
+def _is_plan(file: str, source: Source, roots: tuple[str, ...]) -> bool:
+    for root in roots:
+        inside = file.removeprefix(root).replace("\\", "/") if file.startswith(root) else ""
+        if inside.startswith(("pycram/", "recorder/")) and not inside.startswith("pycram/demos/"):
+            return False
+    return source.has(file) or not _FOREIGN.search(file)

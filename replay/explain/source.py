@@ -1,0 +1,143 @@
+"""The plan's source, as it is attached to a recording: the text and the function of a line."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from replay.errors import Damaged
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.records import Mutation, Task
+    from replay.file.log import Log
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of the plan.
+
+    Attributes:
+        file: as it was when the plan ran.
+        number: from 1.
+        function: the one that it is in; "" if its source is not attached.
+        text: the line itself; "" if its source is not attached.
+    """
+
+    file: str
+    number: int
+    function: str = ""
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{name_of(self.file)}:{self.number}"
+
+
+class Source:
+    """All source that is attached to a recording; of files that share a name nobody can tell which is which."""
+
+    def __init__(self, log: Log) -> None:
+        """Reads nothing yet.
+
+        Args:
+            log: the recording.
+        """
+        self._assets = log.assets
+        keys = [key for key in log.assets if key.endswith(".py")]
+        names = [name_of(key) for key in keys]
+        self._keys = {name: key for name, key in zip(names, keys, strict=True) if names.count(name) == 1}
+        self._texts: dict[str, str] = {}
+
+    def line(self, file: str, number: int) -> Line | None:
+        """A line by its place.
+
+        Args:
+            file: path of the file when the plan ran.
+            number: from 1; 0 is none.
+        """
+        if not file or number < 1:
+            return None
+        text = self.text(file)
+        lines = text.splitlines()
+        if number > len(lines):
+            return Line(file, number)
+        return Line(file, number, _function(text, number), lines[number - 1].strip())
+
+    def way(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """The plan's lines that led to a task or a change, outermost first; none if the record doesn't tell.
+
+        Args:
+            record: of the task's start, or of the change.
+        """
+        line = self.line(record.source_file, record.source_line)
+        return (*self.callers(record), line) if line is not None else ()
+
+    def callers(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """The lines that led to the one that asked for a task, or made a change, outermost first.
+
+        Args:
+            record: of the task's start, or of the change.
+        """
+        told = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
+        return tuple(line for line in told if line is not None)
+
+    def text(self, file: str) -> str:
+        """What a file said; "" if it is not attached, or damaged.
+
+        Args:
+            file: path of the file when the plan ran.
+        """
+        key = self._keys.get(name_of(file))
+        if key is None:
+            return ""
+        if key not in self._texts:
+            try:
+                self._texts[key] = self._assets[key].decode("utf-8", "replace")
+            except Damaged:
+                self._texts[key] = ""
+        return self._texts[key]
+
+    def has(self, file: str) -> bool:
+        """Whether a file is attached.
+
+        Args:
+            file: path of the file when the plan ran.
+        """
+        return name_of(file) in self._keys
+
+
+def name_of(path: str) -> str:
+    """The file's own name, of a path of any system.
+
+    Args:
+        path: the path.
+    """
+    return PurePosixPath(path.replace("\\", "/")).name
+
+
+@lru_cache(maxsize=8)
+def _functions(text: str) -> tuple[tuple[int, int, str], ...]:
+    """First and last line of each function, inner ones last."""
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError):
+        return ()
+    return tuple(_spans(tree))
+
+
+def _spans(tree: ast.AST) -> Iterator[tuple[int, int, str]]:
+    for node in ast.walk(tree):  # outer ones come first
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield node.lineno, node.end_lineno or node.lineno, node.name
+
+
+def _function(text: str, number: int) -> str:
+    name = "<module>"
+    for first, last, function in _functions(text):
+        if first <= number <= last:
+            name = function
+    return name

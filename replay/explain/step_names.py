@@ -1,0 +1,169 @@
+"""Steps as people name them: numbers, ``last``, ``failure``, ``12.5s`` of simulated time, ``task:pick-up#2@end``."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from replay.errors import NoSuchStep
+
+if TYPE_CHECKING:
+    from recorder.records import Record
+    from replay.file.lifetimes import Life
+    from replay.file.log import Log
+
+HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
+_TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
+
+
+def step_of(log: Log, name: int | str) -> int:
+    """The number of a step.
+
+    Args:
+        log: the recording.
+        name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
+            explains), simulated seconds with an ``s``: the last step before the clock of a world passes them, of the
+            first one that gets so far, or a task, see :func:`task_step`.
+
+    Raises:
+        NoSuchStep: there is no such step.
+    """
+    text = str(name).strip()
+    if text == "last":
+        return len(log) - 1
+    if text == "failure":
+        return _failure(log)
+    if text.startswith("task:"):
+        return task_step(log, text)
+    try:
+        if text.endswith("s"):
+            return _at_time(log, float(text[:-1]), text)
+        number = int(text)
+    except ValueError:
+        raise NoSuchStep(repr(text), len(log), f"a step is a {HINT}") from None
+    step = number + len(log) if number < 0 else number
+    if not 0 <= step < len(log):
+        raise NoSuchStep(number, len(log))
+    return step
+
+
+def _failure(log: Log) -> int:
+    from replay.explain.root_cause import breakdown  # noqa: PLC0415  it goes by steps itself
+
+    broken = breakdown(log)
+    if broken is None:
+        raise NoSuchStep("failure", len(log), "nothing failed")
+    return broken.step
+
+
+def final_of(log: Log) -> int:
+    """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
+    closing = len(log)
+    for record in log.backwards(-1, (Mutation, Keyframe)):
+        if not _closes(record):
+            break
+        closing = record.seq
+    return max(closing - 1, 0)
+
+
+def _closes(record: Record) -> bool:
+    return isinstance(record, Mutation) and record.HasField("close_world")
+
+
+def task_step(log: Log, text: str) -> int:
+    """The start or the end of a task.
+
+    Args:
+        log: the recording.
+        text: ``task:PATH@start`` or ``task:PATH@end``. A path is names from the outside in, such as ``par/moving`` or
+            just ``pick-up``, or the task's id; it may leave out outer tasks. Of several that fit it is the first;
+            ``task:pick-up#2@end`` is the second, ``#-1`` the last.
+
+    Raises:
+        NoSuchStep: there is no such task, or it has not ended.
+    """
+    asked = _TASK.fullmatch(text)
+    if asked is None:
+        raise NoSuchStep(repr(text), len(log), "a task's step is task:PATH@start or task:PATH@end")
+    which = int(asked["which"] or 1)
+    found = _tasks(log, asked["path"], which)
+    if not which or len(found) < abs(which):
+        raise NoSuchStep(repr(text), len(log), _which_are(log, asked["path"], len(found)))
+    step = found[which - 1 if which > 0 else which][asked["end"] == "end"]
+    if step is None:
+        raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
+    return step
+
+
+def _tasks(log: Log, path: str, which: int) -> list[list[int | None]]:
+    """Start and end of the tasks that fit a path; not more than it takes to tell."""
+    wanted = path.strip("/").casefold().split("/")
+    paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
+    found: list[list[int | None]] = []
+    running: dict[int, list[int | None]] = {}
+    for record in log.records(Task):
+        if not isinstance(record, Task):
+            continue
+        if record.phase == Task.STARTED:
+            names = (*paths.get(record.parent, ()), record.name.casefold())
+            paths[record.task] = names[-len(wanted) :]
+            if list(names[-len(wanted) :]) == wanted or path == str(record.task):
+                running[record.task] = [record.seq, None]
+                found.append(running[record.task])
+        else:
+            paths.pop(record.task, None)
+            ended = running.pop(record.task, None)
+            if ended is not None:
+                ended[1] = record.seq
+            if len(found) == which > 0 and found[-1][1] is not None:
+                break
+    return found
+
+
+def _which_are(log: Log, path: str, count: int) -> str:
+    if count:
+        return f"{count} tasks fit {path!r}; #1 is the first of them, #-1 the last"
+    names = {record.name for record in log.records(Task) if isinstance(record, Task)}
+    near = difflib.get_close_matches(path.rpartition("/")[2], names, 3)
+    return f"no task fits {path!r}; " + (
+        f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(sorted(names)[:10]) or 'none'}"
+    )
+
+
+def _at_time(log: Log, seconds: float, text: str) -> int:
+    if not math.isfinite(seconds) or seconds < 0 or not log.lives:
+        raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
+    limit = seconds * STEPS_PER_SECOND
+    ends = {}
+    for life in log.lives:
+        end = log.end_of(life)
+        if end is not None and end.sim_step > limit:
+            return max(0, _passing(log, life, limit) - 1)
+        if end is not None and end.sim_step == limit:  # to the end of it, but a world that is closed shows nothing
+            return end.seq - 1 if _closes(end) else (life.stop or len(log)) - 1
+        ends[life.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
+    longest = max(ends, key=lambda title: ends[title])
+    raise NoSuchStep(text, len(log), f"no world got so far; the clock of {longest} ends at {ends[longest]:.3f}s")
+
+
+def _passing(log: Log, life: Life, limit: float) -> int:
+    """The first step at which a world's clock is past a moment that it does pass."""
+
+    def passes(at: int) -> int | None:
+        """The first such step in a chunk."""
+        for record in log.records_of(life, (Mutation, Keyframe), [life.changes[at]]):
+            if record.sim_step > limit:
+                return record.seq
+        return None
+
+    low, high = 0, len(life.changes) - 1  # its clock never goes back: the first such chunk is found by halving
+    while low < high:
+        middle = (low + high) // 2
+        if passes(middle) is None:
+            low = middle + 1
+        else:
+            high = middle
+    return passes(low) or 0

@@ -1,0 +1,120 @@
+"""What ran, when, for how long, and how it ended: read from both ends of a recording, whatever its length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import STEPS_PER_SECOND, Run, told_failure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from replay.file.lifetimes import Life
+    from replay.file.log import Log
+
+#: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
+CHECKED: Final = 16 << 20
+_ENDS: Final = 2  # records of the run itself: that it started, that it finished
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A world and its clock.
+
+    Attributes:
+        world: its name.
+        life: which world of that name it is, from 1.
+        seconds: its simulated time at its last change, s.
+    """
+
+    world: str
+    life: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A recording in short.
+
+    Attributes:
+        plan: name of the plan.
+        started: wall-clock time of the first record.
+        seconds: wall-clock time from the first to the last record.
+        worlds: with the simulated time that each reached, in the order of their opening.
+        outcome: "succeeded", "failed", "running" or "cut off".
+        failure: what the plan failed with, as "Type: message"; or "".
+        threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
+        records: number of steps.
+        counts: number of records of each kind.
+        attachments: number of attached files.
+        size: of the file, bytes.
+        missing: in words, what of the recording is missing; or "".
+        checked: whether every part was read to tell so.
+        metadata: all that the recorder said of the run.
+    """
+
+    plan: str
+    started: datetime
+    seconds: float
+    worlds: tuple[Simulated, ...]
+    outcome: str
+    failure: str
+    threads: tuple[tuple[str, str], ...]
+    records: int
+    counts: Mapping[str, int]
+    attachments: int
+    size: int
+    missing: str
+    checked: bool
+    metadata: Mapping[str, str]
+
+
+def _simulated(log: Log, life: Life) -> Simulated:
+    end = log.end_of(life)
+    return Simulated(life.world, life.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
+
+
+def summary(log: Log) -> Summary:
+    """Sums up a recording.
+
+    Args:
+        log: the recording.
+    """
+    size = log.path.stat().st_size
+    checked = size <= CHECKED
+    missing = log.check() if checked else log.missing
+    first, last = next(log.records()), next(log.backwards())
+    end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
+    outcome = "running" if log.live else "cut off"
+    if end is not None:
+        outcome = "succeeded" if end.succeeded else "failed"
+    return Summary(
+        plan=log.metadata.get("plan", ""),
+        started=datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc),
+        seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
+        worlds=tuple(_simulated(log, life) for life in log.lives),
+        outcome=outcome,
+        failure=told_failure(end.failure) if end is not None and end.HasField("failure") else "",
+        threads=tuple((record.thread, told_failure(record.failure)) for record in failed_threads(log)),
+        records=len(log),
+        counts=log.counts(),
+        attachments=len(log.assets),
+        size=size,
+        missing=missing,
+        checked=checked,
+        metadata=log.metadata,
+    )
+
+
+def failed_threads(log: Log) -> tuple[Run, ...]:
+    """The records of threads of the plan's own that ended with a failure while it went on.
+
+    Args:
+        log: the recording.
+    """
+    if log.counts().get("run", 0) <= _ENDS:
+        return ()
+    runs = (record for record in log.records(Run) if isinstance(record, Run))
+    return tuple(record for record in runs if record.phase == Run.THREAD_FAILED)

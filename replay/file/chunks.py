@@ -1,0 +1,291 @@
+"""The records in a recording's chunks: decompressed when they are asked for, and found by searching.
+
+A chunk has about 50 records. What is damaged is left out and noted; the rest is delivered.
+"""
+
+from __future__ import annotations
+
+import struct
+from bisect import bisect_left, bisect_right
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from google.protobuf.message import DecodeError
+from mcap.opcode import Opcode
+
+from recorder.records import TOPICS, Keyframe, Mutation, Record
+from replay.errors import LogClosed
+from replay.file.layout import HEADER
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from replay.file.index import Index
+    from replay.file.lifetimes import Owner
+
+Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
+
+KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
+_CACHED: Final = 64  # chunks
+_OPCODE: Final = int(Opcode.MESSAGE)
+_MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
+_PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
+
+
+@dataclass(slots=True)
+class _Entries:
+    """What a chunk has of ours: channel and payload of each record, decoded when asked for."""
+
+    channels: list[int] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+    decoded: dict[int, Record | None] = field(default_factory=dict)
+
+
+class Chunks:
+    """The chunks of a file.
+
+    Attributes:
+        hurt: what is wrong with the damaged ones, as far as they were read, by their number.
+    """
+
+    def __init__(self, index: Index) -> None:
+        """Reads nothing yet.
+
+        Args:
+            index: of the file.
+        """
+        self._index = index
+        self._cache: OrderedDict[int, _Entries] = OrderedDict()
+        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of chunks, as far as they were looked at
+        self._numbers: list[int] = []  # of these chunks, in order
+        self._firsts: list[int] = []  # their first steps
+        self.hurt: dict[int, str] = {}
+        self.refresh(0)
+
+    def __len__(self) -> int:
+        return len(self._index.chunks)
+
+    def channel_maps(self) -> Iterator[bytes | None]:
+        """The channels in each chunk, as :class:`replay.file.layout.ChunkPlace` has them."""
+        return self._index.chunks.channel_maps()
+
+    def refresh(self, number: int) -> None:
+        """Forgets what was read of a chunk and those behind it.
+
+        Args:
+            number: of the first chunk that may have become another.
+        """
+        for known in (self._cache, self._spans, self.hurt):
+            for stale in [other for other in known if other >= number]:
+                del known[stale]
+        self._numbers = sorted(self._spans)
+        self._firsts = [self._spans[known][0] for known in self._numbers]
+        self._kinds = kinds_of(self._index)
+        told = {channel: self._index.channels[channel].metadata for channel in self._kinds}
+        self._worlds = {channel: metadata.get("world") for channel, metadata in told.items()}
+        self._owners = {channel: _owner(metadata) for channel, metadata in told.items()}
+
+    # --- what is in a chunk ----------------------------------------------------------------------------------------
+
+    def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
+        """What a chunk has, as far as its channels tell.
+
+        Args:
+            number: of the chunk.
+
+        Returns:
+            Type of record, and the world that the channel is for; None for a channel that doesn't tell, or not exactly.
+        """
+        place = self._index.chunks[number]
+        ids = self._kinds if place.channels is None else place.ids()
+        return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
+
+    def records(
+        self,
+        number: int,
+        kinds: Kinds | None = None,
+        world: str | None = None,
+        *,
+        backwards: bool = False,
+        naming: str = "",
+    ) -> Iterator[Record]:
+        """The records of a chunk; nothing but what is asked for is decoded.
+
+        Args:
+            number: of the chunk.
+            kinds: only those of this type, or of one of these.
+            world: only those of this world.
+            backwards: the last one first.
+            naming: only those that have this text in one of their fields.
+        """
+        wanted = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
+        if wanted is not None and not any(kind in wanted for kind, _ in self.channels(number)):
+            return
+        text = naming.encode(errors="replace")
+        entries = self._load(number, text)
+        places = range(len(entries.channels))
+        for at in reversed(places) if backwards else places:
+            channel = entries.channels[at]
+            if wanted is not None and self._kinds[channel] not in wanted:
+                continue
+            if world is not None and self._worlds[channel] not in (None, world):
+                continue
+            if text not in entries.payloads[at]:
+                continue
+            record = self._decode(number, entries, at)
+            if record is not None and (world is None or record.world == world):
+                yield record
+
+    def whole(self, number: int) -> list[Record]:
+        """All records of a chunk, at once: for going through a recording, which doesn't come back to it.
+
+        Args:
+            number: of the chunk.
+        """
+        entries, kinds = self._load(number), self._kinds
+        try:
+            return [
+                kinds[channel].FromString(payload)
+                for channel, payload in zip(entries.channels, entries.payloads, strict=True)
+            ]
+        except DecodeError:
+            return list(self.records(number))
+
+    def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
+        """The mutations and keyframes of a chunk, with the worlds that their channels are for.
+
+        Args:
+            number: of the chunk.
+        """
+        entries = self._load(number)
+        for at, channel in enumerate(entries.channels):
+            if self._kinds[channel] in (Mutation, Keyframe):
+                record = self._decode(number, entries, at)
+                if record is not None:
+                    yield record, self._owners[channel]
+
+    def check(self, number: int) -> None:
+        """Reads and decodes a whole chunk, and notes in ``hurt`` what is wrong with it."""
+        for _ in self.records(number):
+            pass
+
+    # --- where a step is -------------------------------------------------------------------------------------------
+
+    def span(self, number: int) -> tuple[int, int]:
+        """The first and the last step in a chunk; of one without readable records, the last one before it twice.
+
+        Args:
+            number: of the chunk.
+        """
+        for at in range(number, -1, -1):
+            if at not in self._spans:
+                first = next(self.records(at), None)
+                last = next(self.records(at, backwards=True), None)
+                if first is None or last is None:
+                    continue
+                self._spans[at] = first.seq, last.seq
+                place = bisect_left(self._numbers, at)
+                self._numbers.insert(place, at)
+                self._firsts.insert(place, first.seq)
+            first_step, last_step = self._spans[at]
+            return (first_step, last_step) if at == number else (last_step, last_step)
+        return 0, 0
+
+    def chunk_of(self, step: int, steps: int) -> int:
+        """The number of the chunk that a step is in, if it is in any: the last one that doesn't begin behind it.
+
+        Args:
+            step: from 0.
+            steps: how many there are.
+        """
+        low, first, high, end = self._between(step, steps)
+        probes = 0
+        while low < high:
+            # steps increase almost evenly, so a guess comes near; halving each third time makes sure
+            probes += 1
+            even = low + (high + 1 - low) * (step - first) // max(1, end - first)
+            middle = min(max(even, low + 1), high) if probes % 3 else (low + high + 1) // 2
+            begin, last = self.span(middle)
+            if begin > step:
+                high, end = middle - 1, begin
+            elif last >= step:
+                return middle
+            else:
+                low, first = middle, begin
+        return low
+
+    def _between(self, step: int, steps: int) -> tuple[int, int, int, int]:
+        """What is known of where a step is.
+
+        Returns:
+            The last chunk that surely doesn't begin behind it, its first step; the last chunk that may be it, and the
+            first step behind that.
+        """
+        at = bisect_right(self._firsts, step)
+        low, first = (self._numbers[at - 1], self._firsts[at - 1]) if at else (0, 0)
+        high, end = (self._numbers[at] - 1, self._firsts[at]) if at < len(self._numbers) else (len(self) - 1, steps)
+        return low, first, high, end
+
+    # --- decoding --------------------------------------------------------------------------------------------------
+
+    def _load(self, number: int, text: bytes = b"") -> _Entries:
+        """What a chunk has; nothing if a text isn't anywhere in it."""
+        if number in self._cache:
+            self._cache.move_to_end(number)
+            return self._cache[number]
+        entries = _Entries()
+        try:
+            contents = self._index.contents(number)
+            if text not in contents:
+                return entries
+            self._divide(contents, entries)
+        except LogClosed:
+            raise
+        except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+            self.hurt.setdefault(number, str(error) or type(error).__name__)
+        self._cache[number] = entries
+        if len(self._cache) > _CACHED:
+            self._cache.popitem(last=False)
+        return entries
+
+    def _divide(self, contents: bytes, entries: _Entries) -> None:
+        channels, payloads = entries.channels.append, entries.payloads.append
+        unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
+        at = 0
+        while at < end:
+            opcode, length, channel = unpack(contents, at)
+            behind = at + HEADER + length
+            if opcode == _OPCODE and channel in kinds:
+                channels(channel)
+                payloads(contents[at + _PAYLOAD : behind])
+            at = behind
+
+    def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
+        if at not in entries.decoded:
+            try:
+                entries.decoded[at] = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
+            except DecodeError as error:
+                self.hurt.setdefault(number, str(error))
+                entries.decoded[at] = None
+        return entries.decoded[at]
+
+
+def kinds_of(index: Index) -> dict[int, type[Record]]:
+    """The types of record by the channels of a file that are ours.
+
+    Args:
+        index: of the file.
+    """
+    found = {}
+    for number, channel in index.channels.items():
+        kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
+        if kind is not None and index.schemas.get(channel.schema_id) == kind.DESCRIPTOR.full_name:
+            found[number] = kind
+    return found
+
+
+def _owner(metadata: Mapping[str, str]) -> Owner | None:
+    """Which world a channel is for, and which one of that name; None if it doesn't say so."""
+    life = metadata.get("life", "")
+    return (metadata["world"], int(life)) if "world" in metadata and life.isdecimal() else None

@@ -1,0 +1,101 @@
+"""The file of a recording: whether it is one at all, and whether somebody is writing it."""
+
+from __future__ import annotations
+
+import os
+import stat
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from replay.errors import NotALog, Unreadable
+from replay.file.chunks import kinds_of
+from replay.file.layout import MAGIC
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from replay.file.index import Index
+
+_ALIKE: Final = len(MAGIC) - 2  # so many of the first bytes are right in a damaged file of the kind
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Opens a file if it is MCAP's by its first bytes, or was before it was damaged.
+
+    Args:
+        path: the file.
+
+    Raises:
+        NotALog: it isn't there, or is something else.
+        Unreadable: it is empty, or cut off within these bytes.
+    """
+    try:
+        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the log closes it
+        try:
+            _check_start(path, file)
+        except BaseException:
+            file.close()
+            raise
+    except OSError as error:
+        raise NotALog(path, error.strerror or str(error)) from error
+    return file
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Opens a pipe at once too; otherwise it would wait for somebody who writes into it."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def _check_start(path: Path, file: BinaryIO) -> None:
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        raise NotALog(path, "is no regular file; a recording is read here and there: write it to a file first")
+    start = file.read(len(MAGIC))
+    if len(start) < len(MAGIC) and MAGIC.startswith(start):
+        raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
+    alike = sum(one == other for one, other in zip(start, MAGIC, strict=False))
+    file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
+    if alike < _ALIKE and file.read() != MAGIC:
+        raise NotALog(path, "is no MCAP file")
+
+
+def check_ours(path: Path, index: Index) -> None:
+    """Says what a file without any channel that we know is.
+
+    Args:
+        path: the file.
+        index: what is in it.
+
+    Raises:
+        NotALog: it is somebody else's.
+        Unreadable: it is of another release, or too damaged to say.
+    """
+    if kinds_of(index):
+        return
+    names = sorted(name for name in index.schemas.values() if name.startswith("pycram."))
+    if names:
+        raise Unreadable(path, f"was recorded by a release that this one can't read ({names[0]}); use that release")
+    if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
+        raise NotALog(path, "is an MCAP file, but no recording of PyCRAM")
+    raise Unreadable(path, "has no record that can be read")
+
+
+def is_locked(file: BinaryIO) -> bool:
+    """Whether a recorder holds its lock on the file.
+
+    Args:
+        file: the open file.
+    """
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    fcntl.flock(file.fileno(), fcntl.LOCK_UN)
+    return False

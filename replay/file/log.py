@@ -1,0 +1,322 @@
+"""A recording: its records by step, also of a file whose process was killed, or is still running.
+
+No question costs more than a few chunks, however long the recording is; see :mod:`replay.file.index` and
+:mod:`replay.file.chunks`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.records import TOPICS, Keyframe, Mutation
+from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
+from replay.explain.step_names import step_of
+from replay.file.assets import Assets
+from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
+from replay.file.container import check_ours, is_locked, open_file
+from replay.file.index import Index
+from replay.file.lifetimes import Life, lives_of
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from types import TracebackType
+
+    from typing_extensions import Self
+
+    from pycram.world.world import BulletWorld
+    from recorder.records import Record
+    from replay.explain.tree import Tree
+    from replay.state.state import State
+
+__all__ = ["KINDS", "Log", "open_log"]
+
+
+class Log:
+    """A recording; opened by :func:`open_log`, which is ``replay.open``. Not for several threads at once.
+
+    Attributes:
+        path: the file.
+        assets: the attached files by ``<sha256>/<file name>``.
+        written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
+        identity: tells the file from others, whatever stands under its name meanwhile.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._file = open_file(self.path)
+        try:
+            status = os.fstat(self._file.fileno())
+            self.written_ns, self.identity = status.st_mtime_ns, f"{status.st_dev}:{status.st_ino}"
+            self._index = Index(self._file)
+            check_ours(self.path, self._index)
+            self._chunks = Chunks(self._index)
+            self._steps = self._count()
+        except BaseException:
+            self._file.close()
+            raise
+        self.assets = Assets(self.path, self._index)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        if self._file.closed:
+            return f"<Log {self.path}: closed>"
+        return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.missing}>"
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+    # --- what is there ---------------------------------------------------------------------------------------------
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """What the recorder said of the run: plan, versions, platform, arguments."""
+        return {
+            key if name == "pycram" else f"{name}.{key}": value
+            for name, told in self._index.metadata.items()
+            for key, value in told.items()
+        }
+
+    @property
+    def closed(self) -> bool:
+        """Whether its recorder closed the file; then nothing will be added."""
+        return self._index.closed
+
+    @property
+    def live(self) -> bool:
+        """Whether a recorder is writing the file now.
+
+        Raises:
+            LogClosed: the file was closed, and nobody can tell any more.
+        """
+        if self._file.closed and not self.closed:
+            raise LogClosed(self.path)
+        return not self.closed and is_locked(self._file)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the file was closed by its recorder, and nothing of it was found to be damaged so far."""
+        return not self.missing
+
+    @property
+    def missing(self) -> str:
+        """In words, what is missing of the recording; empty if nothing is known to be."""
+        told = []
+        if not self.closed:
+            writer = "it is still being written" if self.live else "its process was killed"
+            torn = f", its last {self._index.torn} bytes are torn" if self._index.torn else ""
+            told.append(f"it was not closed ({writer}){torn}")
+        elif not self._index.whole:
+            told.append("the index at its end is damaged")
+        told += self._index.damage
+        told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.hurt.items())]
+        told += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.hurt.items()]
+        if self._lost and not self._chunks.hurt:
+            told.append(f"{self._lost} records are lost on the way")
+        return "; ".join(told)
+
+    @cached_property
+    def lives(self) -> tuple[Life, ...]:
+        """The worlds in the order of their opening; one whose name was taken again is another one."""
+        return lives_of(self._chunks)
+
+    def counts(self) -> dict[str, int]:
+        """How many records of each kind there are, by the file's own index; nothing is decoded."""
+        found: dict[str, int] = {}
+        for channel, kind in kinds_of(self._index).items():
+            count = self._index.counts.get(channel, 0)
+            if count:
+                name = TOPICS[kind].removeprefix("/")
+                found[name] = found.get(name, 0) + count
+        return found
+
+    # --- records ---------------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return self._steps
+
+    def __getitem__(self, step: int) -> Record:
+        """The record of a step; negative steps count from the end.
+
+        Raises:
+            NoSuchStep: there is none.
+            Damaged: there was one, but it is lost.
+        """
+        wanted = step + self._steps if step < 0 else step
+        if not 0 <= wanted < self._steps:
+            raise NoSuchStep(step, self._steps)
+        for record in self._chunks.records(self.chunk_of(wanted)):
+            if record.seq == wanted:
+                return record
+        raise Damaged(self.path, f"step {wanted}", "it was lost")
+
+    def __iter__(self) -> Iterator[Record]:
+        return self.records()
+
+    def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]:
+        """Streams records; nothing but what is asked for is decoded.
+
+        Args:
+            kind: only those of this type, or of one of these.
+            start: the first step, from 0.
+            stop: the step before which to end; the end by default.
+        """
+        end = self._steps if stop is None else min(stop, self._steps)
+        if start >= end:
+            return
+        for number in range(self.chunk_of(start), self.chunk_of(end - 1) + 1):
+            for record in self._chunks.whole(number) if kind is None else self._chunks.records(number, kind):
+                if start <= record.seq < end:
+                    yield record
+
+    def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]:
+        """Streams records from a step down to the first.
+
+        Args:
+            start: the step to begin with; negative ones count from the end.
+            kind: only those of this type, or of one of these.
+            naming: only those that have this text in one of their fields; the others cost next to nothing.
+        """
+        first = start + self._steps if start < 0 else start
+        for number in range(self.chunk_of(first), -1, -1):
+            for record in self._chunks.records(number, kind, backwards=True, naming=naming):
+                if record.seq <= first:
+                    yield record
+
+    def life_at(self, world: str, step: int) -> Life | None:
+        """The world that a name meant at a step, or will mean first; None if there is none of that name.
+
+        Args:
+            world: its name.
+            step: from 0.
+        """
+        return next((life for life in self.lives if life.world == world and life.has(step)), None)
+
+    def records_of(self, life: Life, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
+        """Streams a world's records of certain chunks.
+
+        Args:
+            life: the world.
+            kind: only those of this type, or of one of these.
+            chunks: their numbers, some of those that the world names.
+        """
+        for number in chunks:
+            for record in self._chunks.records(number, kind, life.world):
+                if life.has(record.seq):
+                    yield record
+
+    def chunk_of(self, step: int) -> int:
+        """The number of the chunk that a step is in, if it is in any.
+
+        Args:
+            step: from 0.
+        """
+        return self._chunks.chunk_of(step, self._steps)
+
+    def end_of(self, life: Life) -> Record | None:
+        """The last change of a world, or its last keyframe if that comes later; None if it is lost.
+
+        Args:
+            life: the world.
+        """
+        last = None
+        for last in self.records_of(life, (Mutation, Keyframe), life.changes[-1:]):  # noqa: B007  the last one
+            pass
+        return last
+
+    def step(self, name: int | str) -> int:
+        """The number of a step as people name it; see :func:`replay.explain.step_names.step_of`."""
+        return step_of(self, name)
+
+    def state_at(self, step: int | str) -> State:
+        """What is true after a step; see :func:`replay.state.fold.state_at`."""
+        return state_at(self, step)
+
+    def world_at(self, step: int | str, world: str | None = None, *, exact: bool = False) -> BulletWorld:
+        """A live world as it was after a step; see :func:`replay.restore.world.world_at`."""
+        from replay.restore.world import world_at  # noqa: PLC0415  it needs the executor and its engine; reading does not
+
+        return world_at(self, step, world, exact=exact)
+
+    # --- whole or not ----------------------------------------------------------------------------------------------
+
+    def tree(self) -> Tree:
+        """The task tree: what was part of what, how each ended; the classes that ``pycram.tasks`` has too."""
+        from replay.explain.tree import tree  # noqa: PLC0415  reading records doesn't need it
+
+        return tree(self)
+
+    def check(self) -> str:
+        """Reads everything once.
+
+        Returns:
+            What is missing or damaged, in words; empty if nothing is.
+        """
+        for number in range(len(self._chunks)):
+            self._chunks.check(number)
+        for name in self.assets:
+            with contextlib.suppress(Damaged):  # which it notes
+                _ = self.assets[name]
+        if not self.missing:
+            self._index.check()
+        return self.missing
+
+    def lost(self) -> list[range]:
+        """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
+        sound = self._index.whole or (not self._index.closed and not self._index.damage)
+        if sound and not self._chunks.hurt and not self._lost:
+            return []
+        found = []
+        expected = 0
+        for record in self.records():
+            if record.seq > expected:
+                found.append(range(expected, record.seq))
+            expected = max(expected, record.seq + 1)
+        return found
+
+    def refresh(self) -> bool:
+        """Looks for what was written since, if the file was not closed.
+
+        Returns:
+            Whether there is anything new.
+        """
+        last = len(self._chunks) - 1
+        if not self._index.refresh():
+            return False
+        self._chunks.refresh(last)
+        self.__dict__.pop("lives", None)
+        self._steps = self._count()
+        return True
+
+    def _count(self) -> int:
+        """The number of steps: one more than the last one's."""
+        for number in range(len(self._chunks) - 1, -1, -1):
+            last = next(self._chunks.records(number, backwards=True), None)
+            if last is not None:
+                self._lost = max(0, last.seq + 1 - sum(self.counts().values()))
+                return last.seq + 1
+        raise Unreadable(self.path, "has no record that can be read")
+
+
+def open_log(path: str | Path) -> Log:
+    """Opens a recording.
+
+    Args:
+        path: the MCAP file; finished, cut, or still being written.
+
+    Raises:
+        NotALog: it isn't one, or nothing of it can be read.
+    """
+    return Log(path)

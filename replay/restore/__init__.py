@@ -1,0 +1,1 @@
+"""From a recording back to a live world. This room and those above need the executor."""

@@ -1,0 +1,176 @@
+"""Asks the reasoning queries at any past step, also under changed conditions.
+
+The world of that step is rebuilt aside, things are put elsewhere if wanted, and the query is asked there: it is the
+same code that plans ask, so at a step where a plan asked, the answer is the plan's. A query that is on record can be
+asked again as it was.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from pycram import bullet_world_reasoning as btr
+from pycram.foundation.failures import PycramError
+from pycram.reasoning.queries.query import Verdict
+from recorder.records import Query, to_json
+from replay.errors import NoSuchName
+from replay.restore.question import BadQuestion, Name, Question, parse, question_of
+from replay.restore.world import aside
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from pycram.reasoning.queries.query import Found
+    from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
+    from recorder.geometry import Quaternion, Vector
+    from replay.file.log import Log
+    from replay.state.json_data import Plain
+
+QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
+"""Names of the queries that can be asked."""
+
+#: Parameters that take an object, or several; a pose may be one, or a position.
+_OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
+_RECORDED: Final = {"gripper": "gripper_name"}  # what records call arguments whose parameter has another name
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """What shall be elsewhere.
+
+    Attributes:
+        body: name of the object.
+        position: xyz, m.
+        orientation: xyzw; None keeps it.
+    """
+
+    body: str
+    position: Vector
+    orientation: Quaternion | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What was found out.
+
+    Attributes:
+        step: the step after which it was asked.
+        world: name of the world.
+        question: what was asked.
+        moves: what was put elsewhere before.
+        answer: true or false, names of objects, or true or false for each of several.
+        evidence: what it rests on.
+    """
+
+    step: int
+    world: str
+    question: Question
+    answer: bool | list[str | bool]
+    evidence: Mapping[str, Plain]
+    moves: tuple[Move, ...] = field(default=())
+
+
+def ask(
+    log: Log, step: int | str, question: str | Question, *, world: str | None = None, moves: Sequence[Move] = ()
+) -> Answer:
+    """Asks a query at a past step; nothing of it appears in any recording.
+
+    Args:
+        log: the recording.
+        step: a number, or a name as :func:`replay.explain.step_names.step_of` knows them.
+        question: as ``visible(milk, wide_stereo_optical_frame)``; all of :data:`QUERIES`, with the arguments of
+            :mod:`pycram.bullet_world_reasoning`.
+        world: its name; without one, the open one that was opened last.
+        moves: what is put elsewhere before, with all that it carries.
+
+    Raises:
+        BadQuestion: it can't be read, or that world has no answer to it.
+        NotRestored: no world was open then.
+    """
+    asked = parse(question) if isinstance(question, str) else question
+    if asked.query not in QUERIES:
+        raise NoSuchName("query", asked.query, QUERIES)
+    number = log.step(step)
+    state = log.state_at(number)
+    name = state.world(world).name if world is not None else None
+    with aside(log, number, name) as restored:
+        try:
+            for move in moves:
+                _put(restored, move)
+            found = _call(restored, asked)
+        except NoSuchName as error:  # of an object, which another world may have
+            raise state.no_body(error.name, [state.world(world)]) from None
+        except PycramError as error:
+            raise BadQuestion(str(asked), str(error)) from error
+        answer = [_told(item) for item in found] if isinstance(found, list) else bool(found)
+        evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
+        title = restored.name.rpartition("@")[0]
+    return Answer(number, title, asked, answer, evidence, tuple(moves))
+
+
+def again(log: Log, step: int | str, *, moves: Sequence[Move] = ()) -> Answer:
+    """Asks a query that is on record once more, where it was asked.
+
+    Args:
+        log: the recording.
+        step: the query's.
+        moves: what is put elsewhere before.
+
+    Raises:
+        BadQuestion: the step's record isn't a query.
+    """
+    number = log.step(step)
+    record = log[number]
+    if not isinstance(record, Query):
+        raise BadQuestion(f"step {number}", "it is no query that could be asked again; say what to ask")
+    return ask(log, number, question_of(record), world=record.world, moves=moves)
+
+
+def _put(world: BulletWorld, move: Move) -> None:
+    body = _object(world, move.body)
+    try:
+        body.set_position(move.position, move.orientation)
+    except PycramError as error:
+        raise BadQuestion(f"moving {move.body}", str(error)) from error
+
+
+def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | Found[Verdict]:
+    query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
+    signature = inspect.signature(query)
+    keywords = {_RECORDED.get(name, name): term for name, term in question.keywords.items()}
+    try:
+        bound = signature.bind(*question.arguments, **keywords)
+    except TypeError as error:
+        takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
+        raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None
+    given = {name: _value(world, name, term) for name, term in bound.arguments.items()}
+    return query(**given)
+
+
+def _told(item: Object | Verdict) -> str | bool:
+    """An item of a list that was found."""
+    return bool(item) if isinstance(item, Verdict) else item.name
+
+
+def _value(world: BulletWorld, parameter: str, term: object) -> object:
+    """What a query gets for a term."""
+    if parameter == "world":
+        return world
+    if parameter in _OBJECTS and isinstance(term, Name | str):
+        return _object(world, term.text if isinstance(term, Name) else term)
+    if isinstance(term, list):
+        return [_value(world, parameter, item) for item in term]
+    return term.text if isinstance(term, Name) else term
+
+
+def _object(world: BulletWorld, name: str) -> Object:
+    found = world.get_objects_by_name(name)
+    if found:
+        return found[0]
+    if name == "robot" and world.robot is not None:
+        return world.robot
+    raise NoSuchName("object", name, (body.name for body in world.objects))

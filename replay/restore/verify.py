@@ -1,0 +1,226 @@
+"""Verifies a recording: that it agrees with itself, and that its changes, made again, have the effects on record.
+
+The changes are executed in fresh worlds, in order, and what the funnel tells of each is compared with its record to the
+last bit: every pose, joint, velocity, attachment and sample on the way. That holds for one build of the physics engine
+on one kind of machine; elsewhere the last bits may differ, and contacts make more of it. Then the verdict says how near
+it is. Of a world that began before its recording, changes without physics are compared to a micrometre.
+
+What a recording says to other tools (``/tf``, ``/log``) follows from its records and is not compared.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import PycramError
+from pycram.world.transaction import put, read
+from recorder.mcap.sink import versions
+from recorder.records import Keyframe, Mutation
+from recorder.records.text import text_of
+from recorder.tracing.journal import aside
+from replay.errors import ReplayError
+from replay.restore.reexecute import Reexecution
+from replay.restore.world import reading
+from replay.state.deviation import Deviation, first_deviation
+from replay.state.integrity import Integrity, Problem, files_problem
+from replay.state.json_data import plain_record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from pycram.world.world import BulletWorld
+    from replay.file.log import Log
+    from replay.state.state import World
+
+ELSEWHERE: Final = 1e-3
+"""m or rad within which effects are called the same on another machine, or with another build of the engine."""
+
+_OTHER: Final = "made again, it has another effect"
+_LATE: Final = 1e-6  # m or rad, of changes without physics in a world that goes on from a keyframe
+_DECIDES: Final = ("pycram", "pybullet", "machine", "platform")  # what the last bits depend on
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What verifying a recording gave.
+
+    Attributes:
+        steps: how many were checked.
+        tasks: how many of them start a task.
+        keyframes: how many were compared with the records before them.
+        files: how many are attached.
+        changes: how many were made again.
+        worlds: in how many worlds.
+        late: names of worlds that began before the recording: what physics did in them is not compared.
+        environment: what is other here than where it was recorded, in words.
+        largest: the largest deviation of those that the environment or the engine's rounding may explain.
+        problem: the first thing that isn't as it should be; None for a sound recording.
+    """
+
+    steps: int
+    tasks: int
+    keyframes: int
+    files: int
+    changes: int
+    worlds: int
+    late: tuple[str, ...] = ()
+    environment: tuple[str, ...] = ()
+    largest: Deviation | None = None
+    problem: Problem | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing is wrong."""
+        return self.problem is None
+
+    @property
+    def exact(self) -> bool:
+        """Whether all that was made again came out the same to the last bit."""
+        return self.sound and self.largest is None and not self.late
+
+
+def verify(log: Log, progress: Callable[[int], None] | None = None) -> Verdict:
+    """Verifies a recording up to the first problem.
+
+    Args:
+        log: the recording.
+        progress: told each step that is checked.
+    """
+    with Reexecution(log, "again") as again:
+        return _Verification(log, again).verdict(progress)
+
+
+class _Verification:
+    def __init__(self, log: Log, again: Reexecution) -> None:
+        self._log = log
+        self._again = again
+        self._integrity = Integrity()
+        self._environment = _environment(log)
+        self._changes = 0
+        self._worlds: set[tuple[str, int]] = set()
+        self._late: dict[str, None] = {}
+        self._largest: Deviation | None = None
+
+    def verdict(self, progress: Callable[[int], None] | None) -> Verdict:
+        problem = files_problem(self._log) or self._first_problem(progress)
+        return Verdict(
+            self._integrity.steps,
+            self._integrity.tasks,
+            self._integrity.keyframes,
+            len(self._log.assets),
+            self._changes,
+            len(self._worlds),
+            tuple(self._late),
+            self._environment,
+            self._largest,
+            problem,
+        )
+
+    def _first_problem(self, progress: Callable[[int], None] | None) -> Problem | None:
+        for record in self._log.records():
+            if progress is not None:
+                progress(record.seq)
+            problem = self._integrity.take(record)
+            if problem is None and isinstance(record, Keyframe | Mutation):
+                problem = self._make(record)
+            if problem is not None:
+                return problem
+        return None
+
+    def _make(self, record: Keyframe | Mutation) -> Problem | None:
+        """Makes a change again and compares; a world that isn't there begins with its keyframe."""
+        try:
+            if isinstance(record, Mutation):
+                return self._repeat(record)
+            if record.world not in self._again.worlds:
+                self._again.begin(record)
+                self._worlds.add((record.world, record.seq))
+                self._late[record.world] = None
+        except (PycramError, ReplayError, ValueError) as error:
+            return self._problem(record, f"it can't be made again: {error}")
+        return None
+
+    def _repeat(self, record: Mutation) -> Problem | None:
+        now = self._again.repeat(record)
+        self._changes += 1
+        if record.HasField("open_world"):
+            self._worlds.add((record.world, record.seq))
+        if now is None:
+            return self._problem(record, "it is no change that this release knows")
+        if record.world in self._again.late:
+            return self._compare_late(record)
+        if now.SerializeToString() == record.SerializeToString():
+            return None
+        deviation = first_deviation(plain_record(record), plain_record(now))
+        if deviation is None:
+            deviation = Deviation("a last bit", "another", "another")
+        if self._environment:
+            return self._compare_elsewhere(record, deviation)
+        return self._problem(record, _OTHER, deviation)
+
+    def _compare_late(self, record: Mutation) -> Problem | None:
+        world = self._again.worlds.get(record.world)
+        if world is None:  # it has ended
+            return None
+        told = self._integrity.world(record.world)
+        if not record.HasField("simulate"):
+            worst = _worst(world, told)
+            if worst is not None and worst.size > _LATE:
+                return self._problem(record, _OTHER, worst)
+            self._note(worst)
+            return None
+        with aside():
+            for body in world.objects:
+                put(body, reading(told.body(body.name)))
+        return None
+
+    def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
+        world = self._again.worlds.get(record.world)
+        worst = deviation if world is None else _worst(world, self._integrity.world(record.world)) or deviation
+        if worst.size > ELSEWHERE:
+            where = ", ".join(self._environment)
+            return self._problem(record, f"{_OTHER}; but the environment is another: {where}", worst)
+        self._note(worst)
+        return None
+
+    def _note(self, deviation: Deviation | None) -> None:
+        if deviation is not None and (self._largest is None or deviation.size > self._largest.size):
+            self._largest = deviation
+
+    def _problem(self, record: Keyframe | Mutation, cause: str, deviation: Deviation | None = None) -> Problem:
+        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self._integrity.task(record.task))
+
+
+def _worst(world: BulletWorld, told: World) -> Deviation | None:
+    """Where a world is farthest from what is told of it; None if bit for bit the same."""
+    bodies = [body.name for body in world.objects]
+    pairs = [(body.name, held.body.name) for body in world.objects for held in body.carried]
+    if sorted(bodies) != sorted(told.bodies):
+        return Deviation("objects", ", ".join(told.bodies), ", ".join(bodies))
+    if sorted(pairs) != sorted(told.attachments):
+        return Deviation("attachments", ", ".join(map(str, told.attachments)), ", ".join(map(str, pairs)))
+    return max(_deviations(world, told), key=lambda deviation: deviation.size, default=None)
+
+
+def _deviations(world: BulletWorld, told: World) -> Iterator[Deviation]:
+    for body in world.objects:
+        wanted, now = told.body(body.name), read(body)
+        for field, one, other in (
+            ("position", wanted.position, now.pose[0]),
+            ("orientation", wanted.orientation, now.pose[1]),
+        ):
+            for index, (a, b) in enumerate(zip(one, other, strict=True)):
+                if a != b:
+                    yield Deviation(f"{body.name}.{field}[{index}]", a, b)
+        for name, value in zip(body.joints, now.positions, strict=True):
+            if wanted.joint(name) != value:
+                yield Deviation(f"{body.name}.{name}", wanted.joint(name), value)
+
+
+def _environment(log: Log) -> tuple[str, ...]:
+    """What is other here than where a recording was made."""
+    now, then = versions(), log.metadata
+    return tuple(
+        f"{name} {now[name]} instead of {then[name]}" for name in _DECIDES if name in then and then[name] != now[name]
+    )

@@ -1,0 +1,1 @@
+"""From records to states: the fold, states as data, and how two of them differ."""

@@ -1,0 +1,169 @@
+"""What is different between two states: which bodies came, went, moved, and who holds what."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from recorder.geometry import Pose
+    from replay.state.state import Attachment, Body, State, World
+
+#: What is less than this is physics settling, not something that happened.
+NOTABLE_METRES: Final = 1e-3
+NOTABLE_RADIANS: Final = math.radians(0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class BodyChange:
+    """A body that is in both states, but not the same.
+
+    Attributes:
+        world: name of its world.
+        body: its name.
+        before: its pose in the first state.
+        after: its pose in the second.
+        distance: how far its base is from where it was, m.
+        angle: by how much it is turned, rad.
+        joints: values before and after, of those that differ.
+        carrier: who carries it, before and after.
+        details: names of what else differs for good: color, type, fixed_base, models.
+    """
+
+    world: str
+    body: str
+    before: Pose
+    after: Pose
+    distance: float
+    angle: float
+    joints: Mapping[str, tuple[float, float]]
+    carrier: tuple[Attachment | None, Attachment | None]
+    details: tuple[str, ...] = ()
+
+    @property
+    def moved(self) -> bool:
+        """Whether its base is somewhere else, by more than physics settle."""
+        return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
+
+    @property
+    def moved_joints(self) -> dict[str, tuple[float, float]]:
+        """The joints that moved by more than physics settle."""
+        return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
+
+    @property
+    def changed_hands(self) -> bool:
+        """Whether somebody else carries it, or with another link."""
+        before, after = self.carrier
+        return (before and (before.carrier, before.carrier_link)) != (after and (after.carrier, after.carrier_link))
+
+    @property
+    def notable(self) -> bool:
+        """Whether it is more than physics settling."""
+        return bool(self.moved or self.moved_joints or self.changed_hands or self.details)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What is different in a second state.
+
+    Attributes:
+        opened: worlds that are open in the second only; one that has taken another's name is not the other.
+        closed: worlds that are open in the first only.
+        came: bodies that are in the second only, as pairs of world and body.
+        went: bodies that are in the first only.
+        changed: the others that are not the same, to the last bit.
+        facts: what differs of the worlds themselves, before and after, by world and name of the fact.
+    """
+
+    opened: tuple[str, ...] = ()
+    closed: tuple[str, ...] = ()
+    came: tuple[tuple[str, str], ...] = ()
+    went: tuple[tuple[str, str], ...] = ()
+    changed: tuple[BodyChange, ...] = ()
+    facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.opened or self.closed or self.came or self.went or self.changed or self.facts)
+
+    @property
+    def notable(self) -> tuple[BodyChange, ...]:
+        """Bodies that changed by more than physics settle."""
+        return tuple(change for change in self.changed if change.notable)
+
+
+def difference(before: State, after: State) -> Difference:
+    """Compares two states, which may be of two recordings.
+
+    Args:
+        before: the first.
+        after: the second.
+    """
+    first = {world.title: world for world in before.worlds.values() if world.open}
+    second = {world.title: world for world in after.worlds.values() if world.open}
+    both = [(world, second[title]) for title, world in first.items() if title in second]
+    return Difference(
+        opened=tuple(title for title in second if title not in first),
+        closed=tuple(title for title in first if title not in second),
+        came=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
+        went=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
+        changed=tuple(change for a, b in both for change in _changes(a, b)),
+        facts={fact: pair for a, b in both for fact, pair in _facts(a, b)},
+    )
+
+
+def _facts(a: World, b: World) -> Iterator[tuple[tuple[str, str], tuple[object, object]]]:
+    for name in ("gravity", "robot", "realtime", "seconds"):
+        pair = getattr(a, name), getattr(b, name)
+        if pair[0] != pair[1]:
+            yield (a.name, name), pair
+
+
+def _changes(a: World, b: World) -> Iterator[BodyChange]:
+    for name, body in a.bodies.items():
+        if name in b.bodies:
+            change = _change(a, body, b, b.bodies[name])
+            if change is not None:
+                yield change
+
+
+def _change(a: World, body: Body, b: World, other: Body) -> BodyChange | None:
+    joints = {
+        joint: (body.joints.get(joint, math.nan), other.joints.get(joint, math.nan))
+        for joint in {**body.joints, **other.joints}
+        if body.joints.get(joint) != other.joints.get(joint)
+    }
+    carrier = a.carrier(body.name), b.carrier(body.name)
+    details = tuple(
+        name for name in ("color", "type", "fixed_base", "models") if getattr(body, name) != getattr(other, name)
+    )
+    speeds = body.velocity != other.velocity or body.joint_velocities != other.joint_velocities
+    if body.pose == other.pose and not (speeds or joints or details) and carrier[0] == carrier[1]:
+        return None
+    return BodyChange(
+        a.name,
+        body.name,
+        body.pose,
+        other.pose,
+        math.dist(body.position, other.position),
+        turn(body.orientation, other.orientation),
+        joints,
+        carrier,
+        details,
+    )
+
+
+def turn(before: Sequence[float], after: Sequence[float]) -> float:
+    """The angle between two orientations, rad.
+
+    Args:
+        before: xyzw.
+        after: xyzw.
+    """
+    if before == after:
+        return 0.0
+    from recorder import geometry  # noqa: PLC0415  needs numpy
+
+    return geometry.angle(before, after)

@@ -1,0 +1,173 @@
+"""Records and states as plain data, for JSON and for people: short names, real numbers, users' values unpacked."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import TYPE_CHECKING, TypeAlias
+
+from recorder.records import TOPICS, Argument, Keyframe, Mutation
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from google.protobuf.descriptor import FieldDescriptor
+    from google.protobuf.message import Message
+
+    from recorder.records import Record
+    from replay.state.state import Body, State, World
+
+Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
+
+_ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread"))
+
+
+def kind_of(record: Record) -> str:
+    """What kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
+    return TOPICS[type(record)].removeprefix("/")
+
+
+def plain_record(record: Record) -> dict[str, Plain]:
+    """A record whole; fields that are not set are left out."""
+    told: dict[str, Plain] = {
+        "step": record.seq,
+        "kind": kind_of(record),
+        "wall_time_ns": record.wall_time_ns,
+        "sim_step": record.sim_step,
+        "world": record.world,
+        "task": record.task,
+        "thread": record.thread,
+    }
+    return told | {key: value for key, value in _fields(record) if key not in _ENVELOPE}
+
+
+def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
+    for field, value in message.ListFields():
+        if field.name.endswith("_json"):
+            yield field.name.removesuffix("_json"), plain_json(value)
+        elif field.enum_type is not None:
+            known = field.enum_type.values_by_number.get(value)
+            yield field.name, known.name.lower() if known else value
+        else:
+            yield field.name, _value(field, value)
+
+
+def _value(field: FieldDescriptor, value: object) -> Plain:
+    if isinstance(value, bytes):
+        return base64.b64encode(value).decode()
+    if field.message_type is None:
+        return list(value) if _is_repeated(value) else value  # type: ignore[call-overload, return-value]
+    if field.message_type.full_name == Argument.DESCRIPTOR.full_name:
+        return plain_arguments(value)  # type: ignore[arg-type]
+    if _is_repeated(value):
+        return [dict(_fields(item)) for item in value]  # type: ignore[attr-defined]
+    return dict(_fields(value))  # type: ignore[arg-type]
+
+
+def plain_arguments(arguments: Iterable[Argument]) -> dict[str, Plain]:
+    """Named values, unpacked.
+
+    Args:
+        arguments: as records carry them.
+    """
+    return {argument.name: plain_json(argument.json) for argument in arguments}
+
+
+def _is_repeated(value: object) -> bool:
+    return hasattr(value, "append")
+
+
+def plain_json(text: str) -> Plain:
+    """A value that stands as JSON in a record.
+
+    Args:
+        text: the JSON.
+    """
+    try:
+        value: Plain = json.loads(text)
+    except ValueError:  # somebody else's, or damaged: shown as it is
+        return text
+    return value
+
+
+def mentions(record: Record, name: str) -> bool:
+    """Whether a record tells of a body: changes it, has it as an argument, answers with it.
+
+    Args:
+        record: any; keyframes tell of all bodies and count for none.
+        name: of the body.
+    """
+    if isinstance(record, Keyframe):
+        return False
+    if isinstance(record, Mutation):
+        command = record.WhichOneof("command")
+        effect = record.effect
+        told = {getattr(getattr(record, command), field, "") for field in ("body", "carrier")} if command else set()
+        told.update(state.body for state in effect.bodies)
+        told.update(effect.removed)
+        told.update(body for held in (*effect.attached, *effect.detached) for body in (held.carrier, held.body))
+        return name in told
+    return _has(plain_record(record), name)
+
+
+def _has(value: Plain, name: str) -> bool:
+    if isinstance(value, dict):
+        return any(_has(item, name) for item in value.values())
+    if isinstance(value, list):
+        return any(_has(item, name) for item in value)
+    return value == name
+
+
+def plain_state(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
+    """A state.
+
+    Args:
+        state: the state.
+        body: only this one, and only worlds that have it.
+        world: only this one.
+    """
+    worlds: dict[str, Plain] = {
+        told.name: _world(told, body)
+        for told in state.worlds.values()
+        if world in (None, told.name) and (body is None or body in told.bodies)
+    }
+    return {"step": state.step, "doubt": state.doubt, "worlds": worlds}
+
+
+def _world(world: World, only: str | None) -> Plain:
+    return {
+        "open": world.open,
+        "life": world.life,
+        "mode": world.mode,
+        "sim_step": world.sim_step,
+        "gravity": list(world.gravity),
+        "realtime": world.realtime,
+        "robot": world.robot,
+        "bodies": {body.name: _body(body) for body in world.bodies.values() if only in (None, body.name)},
+        "attachments": [
+            {
+                "carrier": held.carrier,
+                "carrier_link": held.carrier_link,
+                "body": held.body,
+                "body_link": held.body_link,
+                "position": list(held.position),
+                "orientation": list(held.orientation),
+            }
+            for held in world.attachments.values()
+            if only in (None, held.carrier, held.body)
+        ],
+    }
+
+
+def _body(body: Body) -> Plain:
+    return {
+        "type": body.type,
+        "position": list(body.position),
+        "orientation": list(body.orientation),
+        "velocity": list(body.velocity),
+        "joints": dict(body.joints),
+        "joint_velocities": dict(body.joint_velocities),
+        "color": list(body.color),
+        "fixed_base": body.fixed_base,
+        "models": list(body.models),
+    }
