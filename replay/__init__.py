@@ -1,12 +1,12 @@
 """Opens recordings: any step back, from the file alone.
 
-``replay.open(path)`` gives a :class:`Log`: its records by step, and with ``log.state_at(step)`` what was true of every
-world after one. Needs neither the plan nor the physics engine.
+``replay.open(path)`` gives a :class:`Recording`: its records by step, and with ``log.state_at(step)`` what was true of
+every world after one. Needs neither the plan nor the physics engine.
 """
 
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
-from replay.file.log import Log
-from replay.file.log import open_log as open  # noqa: A004  replay.open reads well
+from replay.recording import Recording
+from replay.recording import open_recording as open  # noqa: A004  replay.open reads well
 from replay.state.fold import fold, state_at
 from replay.state.state import Attachment, Body, State, World
 
@@ -14,12 +14,12 @@ __all__ = [
     "Attachment",
     "Body",
     "Damaged",
-    "Log",
     "LogClosed",
     "NoSuchName",
     "NoSuchStep",
     "NotALog",
     "NotRestored",
+    "Recording",
     "ReplayError",
     "State",
     "Unreadable",

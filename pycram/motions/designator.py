@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
 from pycram.handle import Handle, branches_in, unwrap
+from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
@@ -301,8 +302,6 @@ class MotionDesignator(Designator):
         Only PyCRAM's own are known; others get the whole robot, and their process module may make that less. A
         subclass that says here what it needs has it from the moment in which it is asked for.
         """
-        from pycram.motions import motion_types  # noqa: PLC0415  the types are built on designators
-
         if self.effective and isinstance(solution := self.reference(), Mapping):
             return motion_types.claims_of(solution)
         return motion_types.claims_by_type(self)
@@ -332,8 +331,6 @@ class MotionDesignator(Designator):
                 yield solution
 
     def _resolve(self) -> Iterator[Solution]:
-        from pycram.motions import motion_types  # noqa: PLC0415  the types are built on designators
-
         errors: list[DesignatorError] = []
         found = False
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]

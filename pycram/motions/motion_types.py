@@ -8,23 +8,34 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from pycram.claims import WHOLE, Claims
 from pycram.foundation.failures import BadArgument
 from pycram.handle import branch_of, unwrap
 from pycram.motions import slot_checks
-from pycram.motions.designator import DesignatorError
+from pycram.motions.slots import DesignatorError
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
-    from pycram.motions.designator import MotionDesignator
     from pycram.motions.slot_checks import Check
     from pycram.motions.solutions import Solution
 
 Value: TypeAlias = Any
+
+
+class Described(Protocol):
+    """A designator as far as its type is concerned."""
+
+    @property
+    def type(self) -> str:
+        """Its slot ``type``; empty if that is no text."""
+
+    @property
+    def description(self) -> Iterable[tuple[str, Value]]:
+        """Its slots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +222,7 @@ TYPES: Final = {
 }
 
 
-def claims_by_type(designator: MotionDesignator) -> Claims | None:
+def claims_by_type(designator: Described) -> Claims | None:
     """What a designator needs of the robot, by its type and slots.
 
     Args:
@@ -240,7 +251,7 @@ def claims_of(solution: Solution) -> Claims | None:
     return motion.claims(given) if motion else None
 
 
-def resolve(designator: MotionDesignator) -> Iterator[Solution]:
+def resolve(designator: Described) -> Iterator[Solution]:
     """Solutions of the eleven types (thesis 4.6).
 
     Args:

@@ -25,6 +25,7 @@ from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.resolvers import Resolvers
 from pycram.open_block import current_block
 from pycram.world.event import qualified_name
+from pycram.world.world import BulletWorld
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span, span
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
     from pycram.claims import Ticket
     from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
 
 Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
@@ -44,7 +44,8 @@ _MODULE = Claims(moves=frozenset({"module"}))
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default=SIMULATED)
 _registered: dict[tuple[str, str], Modules] = {}
-_of_world: weakref.WeakKeyDictionary[BulletWorld, tuple[ResourceQueue, dict[str, Modules]]] = (
+_by_default: dict[str, Callable[[], Modules]] = {}
+_of_world: weakref.WeakKeyDictionary[BulletWorld, tuple[ResourceQueue, dict[tuple[str, str], Modules]]] = (
     weakref.WeakKeyDictionary()
 )
 _lock = threading.Lock()
@@ -106,6 +107,17 @@ def register(robot: str, environment: str, modules: Modules) -> None:
         raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
     with _lock:
         _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
+
+
+def serve(environment: str, modules: Callable[[], Modules]) -> None:
+    """Says which process modules serve, in an environment, every robot that has a description and none of its own.
+
+    Args:
+        environment: the execution environment.
+        modules: makes a new set, by the ``cmd`` of the solutions that they take; called once for each robot.
+    """
+    with _lock:
+        _by_default[environment] = modules
 
 
 class ProcessModule(ABC):
@@ -205,15 +217,13 @@ class ProcessModule(ABC):
 
 
 def _world() -> BulletWorld:
-    from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of process modules
-
     world = BulletWorld.current_bullet_world
     if world is None:
         raise NoWorld
     return world
 
 
-def _state(world: BulletWorld) -> tuple[ResourceQueue, dict[str, Modules]]:
+def _state(world: BulletWorld) -> tuple[ResourceQueue, dict[tuple[str, str], Modules]]:
     with _lock:
         return _of_world.setdefault(world, (ResourceQueue(), {}))
 
@@ -300,16 +310,15 @@ def modules_of(world: BulletWorld, robot: Object) -> Modules:
         world: its world.
         robot: the robot.
     """
-    from pycram.motions import modules  # noqa: PLC0415  the modules are built on this class
-
     environment = _environment.get()
     registered = _registered.get((robot.urdf.name, environment))
     if registered is not None:
         return registered
-    if environment != SIMULATED or robot.description is None:
+    make = _by_default.get(environment)
+    if make is None or robot.description is None:
         return {}
     made = _state(world)[1]
     with _lock:
-        if robot.name not in made:
-            made[robot.name] = modules.default_modules()
-        return made[robot.name]
+        if (robot.name, environment) not in made:
+            made[robot.name, environment] = make()
+        return made[robot.name, environment]

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.restore.ask import Answer, Move
     from replay.state.json_data import Plain
 
@@ -37,7 +37,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the answer and what it rests on."""
     from replay.restore.ask import again, ask  # noqa: PLC0415  --help needn't wait for the engine
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from replay.explain.blame import Blame, Carried
     from replay.explain.causes import Causes
     from replay.explain.source import Line
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 _Way: TypeAlias = "tuple[Line, ...]"  # outermost first
@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last that has it)")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints who did it."""
     found = blame(log, options.object, options.at, options.world)
     if options.json:

@@ -12,7 +12,7 @@ from replay.errors import ReplayError
 from replay.explain import wording
 from replay.explain.compare import compare
 from replay.explain.step_names import HINT
-from replay.file.log import open_log
+from replay.recording import open_recording
 from replay.state.diff import difference
 from replay.state.json_data import plain_record
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.explain.compare import Comparison, Parting
     from replay.explain.summary import Summary
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.state.diff import BodyChange, Difference
     from replay.state.state import Attachment
 
@@ -49,7 +49,7 @@ def _size(text: str) -> float:
     return size
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the difference; of two whole recordings that part, the exit code is 1."""
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
@@ -60,7 +60,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
         return _FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
-    with open_log(options.first) as other:
+    with open_recording(options.first) as other:
         compared = compare(log, other, options.tolerance)
         missing = other.missing  # read to its end
     if options.json:

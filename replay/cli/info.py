@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import argparse
 
     from replay.explain.summary import Summary
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 _FEW = 8  # worlds that are told one by one
 _TOLD = ("pycram", "pybullet", "python", "platform")
@@ -24,7 +24,7 @@ def add(_: argparse.ArgumentParser) -> None:
     """Takes nothing more."""
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the summary."""
     facts = summary(log)
     if options.json:
@@ -35,7 +35,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     return 0
 
 
-def _lines(log: Log, facts: Summary) -> list[tuple[str, str]]:
+def _lines(log: Recording, facts: Summary) -> list[tuple[str, str]]:
     counts = ", ".join(f"{count} {kind}" for kind, count in facts.counts.items())
     whole = "yes" if facts.checked else "yes, as far as its index tells (too long to read it all)"
     return [

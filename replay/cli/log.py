@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from recorder.records import Record
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 _PAUSE = 0.2  # s between looks at a recording that is being written
 
@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow", action="store_true", help="go on while the recording is being written")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the lines; with ``--json`` one object a line."""
     wanted = Filter(options.kind or (), options.task, options.object, options.world, options.text)
     search = Search(log, wanted)
@@ -49,14 +49,14 @@ def run(log: Log, options: argparse.Namespace) -> int:
     return 0
 
 
-def _world(log: Log, record: Record) -> str:
+def _world(log: Recording, record: Record) -> str:
     """Which world a record is about, where there is more than one."""
     life = log.life_at(record.world, record.seq) if record.world and len(log.lives) > 1 else None
     return f"{life.title}: " if life is not None else ""
 
 
 def follow(
-    log: Log, search: Search, start: int, pause: Callable[[], object] | None = None
+    log: Recording, search: Search, start: int, pause: Callable[[], object] | None = None
 ) -> Iterator[tuple[Record, str]]:
     """The records that fit, and those that will be written, until the recording is closed or its process has gone.
 

@@ -109,10 +109,10 @@ def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.Argumen
 
 
 def _run(verb: ModuleType, options: argparse.Namespace) -> int:
-    from replay.file.log import open_log  # noqa: PLC0415  --help needn't wait for it
+    from replay.recording import open_recording  # noqa: PLC0415  --help needn't wait for it
 
     try:
-        with open_log(options.log) as log:
+        with open_recording(options.log) as log:
             try:
                 code: int = verb.run(log, options)
             except ReplayError as error:

@@ -13,7 +13,7 @@ from replay.explain.step_names import HINT
 if TYPE_CHECKING:
     import argparse
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="of this world (default: the one opened last)")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Writes the picture and prints its name."""
     from replay.restore.render import render  # noqa: PLC0415  --help needn't wait for the engine
 

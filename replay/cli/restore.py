@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import argparse
 
     from pycram.world.world import BulletWorld
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.state.json_data import Plain
 
 
@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", dest="target", metavar="FILE", help="record what happens there (default: nothing is)")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Restores the world and does there what is wanted."""
     from pycram.foundation.failures import DisplayError  # noqa: PLC0415  --help needn't wait for the engine
     from recorder import RecordingError, record  # noqa: PLC0415
@@ -57,7 +57,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
         raise ReplayError(str(error)) from error
 
 
-def _do(log: Log, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
+def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
     from replay.restore.session import names, run_script, shell, watch  # noqa: PLC0415  see run
 
     given = names(world, log, step)

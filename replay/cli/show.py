@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.state.json_data import Plain
 
 _WIDTH = 100  # characters; longer values are spread over lines
@@ -25,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the record."""
     record = log[log.step(options.step)]
     told = plain_record(record)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.state.state import Body, World
 
 
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="only this world")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the state."""
     state = log.state_at(options.step)
     if options.object is not None:

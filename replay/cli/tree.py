@@ -14,7 +14,7 @@ from replay.explain.tree import tree
 if TYPE_CHECKING:
     import argparse
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,7 +27,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     form.add_argument("--svg", action="store_true", help="as a picture, with the times beside it")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:

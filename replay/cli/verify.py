@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
     from replay.restore.verify import Verdict
     from replay.state.deviation import Deviation
     from replay.state.integrity import Problem
@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Exit code 0: it is sound. 1: it isn't. 3: what there is of it is, but it is incomplete."
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the verdict."""
     from replay.restore.verify import verify  # noqa: PLC0415  --help needn't wait for the engine
 

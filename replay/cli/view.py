@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from replay.cli.console import remark, results_only, tell, tell_json
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
-from replay.file.log import open_log
+from replay.recording import open_recording
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -30,13 +30,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--connect", metavar="URL", help="in the viewer that answers there")
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Shows or saves it, and prints where."""
     if options.web and (options.save or options.at or options.connect):
         raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, results_only():
-        logs = [log, *([opened.enter_context(open_log(options.other))] if options.other else [])]
+        logs = [log, *([opened.enter_context(open_recording(options.other))] if options.other else [])]
         if options.web:
             return _serve(logs, json_wanted=options.json)
         told = _open(logs, step, options)
@@ -47,7 +47,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     return 0
 
 
-def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) -> dict[str, object]:
+def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
     from replay.view.rrd import aside, cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
@@ -68,7 +68,7 @@ def _open(logs: Sequence[Log], step: int | None, options: argparse.Namespace) ->
     return told
 
 
-def _serve(logs: Sequence[Log], *, json_wanted: bool) -> int:
+def _serve(logs: Sequence[Recording], *, json_wanted: bool) -> int:
     from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
     from replay.view.rrd import translate  # noqa: PLC0415
 

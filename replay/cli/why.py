@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import argparse
 
     from replay.explain.explanation import Why
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(log: Log, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the explanation."""
     found = why(log, options.step)
     code, pictures = _pictures(log, found, options.pictures)
@@ -43,7 +43,7 @@ def run(log: Log, options: argparse.Namespace) -> int:
     return code
 
 
-def _pictures(log: Log, found: Why, folder: str | None) -> tuple[int, list[str]]:
+def _pictures(log: Recording, found: Why, folder: str | None) -> tuple[int, list[str]]:
     """The pictures that were asked for; says why there are none if they can't be made."""
     if folder is None:
         return FINE, []

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
 from replay.explain.causes import Causes, causes
-from replay.explain.step_names import final_of
+from replay.explain.step_names import step_of
+from replay.explain.summary import final_of
 from replay.state.diff import turn
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -96,8 +98,8 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
         NoSuchStep: there is no such step.
         NoSuchName: the body or joint wasn't there then, nor was it removed before.
     """
-    step = final_of(log) if at is None else log.step(at)
-    state = log.state_at(step)
+    step = final_of(log) if at is None else step_of(log, at)
+    state = state_at(log, step)
     try:
         place, body, joint = _find(state, target, world)
     except NoSuchName as missing:
@@ -274,14 +276,14 @@ class _Search:
         return False
 
     def _told(self, record: Mutation | Keyframe) -> Blame:
-        after = self._value(self._log.state_at(record.seq))
+        after = self._value(state_at(self._log, record.seq))
         why = causes(self._log, record)
         if after is None:
             raise NoSuchName("object", self._body, ())
         if isinstance(record, Keyframe) or self._is_loading(record):
             how = "before" if isinstance(record, Keyframe) else "load"
             return self._blame(record, how, (None, after), (math.inf, 0.0), (), why)
-        state = self._log.state_at(record.seq - 1)
+        state = state_at(self._log, record.seq - 1)
         before = self._value(state)
         how, chain = _how(record, state.world(self._world), self._body)
         carried = tuple(self._carried(held, record.seq) for held in chain)

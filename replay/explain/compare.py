@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Run, Task
 from replay.explain.causes import causes
-from replay.explain.step_names import final_of
-from replay.explain.summary import Summary, summary
+from replay.explain.summary import Summary, final_of, summary
 from replay.state.diff import Difference, difference
+from replay.state.fold import state_at
 from replay.state.json_data import kind_of, plain_record
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def compare(first: Log, second: Log, tolerance: float = 0.0) -> Comparison:
         tolerance: numbers that differ by no more than this count as equal.
     """
     alike, parting = _part(first, second, tolerance)
-    ends = first.state_at(final_of(first)), second.state_at(final_of(second))
+    ends = state_at(first, final_of(first)), state_at(second, final_of(second))
     return Comparison(alike, parting, difference(*ends), (summary(first), summary(second)))
 
 

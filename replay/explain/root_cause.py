@@ -15,8 +15,7 @@ from recorder.tasks import decisive
 from replay.explain.failed_tasks import failures
 from replay.explain.parsed_traceback import Raised, raised
 from replay.explain.source import Source
-from replay.explain.step_names import final_of
-from replay.explain.summary import failed_threads
+from replay.explain.summary import failed_threads, final_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from replay.errors import NoSuchStep
+from replay.explain.root_cause import breakdown
+from replay.explain.summary import closes
 
 if TYPE_CHECKING:
-    from recorder.records import Record
     from replay.file.lifetimes import Life
     from replay.file.log import Log
 
@@ -51,26 +52,10 @@ def step_of(log: Log, name: int | str) -> int:
 
 
 def _failure(log: Log) -> int:
-    from replay.explain.root_cause import breakdown  # noqa: PLC0415  it goes by steps itself
-
     broken = breakdown(log)
     if broken is None:
         raise NoSuchStep("failure", len(log), "nothing failed")
     return broken.step
-
-
-def final_of(log: Log) -> int:
-    """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
-    closing = len(log)
-    for record in log.backwards(-1, (Mutation, Keyframe)):
-        if not _closes(record):
-            break
-        closing = record.seq
-    return max(closing - 1, 0)
-
-
-def _closes(record: Record) -> bool:
-    return isinstance(record, Mutation) and record.HasField("close_world")
 
 
 def task_step(log: Log, text: str) -> int:
@@ -143,7 +128,7 @@ def _at_time(log: Log, seconds: float, text: str) -> int:
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, life, limit) - 1)
         if end is not None and end.sim_step == limit:  # to the end of it, but a world that is closed shows nothing
-            return end.seq - 1 if _closes(end) else (life.stop or len(log)) - 1
+            return end.seq - 1 if closes(end) else (life.stop or len(log)) - 1
         ends[life.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
     raise NoSuchStep(text, len(log), f"no world got so far; the clock of {longest} ends at {ends[longest]:.3f}s")

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Run, told_failure
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Run, told_failure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from recorder.records import Record
     from replay.file.lifetimes import Life
     from replay.file.log import Log
 
@@ -118,3 +119,18 @@ def failed_threads(log: Log) -> tuple[Run, ...]:
         return ()
     runs = (record for record in log.records(Run) if isinstance(record, Run))
     return tuple(record for record in runs if record.phase == Run.THREAD_FAILED)
+
+
+def final_of(log: Log) -> int:
+    """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
+    closing = len(log)
+    for record in log.backwards(-1, (Mutation, Keyframe)):
+        if not closes(record):
+            break
+        closing = record.seq
+    return max(closing - 1, 0)
+
+
+def closes(record: Record) -> bool:
+    """Whether a record is the end of a world."""
+    return isinstance(record, Mutation) and record.HasField("close_world")

@@ -16,9 +16,10 @@ from replay.explain.explanation import Asked, Since, Thing, Try, Why, heading
 from replay.explain.failed_tasks import failures
 from replay.explain.root_cause import breakdown
 from replay.explain.source import Source
-from replay.explain.step_names import final_of
-from replay.explain.summary import failed_threads, summary
+from replay.explain.step_names import step_of
+from replay.explain.summary import failed_threads, final_of, summary
 from replay.state.diff import difference
+from replay.state.fold import state_at
 from replay.state.json_data import mentions, plain_arguments
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def why(log: Log, step: int | str | None = None) -> Why:
     found = failures(log)
     run = summary(log)
     if step is not None:
-        return _of_task(log, run, _chosen(log, found, log.step(step)))
+        return _of_task(log, run, _chosen(log, found, step_of(log, step)))
     broken = breakdown(log, found)
     running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
     if broken is None:
@@ -88,7 +89,7 @@ def _of_task(
     same = before.successes.get((motion.started.kind, motion.started.name))
     window = max((each.end for each in (previous, same) if each is not None), default=0)
     asked, earlier = _asked(log, window, ended, objects, _ids(task))
-    state = log.state_at(ended)
+    state = state_at(log, ended)
     world = _world(state, objects, asked)
     return Why(
         run,
@@ -114,7 +115,7 @@ def _of_task(
 
 def _of_plan(log: Log, run: Summary, found: Failures, broken: Breakdown) -> Why:
     """Of a failure that the plan's own code raised, not a task."""
-    state = log.state_at(broken.step)
+    state = state_at(log, broken.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
     asked, earlier = _asked(log, window, broken.step if broken.thread else len(log), (), ())
@@ -157,7 +158,7 @@ def _tries(log: Log, tasks: Sequence[Attempt], world: World | None) -> Iterator[
     for number, task in enumerate(tasks):
         robot = None
         if world is not None and (number < _FIRST or number >= len(tasks) - _LAST):
-            then = log.state_at(max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
+            then = state_at(log, max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
             robot = then.bodies.get(then.robot) if then is not None else None
         yield Try(task, robot)
 
@@ -195,7 +196,7 @@ def _asked(
 
 def _with_changes(log: Log, query: Query, world: World | None) -> Asked:
     """A query with what became of the things that it was about, until the failure in a world."""
-    then = log.state_at(query.seq).worlds.get(query.world)
+    then = state_at(log, query.seq).worlds.get(query.world)
     if then is None or world is None:
         return Asked(query)
     if then.title != world.title:
@@ -257,4 +258,4 @@ def _named(world: World | None, task: Attempt) -> Iterator[str]:
 def _since(log: Log, task: Attempt | None, now: State) -> Since | None:
     if task is None or task.finished is None:
         return None
-    return Since(task, difference(log.state_at(min(task.finished.seq, now.step)), now))
+    return Since(task, difference(state_at(log, min(task.finished.seq, now.step)), now))

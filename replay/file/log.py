@@ -14,13 +14,11 @@ from typing import TYPE_CHECKING
 
 from recorder.records import TOPICS, Keyframe, Mutation
 from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
-from replay.explain.step_names import step_of
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.file.container import check_ours, is_locked, open_file
 from replay.file.index import Index
 from replay.file.lifetimes import Life, lives_of
-from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -28,16 +26,13 @@ if TYPE_CHECKING:
 
     from typing_extensions import Self
 
-    from pycram.world.world import BulletWorld
     from recorder.records import Record
-    from replay.explain.tree import Tree
-    from replay.state.state import State
 
-__all__ = ["KINDS", "Log", "open_log"]
+__all__ = ["KINDS", "Log"]
 
 
 class Log:
-    """A recording; opened by :func:`open_log`, which is ``replay.open``. Not for several threads at once.
+    """The records of a recording. Not for several threads at once.
 
     Attributes:
         path: the file.
@@ -236,27 +231,7 @@ class Log:
             pass
         return last
 
-    def step(self, name: int | str) -> int:
-        """The number of a step as people name it; see :func:`replay.explain.step_names.step_of`."""
-        return step_of(self, name)
-
-    def state_at(self, step: int | str) -> State:
-        """What is true after a step; see :func:`replay.state.fold.state_at`."""
-        return state_at(self, step)
-
-    def world_at(self, step: int | str, world: str | None = None, *, exact: bool = False) -> BulletWorld:
-        """A live world as it was after a step; see :func:`replay.restore.world.world_at`."""
-        from replay.restore.world import world_at  # noqa: PLC0415  it needs the executor and its engine; reading does not
-
-        return world_at(self, step, world, exact=exact)
-
     # --- whole or not ----------------------------------------------------------------------------------------------
-
-    def tree(self) -> Tree:
-        """The task tree: what was part of what, how each ended; the classes that ``pycram.tasks`` has too."""
-        from replay.explain.tree import tree  # noqa: PLC0415  reading records doesn't need it
-
-        return tree(self)
 
     def check(self) -> str:
         """Reads everything once.
@@ -308,15 +283,3 @@ class Log:
                 self._lost = max(0, last.seq + 1 - sum(self.counts().values()))
                 return last.seq + 1
         raise Unreadable(self.path, "has no record that can be read")
-
-
-def open_log(path: str | Path) -> Log:
-    """Opens a recording.
-
-    Args:
-        path: the MCAP file; finished, cut, or still being written.
-
-    Raises:
-        NotALog: it isn't one, or nothing of it can be read.
-    """
-    return Log(path)

@@ -17,8 +17,10 @@ from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import Verdict
 from recorder.records import Query, to_json
 from replay.errors import NoSuchName
+from replay.explain.step_names import step_of
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
 from replay.restore.world import aside
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -94,8 +96,8 @@ def ask(
     asked = parse(question) if isinstance(question, str) else question
     if asked.query not in QUERIES:
         raise NoSuchName("query", asked.query, QUERIES)
-    number = log.step(step)
-    state = log.state_at(number)
+    number = step_of(log, step)
+    state = state_at(log, number)
     name = state.world(world).name if world is not None else None
     with aside(log, number, name) as restored:
         try:
@@ -123,7 +125,7 @@ def again(log: Log, step: int | str, *, moves: Sequence[Move] = ()) -> Answer:
     Raises:
         BadQuestion: the step's record isn't a query.
     """
-    number = log.step(step)
+    number = step_of(log, step)
     record = log[number]
     if not isinstance(record, Query):
         raise BadQuestion(f"step {number}", "it is no query that could be asked again; say what to ask")

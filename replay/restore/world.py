@@ -25,6 +25,8 @@ from pycram.world.transaction import Reading, put
 from pycram.world.world import BulletWorld, Object
 from recorder.tracing import journal
 from replay.errors import Damaged, NotRestored
+from replay.explain.step_names import step_of
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -58,7 +60,7 @@ def world_at(
         DisplayError: no window can open.
     """
     told = _told(log, step, world)
-    number = log.step(step)
+    number = step_of(log, step)
     with journal.aside(), _explained(log, number):
         if exact:
             from replay.restore.reexecute import executed_again  # noqa: PLC0415  it opens and loads worlds by this module
@@ -92,7 +94,7 @@ def aside(log: Log, step: int | str, world: str | None = None) -> Iterator[Bulle
         Damaged: records or files are lost, or make no sense.
     """
     told = _told(log, step, world)
-    number = log.step(step)
+    number = step_of(log, step)
     with journal.aside():
         with _explained(log, number):
             restored = rebuild(log, told, str(number))
@@ -113,7 +115,7 @@ def _explained(log: Log, step: int) -> Iterator[None]:
 
 def _told(log: Log, step: int | str, name: str | None) -> World:
     """What the recording tells of the world that is wanted."""
-    state = log.state_at(step)
+    state = state_at(log, step_of(log, step))
     if name is None and not any(world.open for world in state.worlds.values()):
         closed = ", ".join(state.worlds)
         hint = f" (there was: {closed}); take a step before its end" if closed else " yet; take a later step"

@@ -40,41 +40,39 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
     return State(step, {name: world.frozen() for name, world in worlds.items()})
 
 
-def state_at(log: Log, step: int | str) -> State:
+def state_at(log: Log, step: int) -> State:
     """What is true after a step.
 
     Args:
         log: the recording.
-        step: a number, or a name as :func:`replay.explain.step_names.step_of` knows them.
+        step: from 0; names are resolved before (:meth:`replay.recording.Recording.state_at`).
 
     Raises:
-        NoSuchStep: there is no such step.
         Damaged: a record makes no sense.
     """
-    last = log.step(step)
-    here = log.chunk_of(last)
+    here = log.chunk_of(step)
     worlds: dict[str, Making] = {}
-    since = last
+    since = step
     for life in log.lives:
-        if not life.has(last):  # it came later, or another one has taken its name since
+        if not life.has(step):  # it came later, or another one has taken its name since
             continue
-        base = _base(log, life, here, last)
+        base = _base(log, life, here, step)
         begin = life.changes[0] if base is None else log.chunk_of(base.seq)
         start = life.start if base is None else base.seq
         chunks = life.changes[bisect_left(life.changes, begin) : bisect_right(life.changes, here)]
         if chunks:
             since = min(since, start)
         for record in log.records_of(life, _OF_WORLDS, chunks):
-            if start <= record.seq <= last:
+            if start <= record.seq <= step:
                 try:
                     take(worlds, record)
                 except (ValueError, IndexError) as error:
                     raise Damaged(log.path, f"step {record.seq}", str(error)) from error
         if life.world in worlds:
             worlds[life.world].told["life"] = life.number
-    doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= last)
+    doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= step)
     return State(
-        last,
+        step,
         {name: world.frozen() for name, world in worlds.items()},
         f"what steps {doubt} changed is lost" if doubt else "",
         log.assets,

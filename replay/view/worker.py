@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay.errors import Damaged, ReplayError
+from replay.file.log import Log
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     import rerun as rr
     from typing_extensions import Self
 
-    from replay.file.log import Log
 
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
 _CODE: Final = """
@@ -155,10 +155,9 @@ def _end_with_parent(folder: Path) -> None:
 def _tell(path: str, identity: str, stop: int, root: str, file: str) -> None:
     from recorder.viewer.translator import Half, Translator  # noqa: PLC0415  the one that waits has them already
     from recorder.viewer.windows import stream_to_file  # noqa: PLC0415
-    from replay.file.log import open_log  # noqa: PLC0415
     from replay.view.translation import show  # noqa: PLC0415
 
-    with open_log(path) as log:
+    with Log(path) as log:
         if log.identity != identity:
             raise ReplayError(f"{path}: another file stands there since it was opened; begin again")
         with stream_to_file(Path(file), part=True) as stream:

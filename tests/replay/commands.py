@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from recorder.records import Mutation
 
 if TYPE_CHECKING:
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
-def mutation(log: Log, command: str, which: int = 0) -> int:
+def mutation(log: Recording, command: str, which: int = 0) -> int:
     """The step of the how-many-th such command."""
     return [r.seq for r in log.records(Mutation) if r.WhichOneof("command") == command][which]

@@ -20,7 +20,7 @@ from tests.conftest import furnish
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 GOLDEN = Path(__file__).parent / "golden"
 DEMOS = Path(__file__).parents[2] / "demos"
@@ -65,12 +65,12 @@ def scene_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def small(small_log: Path) -> Iterator[Log]:
+def small(small_log: Path) -> Iterator[Recording]:
     with replay.open(small_log) as log:
         yield log
 
 
 @pytest.fixture
-def failed(failed_log: Path) -> Iterator[Log]:
+def failed(failed_log: Path) -> Iterator[Recording]:
     with replay.open(failed_log) as log:
         yield log

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
 def take_what_is_gone(file: Path) -> None:
@@ -71,7 +71,7 @@ def take_after(file: Path, change: str) -> None:
 
 
 @pytest.fixture
-def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Log]:
+def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Recording]:
     with pytest.raises(PlanFailure):
         take_after(tmp_path / "x.mcap", request.param)
     while current.opened():
@@ -81,14 +81,14 @@ def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Log]:
 
 
 @pytest.mark.parametrize("taken", ["nothing"], indirect=True)
-def test_an_answer_that_holds_is_a_warning(taken: Log) -> None:
+def test_an_answer_that_holds_is_a_warning(taken: Recording) -> None:
     found = why(taken)
     assert found.warning is not None
     assert found.warning.name == "stable"
 
 
 @pytest.mark.parametrize("taken", ["removed"], indirect=True)
-def test_what_was_removed_is_not_told_to_have_moved(taken: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_was_removed_is_not_told_to_have_moved(taken: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     found = why(taken)
     assert (found.asked[0].gone, found.asked[0].moved, found.absent) == (("ball",), (), ("ball",))
     assert found.warning is None
@@ -100,7 +100,7 @@ def test_what_was_removed_is_not_told_to_have_moved(taken: Log, capsys: pytest.C
 
 @pytest.mark.parametrize("taken", ["another lab"], indirect=True)
 def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
-    taken: Log, capsys: pytest.CaptureFixture[str]
+    taken: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = why(taken)
     assert [asked.world for asked in found.asked] == ["lab"]
@@ -113,7 +113,7 @@ def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
 @pytest.mark.slow
 def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
-    taken: Log, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    taken: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["why", str(taken.path)]) == 0
     said = capsys.readouterr().out.partition("Look closer\n")[2]
@@ -132,7 +132,7 @@ def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
 def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
-    taken: Log, capsys: pytest.CaptureFixture[str]
+    taken: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (blame(taken, "ball").world, blame(taken, "ball").others) == ("hall", ("lab",))
     assert blame(taken, "ball", world="lab").world == "lab"
@@ -148,7 +148,9 @@ def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
 @pytest.mark.parametrize(
     "verb", ["ask last stable(floor)", "state last floor --world hall", "blame floor --world hall"]
 )
-def test_where_another_world_has_it_that_is_said(taken: Log, verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_another_world_has_it_that_is_said(
+    taken: Recording, verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     name, *rest = verb.split()
     assert main([name, str(taken.path), *rest]) == 2
     assert "there is no object 'floor'; it is in lab, not in hall; --world" in capsys.readouterr().err

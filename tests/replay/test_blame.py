@@ -20,10 +20,10 @@ from tests.replay.commands import mutation
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
-def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
+def test_blame_tells_a_body_s_own_move_from_being_carried(small: Recording) -> None:
     carried = small.step("task:carry@end")
     found = blame(small, "milk", carried)
     assert found.how == "carried"
@@ -39,7 +39,7 @@ def test_blame_tells_a_body_s_own_move_from_being_carried(small: Log) -> None:
     assert blame(small, "cereal", carried).record == found.record
 
 
-def test_lines_that_were_told_are_not_told_again(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lines_that_were_told_are_not_told_again(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     carried = small.step("task:carry@end")
     assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
@@ -47,7 +47,7 @@ def test_lines_that_were_told_are_not_told_again(small: Log, capsys: pytest.Capt
     assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in <module>, as above"]
 
 
-def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log) -> None:
+def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Recording) -> None:
     found = blame(small, "milk", mutation(small, "simulate"))
     assert found.how == "physics"
     assert found.distance < 5e-3
@@ -55,13 +55,13 @@ def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Log)
     assert found.earlier.record.seq == mutation(small, "load_body", 1)
 
 
-def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Log) -> None:
+def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Recording) -> None:
     changes = [r.seq for r in small.records(Mutation) if any(state.body == "cereal" for state in r.effect.bodies)]
     for step in range(changes[0], len(small), 7):
         assert blame(small, "cereal", step).record.seq == max(seq for seq in changes if seq <= step)
 
 
-def test_blame_tells_the_line_of_what_no_task_did(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_blame_tells_the_line_of_what_no_task_did(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     found = blame(small, "cereal").causes
     assert not found.tasks
     assert [line.text for line in found.way][-2:] == ["main()", "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])"]
@@ -188,7 +188,7 @@ def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) 
     ("target", "hint"),
     [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'"), ("milk.", "joint of milk")],
 )
-def test_blame_of_what_isn_t_there_says_what_is(small: Log, target: str, hint: str) -> None:
+def test_blame_of_what_isn_t_there_says_what_is(small: Recording, target: str, hint: str) -> None:
     with pytest.raises(replay.NoSuchName, match=hint):
         blame(small, target)
 

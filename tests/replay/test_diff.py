@@ -20,15 +20,15 @@ from tests.replay.commands import mutation
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
-def test_a_step_differs_from_itself_in_nothing(small: Log) -> None:
+def test_a_step_differs_from_itself_in_nothing(small: Recording) -> None:
     for step in (0, 5, 60, len(small) - 1):
         assert not difference(small.state_at(step), small.state_at(step))
 
 
-def test_a_difference_names_what_came_moved_and_changed_hands(small: Log) -> None:
+def test_a_difference_names_what_came_moved_and_changed_hands(small: Recording) -> None:
     loaded, attached = mutation(small, "load_body", 1), mutation(small, "attach_body")
     came = difference(small.state_at(loaded - 1), small.state_at(loaded))
     assert came.came == (("table", "milk"),)

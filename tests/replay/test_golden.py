@@ -23,7 +23,7 @@ from replay.state.json_data import plain_record
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
 COMMANDS = [
@@ -40,7 +40,7 @@ COMMANDS = [
 
 
 @pytest.fixture(params=GOLDEN, ids=lambda file: file.stem)
-def log(request: pytest.FixtureRequest) -> Iterator[Log]:
+def log(request: pytest.FixtureRequest) -> Iterator[Recording]:
     with replay.open(request.param) as opened:
         yield opened
 
@@ -50,7 +50,7 @@ def test_there_is_one_and_it_is_small() -> None:
     assert all(file.stat().st_size < 100_000 for file in GOLDEN)
 
 
-def test_it_is_whole(log: Log) -> None:
+def test_it_is_whole(log: Recording) -> None:
     assert log.complete
     assert log.check() == ""
     assert [record.seq for record in log] == list(range(len(log)))
@@ -58,7 +58,7 @@ def test_it_is_whole(log: Log) -> None:
     assert log.metadata["pybullet"]
 
 
-def test_records_of_every_kind(log: Log) -> None:
+def test_records_of_every_kind(log: Recording) -> None:
     kinds = (Run, Task, Mutation, Event, Fluent, Query, Keyframe)
     assert [sum(1 for _ in log.records(kind)) for kind in kinds] == [2, 12, 123, 3, 1, 4, 1]
     assert [record.WhichOneof("command") for record in log.records(Mutation)] == COMMANDS
@@ -68,7 +68,7 @@ def test_records_of_every_kind(log: Log) -> None:
     assert plain_record(visible)["evidence"]["hidden_by"].keys() == {"cereal"}
 
 
-def test_states_of_worlds(log: Log) -> None:
+def test_states_of_worlds(log: Recording) -> None:
     end = log.state_at("last").world("table")
     assert end.open
     assert end.gravity == (0, 0, -9.8)
@@ -85,7 +85,7 @@ def test_states_of_worlds(log: Log) -> None:
     assert drawer[0] == pytest.approx((2.25, 0, 0.6), abs=1e-9)
 
 
-def test_tasks_lines_and_failures(log: Log) -> None:
+def test_tasks_lines_and_failures(log: Recording) -> None:
     paths = [node.path for _, node in tree(log).walk()]
     assert paths[0] == "carry"
     assert paths[-2:] == ["put", "put"]
@@ -96,7 +96,7 @@ def test_tasks_lines_and_failures(log: Log) -> None:
     assert blame(log, "milk", "task:carry@end").how == "carried"
 
 
-def test_attached_files(log: Log) -> None:
+def test_attached_files(log: Recording) -> None:
     names = {name.partition("/")[2] for name in log.assets}
     assert {"plan.py", "carton.stl", "cabinet.urdf"} <= names
     for name, content in log.assets.items():
@@ -104,7 +104,7 @@ def test_attached_files(log: Log) -> None:
 
 
 @pytest.mark.parametrize("verb", ["info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why"])
-def test_every_verb_reads_it(log: Log, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_every_verb_reads_it(log: Recording, capsys: pytest.CaptureFixture[str], verb: str) -> None:
     name, *rest = verb.split()
     assert main([name, str(log.path), *rest]) == 0
     said = capsys.readouterr()

@@ -21,10 +21,10 @@ from replay.cli.main import main
 from replay.explain.why import why
 
 if TYPE_CHECKING:
-    from replay.file.log import Log
+    from replay.recording import Recording
 
 
-def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Log) -> None:
+def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Recording) -> None:
     found = why(small)
     assert found.failure.message == "the milk can't be put anywhere"
     assert [(error.type, error.message) for error in found.raised] == [
@@ -41,7 +41,7 @@ def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Log) -> 
     assert found.step == small.step("task:put#2@end")
 
 
-def test_why_tells_what_the_robot_was_told(small: Log) -> None:
+def test_why_tells_what_the_robot_was_told(small: Recording) -> None:
     found = why(small)
     (asked,) = found.asked
     assert asked.query.name == "stable"
@@ -50,14 +50,14 @@ def test_why_tells_what_the_robot_was_told(small: Log) -> None:
     assert found.warning == asked.query
 
 
-def test_why_tells_what_changed_since_something_went_well(small: Log) -> None:
+def test_why_tells_what_changed_since_something_went_well(small: Recording) -> None:
     found = why(small)
     assert found.same is None
     assert found.last.task.started.name == "carry"
     assert {change.body for change in found.last.difference.notable} == {"milk", "cereal"}
 
 
-def test_why_of_another_failure(small: Log) -> None:
+def test_why_of_another_failure(small: Recording) -> None:
     first = small.step("task:put@end")
     for step in (first, first - 1, "failure", "task:put#2@start"):
         found = why(small, step)
@@ -89,7 +89,7 @@ def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: 
     assert "with par as block:" in told
 
 
-def test_another_failure_isn_t_told_to_be_the_plan_s(small: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_another_failure_isn_t_told_to_be_the_plan_s(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(small.path), "task:put@end"]) == 0
     first, second = capsys.readouterr().out.splitlines()[:2]
     assert "the milk can't be put anywhere" in first
@@ -237,7 +237,7 @@ def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytes
 
 
 @pytest.mark.slow
-def test_why_gives_machines_the_same(failed: Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_why_gives_machines_the_same(failed: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["failure"]["type"] == "Unreachable"
