@@ -14,8 +14,8 @@ from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import PlanFailure, UsageError
 from pycram.nesting import Nested
 from pycram.open_block import alone
-from recorder.records import told_error
-from recorder.tracing.call_site import plan_line
+from recorder.records import format_error
+from recorder.tracing.call_site import call_site
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
 
@@ -228,8 +228,8 @@ class Attempts:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
             if last is not None and not told_to_stop():
-                told = f"the loop was left after attempt {self._number} had failed: {told_error(last)}"
-                warnings.warn_explicit(told, FailureLeft, *plan_line())
+                told = f"the loop was left after attempt {self._number} had failed: {format_error(last)}"
+                warnings.warn_explicit(told, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
         """Ends the row.

@@ -289,7 +289,7 @@ def reachable_poses(
     told |= {"orientations": orientations, "collision_free": collision_free, "ignoring": ignored}
     with asking("reachable_poses", place, told) as asked:
         solver = _reach.Solver(machine, gripper_name)
-        rehearsal = _rehearsal.Rehearsal(machine, solver.joints, ignored, everything=bases is not None)
+        rehearsal = _rehearsal.CollisionChecker(machine, solver.joints, ignored, everything=bases is not None)
         everything = list(zip(targets, turns, stands, strict=True))
         found: Found[Verdict] = Found()
         with rehearsal:
@@ -399,7 +399,7 @@ def _reaches(
     options = solver.postures(target, orientation, thorough=collision_free, threshold=near)
     oriented = orientation is not None
     if collision_free:
-        with _rehearsal.Rehearsal(robot, solver.joints, [] if body is None else [body]) as rehearsal:
+        with _rehearsal.CollisionChecker(robot, solver.joints, [] if body is None else [body]) as rehearsal:
             verdict = _reachability.judge(options, near, rehearsal, oriented=oriented)
     else:
         verdict = _reachability.judge(options, near, None, oriented=oriented)

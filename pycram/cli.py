@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from pycram.foundation.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
 from recorder.mcap.sink import versions
-from recorder.records import told_error
-from recorder.viewer.connection import Kind, Wish
+from recorder.records import format_error
+from recorder.viewer.connection import Kind, Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _viewer(text: str) -> str:
     try:
-        Wish.parse(text)
+        Target.parse(text)
     except RecordingError as error:
         raise argparse.ArgumentTypeError(f"{text!r} {error.cause}") from error
     return text
@@ -127,7 +127,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
             print(end.code, file=sys.stderr)
     except PlanFailure as failure:
         traceback.print_exc()
-        print(f"\npycram: the plan failed: {told_error(failure)}", file=sys.stderr)
+        print(f"\npycram: the plan failed: {format_error(failure)}", file=sys.stderr)
         code = _FAILED
     except KeyboardInterrupt:
         print("\npycram: interrupted", file=sys.stderr)
@@ -135,7 +135,7 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
         kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
-        print(f"\npycram: the plan {kind}: {told_error(error)}", file=sys.stderr)
+        print(f"\npycram: the plan {kind}: {format_error(error)}", file=sys.stderr)
         code = _FAILED
     finally:
         sys.argv, sys.path[:] = before

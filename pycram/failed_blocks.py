@@ -11,7 +11,7 @@ import traceback
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import PlanFailure, PycramError, slots_of
-from recorder.records import told_error
+from recorder.records import format_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -69,7 +69,7 @@ class BranchesFailed(PlanFailure):
 
     def __str__(self) -> str:
         told = (
-            str(failure) if isinstance(failure, BranchesFailed) else told_error(failure) for failure in self.failures
+            str(failure) if isinstance(failure, BranchesFailed) else format_error(failure) for failure in self.failures
         )
         return f"{self.block} failed: {'; '.join(told)}"
 
@@ -83,7 +83,7 @@ class NotCleanedUp(PlanFailure):
     """
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
-        super().__init__(f"{action}, done as the plan was told to stop, failed: {told_error(failure)}")
+        super().__init__(f"{action}, done as the plan was told to stop, failed: {format_error(failure)}")
         self.action = action
         self.failure = failure
         self.__cause__ = failure

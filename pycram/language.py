@@ -53,7 +53,7 @@ from pycram.open_block import OpenBlock, Rule, current_block
 from pycram.retries import failure_handling
 from pycram.timeouts import timeout
 from recorder.tasks import State
-from recorder.tracing.call_site import plan_line
+from recorder.tracing.call_site import call_site
 
 __all__ = [
     "State",
@@ -101,7 +101,7 @@ class Collecting(Opening):
     def __init__(self, rule: Rule, failures: list[BaseException]) -> None:
         """Makes an opening; see :class:`Opening`."""
         super().__init__(rule, failures)
-        self._asked_for = plan_line()
+        self._asked_for = call_site()
         self._used = False
 
     def __enter__(self) -> OpenBlock:

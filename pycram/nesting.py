@@ -15,7 +15,7 @@ from functools import wraps
 from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.foundation.failures import UsageError
-from recorder.tracing.call_site import comes_back
+from recorder.tracing.call_site import is_resumable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -129,7 +129,7 @@ def _generator() -> int:
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
         frame = frame.f_back
-    return id(frame) if comes_back(frame) else 0
+    return id(frame) if is_resumable(frame) else 0
 
 
 class Stretch(Nested[Value], ContextDecorator):

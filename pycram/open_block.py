@@ -21,7 +21,7 @@ from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.handle import Handle
 from pycram.nesting import nothing_open
 from recorder.tasks import State
-from recorder.tracing.span import way_here
+from recorder.tracing.span import current_call_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -212,7 +212,7 @@ class OpenBlock(ABC):
             A handle that serves as its result.
         """
         branch = Branch(name, action, self.changed, ordered=ordered, dropped=dropped, span=span)
-        branch.span.source = way_here()
+        branch.span.source = current_call_stack()
         self.take(branch)
         return Handle(branch)
 

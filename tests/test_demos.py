@@ -46,7 +46,7 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
     with replay.open(tmp_path / "set_the_table.mcap") as log:
         assert log.complete
         closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
-        world = replay.state_at(log, closing - 1).world()
+        world = log.state_at(closing - 1).world()
         for name, goal in GOALS.items():
             body = world.body(name)
             assert math.dist(body.position, goal) < 0.03, name
@@ -98,7 +98,7 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
     with replay.open(tmp_path / "out.mcap") as log:
         assert log.metadata["plan_arguments"] == "cup.stl"
         assert any(name.endswith("/plan.py") for name in log.assets)
-        assert list(replay.state_at(log, -1).world().bodies) == ["thing"]
+        assert list(log.state_at(-1).world().bodies) == ["thing"]
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_what_a_plan_s_threads_do_after_its_end_is_recorded(tmp_path: Path) -> N
     )
     assert pycram("run", "plan.py", cwd=tmp_path).returncode == 0
     with replay.open(tmp_path / "plan.mcap") as log:
-        assert list(replay.state_at(log, -1).world().bodies) == ["late"]
+        assert list(log.state_at(-1).world().bodies) == ["late"]
 
 
 def test_a_recording_that_cannot_be_written_stops_the_plan_at_once(tmp_path: Path) -> None:

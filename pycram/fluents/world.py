@@ -196,10 +196,10 @@ def _tell(values: dict[_Followed, Value], world: str, sim_step: int) -> None:
 def _follow(source: str, name: str, read: Callable[[], Value], *objects: Object) -> Fluent:
     world = world_of(*objects)
     with world.lock:
-        funnel = world.funnel
-        if not isinstance(funnel.observer, Followers):
-            funnel.observer = Followers(world)
-        return Derived(funnel.observer.follow(source, name, read, objects))
+        transactions = world.transactions
+        if not isinstance(transactions.observer, Followers):
+            transactions.observer = Followers(world)
+        return Derived(transactions.observer.follow(source, name, read, objects))
 
 
 def _object(body: Object) -> Object:

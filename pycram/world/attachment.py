@@ -75,7 +75,7 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
         return
     world, carrying, held = carrier.world, carrier.check_link(link), body.check_link(body_link)
     command = records.AttachBody(carrier=carrier.name, carrier_link=carrying, body=body.name, body_link=held)
-    with world.funnel.change(records.Mutation(attach_body=command)) as change:
+    with world.transactions.change(records.Mutation(attach_body=command)) as change:
         _check(carrier, body)
         _hold(carrier, carrying, body, held, change, pose)
         change.events.append(lambda: world.get_attachment_event().prepare(carrier, body))
@@ -92,7 +92,7 @@ def detach(side: Object, other: Object) -> None:
         AttachmentError: there is none between the two.
     """
     command = records.Mutation(detach_body=records.DetachBody())
-    with side.world.funnel.change(command) as change:
+    with side.world.transactions.change(command) as change:
         attachment = next((held for held in side.attachments.values() if held.other(side) is other), None)
         if attachment is None:
             told = getattr(other, "name", repr(other))

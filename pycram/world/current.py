@@ -64,7 +64,7 @@ def enter(world: BulletWorld) -> None:
             raise WorldClosed(world.name, "become current")
         _open = (*(other for other in _open if other is not world), world)
     _chosen.set(weakref.ref(world))
-    journal.put_forward(world)
+    journal.make_current(world)
 
 
 def leave(name: str) -> None:

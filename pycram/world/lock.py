@@ -24,20 +24,20 @@ class WorldLock:
         """Begins free."""
         self._lock = threading.RLock()
         self._depth = 0
-        self._owed: list[Callable[[], None]] = []
+        self._deferred: list[Callable[[], None]] = []
 
     @property
     def depth(self) -> int:
         """How often its holder has taken it."""
         return self._depth
 
-    def owe(self, calls: Iterable[Callable[[], None]]) -> None:
+    def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Leaves calls to be made when the lock is free; for its holder.
 
         Args:
             calls: what to call, in order.
         """
-        self._owed.extend(calls)
+        self._deferred.extend(calls)
 
     def __enter__(self) -> None:
         """Waits for it."""
@@ -53,12 +53,12 @@ class WorldLock:
             Exception: the first error of a call, when all are made. If an error ends the block already it goes on, and
                 those of the calls hang behind it.
         """
-        owed: list[Callable[[], None]] = []
+        deferred: list[Callable[[], None]] = []
         self._depth -= 1
         if not self._depth:
-            owed, self._owed = self._owed, []
+            deferred, self._deferred = self._deferred, []
         self._lock.release()
-        errors = [failed for call in owed if (failed := _made(call)) is not None]
+        errors = [failed for call in deferred if (failed := _made(call)) is not None]
         if error is not None:
             chained(error, errors)
         elif errors:

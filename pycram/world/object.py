@@ -319,7 +319,7 @@ class Object:
         """
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         command = records.MoveBody(body=self.name, position=pose[0], orientation=pose[1])
-        with self.world.funnel.change(records.Mutation(move_body=command)) as change:
+        with self.world.transactions.change(records.Mutation(move_body=command)) as change:
             self.world.engine.set_pose(self.handle, pose)
             change.touch(self)
             carried.follow(self, change)
@@ -364,7 +364,7 @@ class Object:
             raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
         checked = {name: self._check_value(name, value) for name, value in positions.items()}
         command = records.MoveJoints(body=self.name, joints=list(checked), positions=list(checked.values()))
-        with self.world.funnel.change(records.Mutation(move_joints=command)) as change:
+        with self.world.transactions.change(records.Mutation(move_joints=command)) as change:
             self.move_joints(checked, change)
 
     def _check_value(self, name: str, value: float) -> float:
@@ -462,7 +462,7 @@ class Object:
         """
         rgba = checks.color("color", color)
         command = records.SetColor(body=self.name, color=rgba)
-        with self.world.funnel.change(records.Mutation(set_color=command)):
+        with self.world.transactions.change(records.Mutation(set_color=command)):
             self.world.engine.set_color(self.handle, rgba)
             self.color = rgba
 

@@ -16,7 +16,7 @@ from pycram.foundation.failures import ChangeRefused, WorldClosed
 from pycram.world.lock import WorldLock
 from recorder import records
 from recorder.tracing import journal, span
-from recorder.tracing.call_site import plan_line
+from recorder.tracing.call_site import call_site
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -120,13 +120,13 @@ def _differs(a: Iterable[float], b: Iterable[float], tolerance: float) -> bool:
 
 def _sign(record: records.Mutation) -> None:
     """Writes into a change where in the plan it is made, unless the task that it is part of tells that."""
-    if journal.is_aside():
+    if journal.is_unrecorded():
         return
     task = span.current()
     asked = task.source if task is not None else None
-    if asked is not None and plan_line() in (asked.line, ("", 0)):
+    if asked is not None and call_site() in (asked.line, ("", 0)):
         return
-    way = span.way_here()
+    way = span.current_call_stack()
     record.source_file, record.source_line = way.line
     record.callers.extend(way.callers)
 
@@ -183,7 +183,7 @@ class Observer(Protocol):
         """A change was made and is on record."""
 
 
-class Funnel:
+class TransactionManager:
     """The lock, the refusals and the records of one world.
 
     Attributes:
@@ -230,7 +230,7 @@ class Funnel:
                 self._emit(change)
             if self.observer is not None:
                 self.observer.changed(change)
-            self.lock.owe(prepare() for prepare in change.events)
+            self.lock.defer(prepare() for prepare in change.events)
 
     def check(self, action: str) -> None:
         """Refuses what can't be now.

@@ -23,7 +23,7 @@ from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.realtime import RealtimeClock
-from pycram.world.transaction import Funnel, Reading, read
+from pycram.world.transaction import Reading, TransactionManager, read
 from recorder import records
 from recorder.tracing import journal
 
@@ -70,7 +70,7 @@ class BulletWorld(metaclass=CurrentWorld):
         self.gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         self.closed = False
         self._ending = False
-        self.funnel = Funnel(self)
+        self.transactions = TransactionManager(self)
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
@@ -84,7 +84,7 @@ class BulletWorld(metaclass=CurrentWorld):
             self.engine = Engine(window=type == "GUI")
             undoing.callback(self.engine.close)
             undoing.callback(journal.unregister, self)
-            with self.funnel.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
+            with self.transactions.change(records.Mutation(open_world=records.OpenWorld(mode=type))):
                 journal.register(self)
             undoing.pop_all()
         current.enter(self)
@@ -112,7 +112,7 @@ class BulletWorld(metaclass=CurrentWorld):
     @property
     def lock(self) -> WorldLock:
         """Held while something reads or changes this world consistently; handlers of events run when it is free."""
-        return self.funnel.lock
+        return self.transactions.lock
 
     @property
     def objects(self) -> list[Object]:
@@ -151,7 +151,7 @@ class BulletWorld(metaclass=CurrentWorld):
         if robot is not None and (not isinstance(robot, Object) or not robot.is_robot or robot.world is not self):
             raise BadArgument("robot", robot, f'an object of type "robot" in {self.name}')
         command = records.SetRobot(body=robot.name if robot else "")
-        with self.funnel.change(records.Mutation(set_robot=command)):
+        with self.transactions.change(records.Mutation(set_robot=command)):
             self._robot = robot
 
     def get_objects_by_name(self, name: str) -> list[Object]:
@@ -187,7 +187,7 @@ class BulletWorld(metaclass=CurrentWorld):
     def add(self, body: Object) -> None:
         """Loads an object's model; called by its constructor."""
         command = records.Mutation(load_body=records.LoadBody(body=body.name))
-        with self.funnel.change(command) as change:
+        with self.transactions.change(command) as change:
             if body.name in self._objects:
                 raise BadArgument("name", body.name, f"a name that nothing in {self.name} has")
             handle = self.engine.load(body.model.path, body.original_pose, fixed=body.fixed, robot=body.is_robot)
@@ -211,7 +211,7 @@ class BulletWorld(metaclass=CurrentWorld):
             WorldClosed: it isn't there any more.
         """
         command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
-        with self.funnel.change(command) as change:
+        with self.transactions.change(command) as change:
             handle = body.handle
             for attachment in list(body.attachments.values()):
                 end(attachment, change)
@@ -253,7 +253,7 @@ class BulletWorld(metaclass=CurrentWorld):
             BadArgument: not 3 finite numbers.
         """
         vector = checks.vector("gravity", gravity)
-        with self.funnel.change(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
+        with self.transactions.change(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
             self.engine.set_gravity(vector)
             self.gravity = vector
 
@@ -269,7 +269,7 @@ class BulletWorld(metaclass=CurrentWorld):
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None
-        with self.funnel.change(records.Mutation(set_realtime=records.SetRealtime(enabled=enabled))):
+        with self.transactions.change(records.Mutation(set_realtime=records.SetRealtime(enabled=enabled))):
             if enabled and self._clock is None:
                 self._clock = RealtimeClock(self)
                 self._clock.start()
@@ -303,7 +303,7 @@ class BulletWorld(metaclass=CurrentWorld):
             WorldClosed: another thread has ended the world meanwhile.
         """
         steps = checks.count("steps", steps)
-        with self.funnel.change(records.Mutation(simulate=records.Simulate(steps=steps))) as change:
+        with self.transactions.change(records.Mutation(simulate=records.Simulate(steps=steps))) as change:
             environment = {body: self.engine.joints(body.handle)[0] for body in self.objects if body.is_environment}
             self._step(steps, change)
             change.touch(*self.objects)
@@ -330,10 +330,10 @@ class BulletWorld(metaclass=CurrentWorld):
             done += stretch
             if done == steps:  # the end itself is the effect
                 break
-            if self.funnel.observer is not None:
-                self.funnel.observer.passed()
+            if self.transactions.observer is not None:
+                self.transactions.observer.passed()
             if recording:
-                sample = self.funnel.sample(self.sim_step, last)
+                sample = self.transactions.sample(self.sim_step, last)
                 if sample is not None:
                     change.samples.append(sample)
         change.command.simulate.steps = done
@@ -349,7 +349,7 @@ class BulletWorld(metaclass=CurrentWorld):
 
     def reset(self) -> None:
         """Puts every object back to where it was loaded, with its joints; attachments end, time and colours stay."""
-        with self.funnel.change(records.Mutation(reset=records.Reset())) as change:
+        with self.transactions.change(records.Mutation(reset=records.Reset())) as change:
             for body in self.objects:
                 for attachment in list(body.attachments.values()):
                     end(attachment, change)
@@ -369,7 +369,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 return
             for body in self.objects:
                 journal.attach(body.model.files)
-            frame = self.funnel.keyframe()
+            frame = self.transactions.keyframe()
             frame.world, frame.sim_step = self.name, self.sim_step
             frame.thread = threading.current_thread().name
             journal.append(frame)
@@ -398,7 +398,7 @@ class BulletWorld(metaclass=CurrentWorld):
         with self.lock:
             if self.closed:
                 return
-            self.funnel.query = ""  # a query that dies in an exception can't keep its world from ending
+            self.transactions.query = ""  # a query that dies in an exception can't keep its world from ending
         with ExitStack() as ending:
             ending.callback(self._close)
             if self._clock is not None:
@@ -410,7 +410,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 return
             for end in (self._end, *self._closers):
                 ending.callback(end)
-            with self.funnel.change(records.Mutation(close_world=records.CloseWorld())):
+            with self.transactions.change(records.Mutation(close_world=records.CloseWorld())):
                 self._end()
 
     def _end(self) -> None:

@@ -98,7 +98,7 @@ class McapSink:
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}  # by topic, and world and life where each has its own
-        self._lives: dict[str, int] = {}  # by name of the world: how many of that name there were
+        self._lifetimes: dict[str, int] = {}  # by name of the world: how many of that name there were
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
@@ -128,11 +128,11 @@ class McapSink:
     def _schema(self, message: type[Message]) -> int:
         return self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
 
-    def _register(self, topic: str, world: str = "", life: int = 0) -> int:
+    def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
         """Adds a channel; one that is for a world says so: then the index tells which chunks have something of it."""
-        told = {"world": world, "life": str(life)} if life else {}
+        told = {"world": world, "life": str(lifetime)} if lifetime else {}
         channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], told)
-        self._channels[topic, world, life] = channel
+        self._channels[topic, world, lifetime] = channel
         return channel
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -147,7 +147,7 @@ class McapSink:
                 vital = record.status in _BADLY_ENDED
             else:
                 of_world = topic in _OF_WORLDS
-                key = (topic, record.world, self._life(record)) if of_world else (topic, "", 0)
+                key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
                 self._taken.append((key, seq, now, payload, None))
                 self._take_companions(record)
                 vital = isinstance(record, Run)
@@ -159,12 +159,12 @@ class McapSink:
             elif self._pending == 1:
                 self._wake.set()
 
-    def _life(self, record: Record) -> int:
+    def _lifetime(self, record: Record) -> int:
         """Which world of its name it is about, from 1: a name can be taken again when its world has ended."""
-        life = self._lives.get(record.world, 0)
-        if not life or (isinstance(record, Mutation) and record.HasField("open_world")):
-            life = self._lives[record.world] = life + 1
-        return life
+        lifetime = self._lifetimes.get(record.world, 0)
+        if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
+            lifetime = self._lifetimes[record.world] = lifetime + 1
+        return lifetime
 
     def _take_companions(self, record: Record) -> None:
         """Takes what other people's tools are told of a record."""

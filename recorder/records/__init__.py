@@ -37,10 +37,10 @@ from recorder.records.messages import (
     Task,
     arguments,
     failure,
+    format_error,
+    format_failure,
     message,
     to_json,
-    told_error,
-    told_failure,
 )
 
 __all__ = [
@@ -80,8 +80,8 @@ __all__ = [
     "Task",
     "arguments",
     "failure",
+    "format_error",
+    "format_failure",
     "message",
     "to_json",
-    "told_error",
-    "told_failure",
 ]

@@ -90,10 +90,10 @@ __all__ = [
     "Task",
     "arguments",
     "failure",
+    "format_error",
+    "format_failure",
     "message",
     "to_json",
-    "told_error",
-    "told_failure",
 ]
 
 Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
@@ -189,7 +189,7 @@ def to_json(value: object) -> str:
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))
     except Exception as error:  # noqa: BLE001  the user's own __repr__ and __record__, and lists that hold themselves
-        return json.dumps({"untold": type(value).__qualname__, "because": told_error(error)})
+        return json.dumps({"untold": type(value).__qualname__, "because": format_error(error)})
     return text
 
 
@@ -218,7 +218,7 @@ def message(error: BaseException) -> str:
         return f"<it can't be told: {type(untold).__qualname__}>"
 
 
-def told_error(error: BaseException) -> str:
+def format_error(error: BaseException) -> str:
     """An exception by its type, and its message if it has one.
 
     Args:
@@ -251,7 +251,7 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
     )
 
 
-def told_failure(failure: Failure) -> str:
+def format_failure(failure: Failure) -> str:
     """A failure by its type, and its message if it has one.
 
     Args:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task, told_failure
+from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task, format_failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -77,10 +77,10 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
     if record.phase == Run.STARTED:
         return f"{record.name} started", _INFO
     if record.phase == Run.THREAD_FAILED:
-        return f"thread {record.thread} failed: {told_failure(record.failure)}", _ERROR
+        return f"thread {record.thread} failed: {format_failure(record.failure)}", _ERROR
     if record.succeeded:
         return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", _INFO
-    return f"{record.name} failed: {told_failure(record.failure)}", _ERROR
+    return f"{record.name} failed: {format_failure(record.failure)}", _ERROR
 
 
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
@@ -94,7 +94,7 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
         return f"{name} succeeded in {took}", _INFO
     if status == _CANCELLED:
         return f"{name} was cancelled after {took}", _WARNING
-    return f"{name} failed after {took}: {told_failure(record.failure)}", _ERROR
+    return f"{name} failed after {took}: {format_failure(record.failure)}", _ERROR
 
 
 def _query(record: Query) -> tuple[str, Log.Level.ValueType]:

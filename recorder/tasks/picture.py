@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import escape, quoteattr
 
-from recorder.records import told_failure
+from recorder.records import format_failure
 from recorder.tasks import State
 from recorder.tasks.text import label, rows
 
@@ -119,7 +119,7 @@ def _told(node: Node) -> str:
 
 def _outcome(node: Node) -> str:
     took = f" after {node.seconds * 1e3:.1f} ms" if node.seconds is not None else ""
-    failed = f": {told_failure(node.failure)}" if node.failure is not None else ""
+    failed = f": {format_failure(node.failure)}" if node.failure is not None else ""
     return f"{node.status.word}{took}{failed}"
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import told_failure
+from recorder.records import format_failure
 from recorder.records.text import values
 from recorder.tasks import Node, State
 
@@ -65,7 +65,7 @@ def rows(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterat
             continue
         yield Row(level, item, label(item), item.id in way)
         if item.is_origin and item.failure is not None:
-            yield from (Row(level + 2, None, text) for text in told_failure(item.failure).splitlines())
+            yield from (Row(level + 2, None, text) for text in format_failure(item.failure).splitlines())
         if item.forgotten:
             stack.append((level + 1, f"... {item.forgotten} more, forgotten"))
         parts = item.children
@@ -127,7 +127,7 @@ def facts(tree: Tree, most: int | None = None) -> list[dict[str, object]]:
             "sim_seconds": [moment.sim_seconds if moment is not None else None for moment in (node.start, node.end)],
             "seconds": node.seconds,
             "parameters": dict(node.parameters),
-            "failure": told_failure(node.failure) if node.failure is not None else "",
+            "failure": format_failure(node.failure) if node.failure is not None else "",
             "on_failure_path": node.id in way,
             "source": node.source,
         }

@@ -40,7 +40,7 @@ _FOREIGN: Final = re.compile(
 )
 
 
-class Way(NamedTuple):
+class CallStack(NamedTuple):
     """A way; there is one for each task, so it is the cheapest sort of object.
 
     Attributes:
@@ -63,7 +63,7 @@ class Way(NamedTuple):
         """The innermost line; ("", 0) if none is known."""
         return self.lines[-1] if self.lines else ("", 0)
 
-    def turned(self, number: int) -> Way | None:
+    def turned(self, number: int) -> CallStack | None:
         """The way to another line of the code at its end, which runs still; None if it must be walked again.
 
         Args:
@@ -73,10 +73,12 @@ class Way(NamedTuple):
         file, latest = lines[-1]
         if recording != journal.openings() or lines[-2:-1] == ((file, number),):  # which would stand once
             return None
-        return self if number == latest else Way((*lines[:-1], (file, number)), before, thread, callers, recording)
+        return (
+            self if number == latest else CallStack((*lines[:-1], (file, number)), before, thread, callers, recording)
+        )
 
 
-def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameType | None]:
+def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
     """The way to some code.
 
     Args:
@@ -85,7 +87,7 @@ def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameT
 
     Returns:
         The way; and the code at its end, if a way to what begins there later, as long as that runs, is this one but for
-        the last line: see :meth:`Way.turned`. Else None.
+        the last line: see :meth:`CallStack.turned`. Else None.
     """
     frame, line = _innermost(frame)
     recording = journal.openings() if journal.recording() else 0
@@ -95,18 +97,18 @@ def walk(frame: FrameType | None, outer: Way | None = None) -> tuple[Way, FrameT
         before = outer.before if outer.thread == thread else outer.lines
     innermost = (line,) if line is not None else ()
     if not recording:
-        return Way(innermost or before[-1:], before[-1:], thread), None
+        return CallStack(innermost or before[-1:], before[-1:], thread), None
     here = _outwards(frame.f_back) if frame is not None else ()
     around = (*before, *(here[1:] if here[:1] == before[-1:] else here))
     once = around[-1:] == innermost  # a lambda begins where it was asked for
     lines = around if once else (*around, *innermost)
     if len(lines) > MOST:
         lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
-    stays = frame is not None and not once and not comes_back(frame)
-    return Way(lines, before, thread, _told.callers(lines), recording), frame if stays else None
+    stays = frame is not None and not once and not is_resumable(frame)
+    return CallStack(lines, before, thread, _told.callers(lines), recording), frame if stays else None
 
 
-def comes_back(frame: FrameType) -> bool:
+def is_resumable(frame: FrameType) -> bool:
     """Whether code can be left in the middle and gone on with from elsewhere, as generators can.
 
     Args:
@@ -115,7 +117,7 @@ def comes_back(frame: FrameType) -> bool:
     return bool(frame.f_code.co_flags & _LEFT_AND_RESUMED)
 
 
-def plan_line() -> Place:
+def call_site() -> Place:
     """The innermost line of the plan that led here; ("", 0) if there is none."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
 

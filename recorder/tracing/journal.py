@@ -171,12 +171,12 @@ _current: weakref.ref[Source] | None = None
 _known: weakref.WeakSet[Source] = weakref.WeakSet()
 _opened = 0
 _forward: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_forward", default=None)
-_aside: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
+_unrecorded: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
 
 
 def _listening() -> tuple[Journal, ...]:
     """The journals that get what happens in this context."""
-    own = _aside.get()
+    own = _unrecorded.get()
     return _open if own is None else own
 
 
@@ -185,13 +185,13 @@ def recording() -> bool:
     return bool(_listening())
 
 
-def is_aside() -> bool:
-    """Whether what happens in this context is none of a plan's doing; see :func:`aside`."""
-    return _aside.get() is not None
+def is_unrecorded() -> bool:
+    """Whether what happens in this context is none of a plan's doing; see :func:`unrecorded`."""
+    return _unrecorded.get() is not None
 
 
 @contextmanager
-def aside(*journals: Journal) -> Iterator[None]:
+def unrecorded(*journals: Journal) -> Iterator[None]:
     """What its block does is told to these journals and no others; without any it is on no record.
 
     Worlds that are opened in it are unknown outside until they are introduced.
@@ -199,11 +199,11 @@ def aside(*journals: Journal) -> Iterator[None]:
     Args:
         journals: who listens.
     """
-    token = _aside.set(journals)
+    token = _unrecorded.set(journals)
     try:
         yield
     finally:
-        _aside.reset(token)
+        _unrecorded.reset(token)
 
 
 def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
@@ -260,13 +260,13 @@ def register(source: Source) -> None:
     Args:
         source: the world; held weakly.
     """
-    if _aside.get() is None:
+    if _unrecorded.get() is None:
         with _registry:
             _sources[next(_openings)] = source
             _find_current()
 
 
-def introduce(source: Source) -> None:
+def announce(source: Source) -> None:
     """Makes a world known that was opened aside: journals that are open get its state now, others when they open.
 
     Args:
@@ -277,7 +277,7 @@ def introduce(source: Source) -> None:
         source.record_keyframe(journal)
 
 
-def put_forward(source: Source) -> None:
+def make_current(source: Source) -> None:
     """Makes a registered world the current one: in this context, and wherever no other was put forward.
 
     Args:

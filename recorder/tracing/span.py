@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, cast
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal
-from recorder.tracing.call_site import Way, plan_frame, walk
+from recorder.tracing.call_site import CallStack, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Span:
     parent: int = field(default_factory=journal.task_id)
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0
-    source: Way | None = None
+    source: CallStack | None = None
     id: int = field(default_factory=_ids.__next__)
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
@@ -177,10 +177,10 @@ class Span:
             self._body = None
             _current.reset(self._token)
 
-    def _way(self) -> Way:
+    def _way(self) -> CallStack:
         """The way to where it was asked for; looked for before it is itself the current task."""
         if self.source is None:
-            self.source = way_here()
+            self.source = current_call_stack()
         return self.source
 
     def _say(self, phase: Task.Phase, status: Task.Status) -> None:
@@ -224,7 +224,7 @@ def current() -> Span | None:
     return _current.get()
 
 
-def way_here() -> Way:
+def current_call_stack() -> CallStack:
     """The way through the plan's code to the caller."""
     here = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
     task = _current.get()

@@ -24,7 +24,7 @@ _SIGHT: Final = 0.6  # m that a camera's frustum is drawn long
 _LINE: Final = 0.003  # m
 
 
-class Holds:
+class AttachmentMarks:
     """All attachments and cameras.
 
     Args:

@@ -43,7 +43,7 @@ class Kind(Enum):
     SERVE = "serve"
 
 
-class Word(Enum):
+class Status(Enum):
     """What a recording is told of its viewer."""
 
     ABSENT = "absent"
@@ -51,7 +51,7 @@ class Word(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class Target:
     """How a plan is to be watched.
 
     Attributes:
@@ -63,7 +63,7 @@ class Wish:
     url: str = ""
 
     @classmethod
-    def parse(cls, text: str) -> Wish:
+    def parse(cls, text: str) -> Target:
         """Reads a wish as users write it.
 
         Args:

@@ -5,9 +5,9 @@ recording (:mod:`recorder.viewer.sink`) sends a batch and goes on when the viewe
 that is left, and this process has a while of its own to hand that over, also if it was still loading the viewer's
 library by then. That and translating cost the plan nothing either, but for the core that they run on.
 
-On the socket between them, this side says ``Word.ABSENT`` perhaps, ``Word.READY`` when there is a viewer, and then how
-many records of each batch the viewer took; one that can't be shown is none of them. The other side sends batch after
-batch, lists of topics with payloads and of files, and an empty one at the end.
+On the socket between them, this side says ``Status.ABSENT`` perhaps, ``Status.READY`` when there is a viewer, and then
+how many records of each batch the viewer took; one that can't be shown is none of them. The other side sends batch
+after batch, lists of topics with payloads and of files, and an empty one at the end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.connection import LINGERING, Kind, ViewerGone, Wish, Word, answers
+from recorder.viewer.connection import LINGERING, Kind, Status, Target, ViewerGone, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,12 +47,12 @@ def main(arguments: list[str]) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
-    wish = Wish.parse(arguments[1])
+    target = Target.parse(arguments[1])
     absent = threading.Event()
     threading.Thread(target=_end_with_parent, args=[absent], name="parent", daemon=True).start()
     status = 0
     try:
-        _serve(_Batches(connection), wish, arguments[2], absent)
+        _serve(_Batches(connection), target, arguments[2], absent)
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
             print(f"recorder: {end}", file=sys.stderr)
@@ -97,13 +97,13 @@ class _Batches:
     def __iter__(self) -> Iterator[list[Item]]:
         return iter(self._queue.get, [])
 
-    def say(self, word: Word | int) -> None:
+    def say(self, word: Status | int) -> None:
         """Tells of the viewer, or how many records of a batch it has; if the recording still wants to know."""
         with contextlib.suppress(OSError):
             self._connection.send(word)
 
 
-def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -> None:
+def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
     # takes longer to load than a short plan, whose records are read meanwhile
     import rerun as rr  # noqa: PLC0415
 
@@ -112,16 +112,16 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
 
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
-    if wish.kind is Kind.SERVE:
+    if target.kind is Kind.SERVE:
         absent.set()  # pages end with the plan
         print(f"recorder: live at {serve_page(stream)}", file=sys.stderr, flush=True)
     else:
-        url = wish.url
-        if wish.kind is Kind.SPAWN:
+        url = target.url
+        if target.kind is Kind.SPAWN:
             url = open_window()
         elif not answers(url):
             absent.set()
-            batches.say(Word.ABSENT)
+            batches.say(Status.ABSENT)
             print(
                 f"recorder: no viewer at {url} yet; it can be started at any time: rerun", file=sys.stderr, flush=True
             )
@@ -131,7 +131,7 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
     translator = Translator(stream)
     showing = _Showing(stream, translator)
     showing.lay_out()
-    batches.say(Word.READY)
+    batches.say(Status.READY)
     for batch in batches:
         shown = showing.show(batch)
         showing.lay_out()
@@ -139,7 +139,7 @@ def _serve(batches: _Batches, wish: Wish, title: str, absent: threading.Event) -
         batches.say(shown)
     translator.finish()
     showing.lay_out()
-    if wish.kind is Kind.SERVE:
+    if target.kind is Kind.SERVE:
         batches.say(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all

@@ -10,14 +10,14 @@ from recorder.viewer.log_lines import Lines
 from recorder.viewer.query_view import Questions
 from recorder.viewer.tables import Tables
 from recorder.viewer.task_graph import Graph
-from recorder.viewer.timeline import Lanes
+from recorder.viewer.timeline import Timeline
 
 if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.viewer.columns import Columns, Moment
 
 
-class Report:
+class LogView:
     """All that is told.
 
     Args:
@@ -26,7 +26,7 @@ class Report:
 
     def __init__(self, columns: Columns) -> None:
         self._lines, self._tables = Lines(columns), Tables(columns)
-        self._lanes, self._graph = Lanes(columns), Graph(columns)
+        self._lanes, self._graph = Timeline(columns), Graph(columns)
         self._questions = Questions(columns)
 
     def show(self, record: Record, now: Moment) -> None:

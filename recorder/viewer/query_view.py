@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from recorder.records import told_failure
+from recorder.records import format_failure
 from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
 
 
 def _page(record: Query) -> str:
-    failed = f"raised {told_failure(record.failure)}" if record.HasField("failure") else ""
+    failed = f"raised {format_failure(record.failure)}" if record.HasField("failure") else ""
     lines = [
         f"## {record.name}({values(record.arguments)})",
         f"**{failed or by_name(record.answer_json)}**",

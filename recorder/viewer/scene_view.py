@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation, Query, Task
 from recorder.records.frames import FrameTree
-from recorder.viewer.attachments import Holds
+from recorder.viewer.attachments import AttachmentMarks
 from recorder.viewer.columns import Moment, simulated
 from recorder.viewer.plots import Plots
 from recorder.viewer.query_marks import Answers
@@ -28,7 +28,7 @@ _KEEPING: Final = "keyframe"
 _UNKNOWN: Final = "change"  # of another version
 
 
-class Stage:
+class SceneView:
     """All that is seen.
 
     Args:
@@ -44,7 +44,7 @@ class Stage:
         self._frames = FrameTree()
         self._scene = Scene(columns, self._frames, prefix)
         self._plots = Plots(columns)
-        self._holds, self._targets = Holds(columns, self._scene), Targets(columns, self._scene)
+        self._holds, self._targets = AttachmentMarks(columns, self._scene), Targets(columns, self._scene)
         self._answers = Answers(columns, self._scene)
         self.worlds: dict[str, Vector] = {}
         self.front = ""

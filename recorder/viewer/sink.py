@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.viewer.backlog import Backlog, is_passing
-from recorder.viewer.connection import LINGERING, Kind, Wish, Word
+from recorder.viewer.connection import LINGERING, Kind, Status, Target
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -65,7 +65,7 @@ class RerunSink:
     """
 
     def __init__(self, live: str, title: str) -> None:
-        self._wish = Wish.parse(live)
+        self._target = Target.parse(live)
         self._backlog = Backlog()
         self._records = 0
         self._taken = 0
@@ -100,9 +100,9 @@ class RerunSink:
         self._ended.set()
         self._backlog.close()
         now = time.monotonic()
-        settled = self._settled.wait(max(_AT_THE_END, self._started + _TO_START[self._wish.kind] - now))
+        settled = self._settled.wait(max(_AT_THE_END, self._started + _TO_START[self._target.kind] - now))
         behind = not settled and self._hand_over()
-        if self._wish.kind is Kind.SERVE and (behind or settled) and self._process.poll() is None:
+        if self._target.kind is Kind.SERVE and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process)
         elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
@@ -110,7 +110,7 @@ class RerunSink:
         self._connection.close()
         self.missed = self._records - self._taken
         if self.missed:
-            served = self._wish.kind is Kind.SERVE
+            served = self._target.kind is Kind.SERVE
             time_left = "the time that it is served" if served else f"{LINGERING:.0f} s"
             told = f"the viewer is {self.missed} of {self._records} records behind; it has {time_left} to take them"
             lost = f"the viewer missed {self.missed} of {self._records} records"
@@ -125,7 +125,7 @@ class RerunSink:
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
-        if self._wish.kind is Kind.SERVE:  # pages have all the time until this process ends
+        if self._target.kind is Kind.SERVE:  # pages have all the time until this process ends
             return self._process.poll() is None
         if self._process.stdin is not None:
             self._process.stdin.close()  # from now on its time runs
@@ -140,7 +140,7 @@ class RerunSink:
     def _run(self) -> None:
         """The thread's: one batch at a time."""
         try:
-            while self._connection.recv() is not Word.READY:
+            while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
             while sent := self._send():

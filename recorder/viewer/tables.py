@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pyarrow as pa
 import rerun as rr
 
-from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, told_failure
+from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, format_failure
 from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _MS: Final = 1e6
 
 
 def _failure(record: Task | Query | Run) -> str:
-    return told_failure(record.failure) if record.HasField("failure") else ""
+    return format_failure(record.failure) if record.HasField("failure") else ""
 
 
 def _status(record: Task) -> str:

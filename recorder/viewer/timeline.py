@@ -40,7 +40,7 @@ class _Running:
     since: Moment
 
 
-class Lanes:
+class Timeline:
     """All tasks.
 
     Args:

@@ -6,8 +6,8 @@ from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
 from recorder.viewer.columns import Columns, Moment, simulated
-from recorder.viewer.log_view import Report
-from recorder.viewer.scene_view import Stage
+from recorder.viewer.log_view import LogView
+from recorder.viewer.scene_view import SceneView
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -39,8 +39,8 @@ class Translator:
 
     def __init__(self, stream: rr.RecordingStream, root: str = "", half: Half = Half.SEEN | Half.TOLD) -> None:
         self._columns = Columns(stream, root)
-        self._stage = Stage(self._columns, f"{root}/" if root else "")
-        report = Report(self._columns)
+        self._stage = SceneView(self._columns, f"{root}/" if root else "")
+        report = LogView(self._columns)
         self._shows = [part.show for wanted, part in ((Half.TOLD, report), (Half.SEEN, self._stage)) if wanted in half]
         self._sim = 0  # ns, of the world that something happened in last
         self._waiting = 0  # records

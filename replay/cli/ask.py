@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.console import results_only, tell, tell_json
+from replay.cli.console import print_json, results_only, tell
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 
@@ -48,7 +48,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         else:
             found = ask(log, options.step, options.question, world=options.world, moves=moves)
     if options.json:
-        tell_json(_plain(found))
+        print_json(_plain(found))
         return 0
     tell(f"{found.question}: {_told(found.answer)}")
     for line in _lines(found.evidence, "  "):

@@ -8,11 +8,11 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Keyframe
-from replay.cli.console import tell, tell_json
+from replay.cli.console import print_json, tell
 from replay.explain import wording
 from replay.explain.blame import blame, commanded
 from replay.explain.step_names import HINT
-from replay.state.json_data import plain_record
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     import argparse
@@ -40,7 +40,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints who did it."""
     found = blame(log, options.object, options.at, options.world)
     if options.json:
-        tell_json(facts(found))
+        print_json(facts(found))
     else:
         tell("\n".join(lines(found)))
     return 0
@@ -63,7 +63,7 @@ def facts(found: Blame) -> dict[str, object]:
         "after": found.after,
         "distance": found.distance if math.isfinite(found.distance) else None,
         "angle": found.angle,
-        "record": plain_record(found.record),
+        "record": record_data(found.record),
         "causes": _causes(found.causes),
         "carried": [
             {

@@ -48,7 +48,7 @@ def tell(text: str, *, end: str = "\n", flush: bool = False) -> None:
     print(visible(text), end=end, flush=flush)
 
 
-def tell_json(value: object, *, flush: bool = False) -> None:
+def print_json(value: object, *, flush: bool = False) -> None:
     """Prints a result for machines, as a line of JSON.
 
     Args:

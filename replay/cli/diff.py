@@ -7,14 +7,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import remark, tell, tell_json
+from replay.cli.console import print_json, remark, tell
 from replay.errors import ReplayError
 from replay.explain import wording
 from replay.explain.compare import compare
 from replay.explain.step_names import HINT
 from replay.recording import open_recording
 from replay.state.diff import difference
-from replay.state.json_data import plain_record
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,7 +54,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if options.second is not None:
         found = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
-            tell_json(facts(found))
+            print_json(facts(found))
         else:
             tell("\n".join(lines(found, whole=options.all)))
         return _FINE
@@ -64,7 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         compared = compare(log, other, options.tolerance)
         missing = other.missing  # read to its end
     if options.json:
-        tell_json(_run_facts(compared))
+        print_json(_run_facts(compared))
     else:
         tell("\n".join(_run_lines(compared, whole=options.all)))
     if missing:
@@ -193,8 +193,8 @@ def _run_facts(compared: Comparison) -> dict[str, object]:
         "alike": compared.alike,
         "parting": parting
         and {
-            "first": parting.first and plain_record(parting.first),
-            "second": parting.second and plain_record(parting.second),
+            "first": parting.first and record_data(parting.first),
+            "second": parting.second and record_data(parting.second),
             "task": parting.task,
             "fields": parting.fields,
         },

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from replay.cli.console import tell, tell_json
+from replay.cli.console import print_json, tell
 from replay.explain.summary import summary
 from replay.explain.wording import one_line
 from replay.file.lifetimes import title
@@ -29,7 +29,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     facts = summary(log)
     if options.json:
         told = dataclasses.asdict(facts) | {"file": str(log.path), "started": facts.started.isoformat()}
-        tell_json(told)
+        print_json(told)
     else:
         tell("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
     return 0
@@ -55,7 +55,7 @@ def _lines(log: Recording, facts: Summary) -> list[tuple[str, str]]:
 
 
 def _worlds(facts: Summary) -> str:
-    told = [f"{title(each.world, each.life)}: {each.seconds:.3f} s simulated" for each in facts.worlds[:_FEW]]
+    told = [f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s simulated" for each in facts.worlds[:_FEW]]
     if len(facts.worlds) > _FEW:
         told.append(f"{len(facts.worlds) - _FEW} more")
     return ", ".join(told)

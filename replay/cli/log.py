@@ -6,11 +6,11 @@ import threading
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.console import remark, tell, tell_json
+from replay.cli.console import print_json, remark, tell
 from replay.explain.search import Filter, Search
 from replay.explain.step_names import HINT
 from replay.file.chunks import KINDS
-from replay.state.json_data import kind_of, plain_record
+from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
     import argparse
@@ -42,7 +42,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     found = follow(log, search, start) if options.follow else search.matches(start, stop)
     for record, line in found:
         if options.json:
-            tell_json(plain_record(record) | {"text": line}, flush=options.follow)
+            print_json(record_data(record) | {"text": line}, flush=options.follow)
         else:
             clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
             tell(f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}", flush=options.follow)
@@ -51,8 +51,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def _world(log: Recording, record: Record) -> str:
     """Which world a record is about, where there is more than one."""
-    life = log.life_at(record.world, record.seq) if record.world and len(log.lives) > 1 else None
-    return f"{life.title}: " if life is not None else ""
+    lifetime = log.lifetime_at(record.world, record.seq) if record.world and len(log.lifetimes) > 1 else None
+    return f"{lifetime.title}: " if lifetime is not None else ""
 
 
 def follow(

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.console import results_only, tell, tell_json
+from replay.cli.console import print_json, results_only, tell
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 
@@ -51,7 +51,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{file}: can't be written: {error}") from error
     if options.json:
         told = {"step": step, "file": str(file), "width": picture.width, "height": picture.height}
-        tell_json(told)
+        print_json(told)
     else:
         tell(str(file))
     sys.stdout.flush()

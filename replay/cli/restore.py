@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.console import remark, results_only, tell_json, visible
+from replay.cli.console import print_json, remark, results_only, visible
 from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
@@ -65,7 +65,7 @@ def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, opti
         with results_only():
             return run_script(script, given)
     if options.json:
-        tell_json(_plain(step, world, exact=options.exact))
+        print_json(_plain(step, world, exact=options.exact))
     elif options.gui and not options.shell:
         remark(f"{world.name}: close the window, or press Ctrl-C, to end")
         watch(world)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.console import tell, tell_json
+from replay.cli.console import print_json, tell
 from replay.explain import wording
 from replay.explain.step_names import HINT
-from replay.state.json_data import kind_of, plain_record
+from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
     import argparse
@@ -28,9 +28,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the record."""
     record = log[log.step(options.step)]
-    told = plain_record(record)
+    told = record_data(record)
     if options.json:
-        tell_json(told)
+        print_json(told)
         return 0
     tell(f"step {record.seq}: {kind_of(record)}: {wording.line(record)}")
     told.pop("step")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from replay.cli.console import remark, tell, tell_json
+from replay.cli.console import print_json, remark, tell
 from replay.explain.step_names import HINT
-from replay.state.json_data import plain_state
+from replay.state.json_data import state_data
 
 if TYPE_CHECKING:
     import argparse
@@ -32,9 +32,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         state.world(options.world)
     if state.doubt:
         remark(state.doubt)
-    told = plain_state(state, options.object, options.world)
+    told = state_data(state, options.object, options.world)
     if options.json:
-        tell_json(told)
+        print_json(told)
         return 0
     tell(f"after step {state.step}")
     for world in state.worlds.values():

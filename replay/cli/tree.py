@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from recorder.tasks.picture import dot, svg
 from recorder.tasks.text import facts, lines
-from replay.cli.console import tell, tell_json
+from replay.cli.console import print_json, tell
 from replay.explain.step_names import HINT
 from replay.explain.tree import tree
 
@@ -31,7 +31,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:
-        tell_json(facts(found, options.depth))
+        print_json(facts(found, options.depth))
     elif options.dot:
         tell(dot(found), end="")
     elif options.svg:

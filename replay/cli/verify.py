@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import results_only, tell, tell_json
+from replay.cli.console import print_json, results_only, tell
 from replay.cli.main import FAILED, FINE
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         verdict = verify(log, progress)
     seconds = time.perf_counter() - start
     if options.json:
-        tell_json(_plain(verdict, seconds))
+        print_json(_plain(verdict, seconds))
     else:
         for line in _lines(verdict, seconds):
             tell(line)

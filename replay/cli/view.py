@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.console import remark, results_only, tell, tell_json
+from replay.cli.console import print_json, remark, results_only, tell
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 from replay.recording import open_recording
@@ -38,17 +38,17 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     with ExitStack() as opened, results_only():
         logs = [log, *([opened.enter_context(open_recording(options.other))] if options.other else [])]
         if options.web:
-            return _serve(logs, json_wanted=options.json)
+            return _serve(logs, wants_json=options.json)
         told = _open(logs, step, options)
     if options.json:
-        tell_json(told)
+        print_json(told)
     else:
         tell(str(told["file"]))
     return 0
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view.rrd import aside, cached, check, convert, show  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view.rrd import cached, check, convert, show, unrecorded  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
     if options.save is not None:
@@ -60,7 +60,7 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
         file = cached(logs[0], step)
     else:
         names = "_".join(log.path.stem for log in logs)
-        file = aside(f"{names}.rrd")
+        file = unrecorded(f"{names}.rrd")
         convert(logs, file, step)
     told: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
@@ -68,7 +68,7 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
     return told
 
 
-def _serve(logs: Sequence[Recording], *, json_wanted: bool) -> int:
+def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
     from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
     from replay.view.rrd import translate  # noqa: PLC0415
 
@@ -76,8 +76,8 @@ def _serve(logs: Sequence[Recording], *, json_wanted: bool) -> int:
         page = serve_page(stream)
         translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
         stream.flush()
-        if json_wanted:
-            tell_json({"page": page}, flush=True)
+        if wants_json:
+            print_json({"page": page}, flush=True)
         else:
             tell(page, flush=True)
         remark("shown in the browser until Ctrl-C")

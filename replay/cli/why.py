@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.records import told_error
-from replay.cli.console import remark, results_only, tell, tell_json
+from recorder.records import format_error
+from replay.cli.console import print_json, remark, results_only, tell
 from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.why_json import facts
 from replay.cli.why_text import lines
@@ -35,7 +35,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     found = why(log, options.step)
     code, pictures = _pictures(log, found, options.pictures)
     if options.json:
-        tell_json(facts(found) | {"pictures": pictures})
+        print_json(facts(found) | {"pictures": pictures})
     else:
         tell("\n".join(lines(found, str(log.path))))
         if pictures:
@@ -54,5 +54,5 @@ def _pictures(log: Recording, found: Why, folder: str | None) -> tuple[int, list
         with results_only():
             return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
-        remark(f"no pictures: {told_error(error)}")
+        remark(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

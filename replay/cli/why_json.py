@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.cli import diff
-from replay.state.json_data import plain_record
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from replay.explain.explanation import Since, Why
@@ -52,9 +52,9 @@ def facts(found: Why) -> dict[str, object]:
             for each in found.tries
         ],
         "others": found.others,
-        "threads": [plain_record(each) for each in found.threads],
+        "threads": [record_data(each) for each in found.threads],
         "asked": [
-            plain_record(asked.query)
+            record_data(asked.query)
             | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
             for asked in found.asked
         ],

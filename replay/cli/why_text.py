@@ -7,7 +7,7 @@ import math
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import told_failure
+from recorder.records import format_failure
 from replay.cli import diff
 from replay.cli.why_advice import asked_again, commands
 from replay.explain import wording
@@ -74,7 +74,7 @@ def _headline(found: Why) -> Iterator[str]:
 
 def _though(found: Why) -> str:
     if found.thread and found.failure is not None:
-        return f", though its thread {found.thread} failed: {wording.one_line(told_failure(found.failure))}"
+        return f", though its thread {found.thread} failed: {wording.one_line(format_failure(found.failure))}"
     return ", though something failed on its way." if found.failure is not None else "."
 
 
@@ -138,14 +138,14 @@ def _line(line: Line) -> Iterator[str]:
 def _what(found: Why) -> Iterator[str]:
     yield from _tasks(found)
     for each in found.threads:
-        yield f"also failed: thread {each.thread}, at step {each.seq}: {wording.one_line(told_failure(each.failure))}"
+        yield f"also failed: thread {each.thread}, at step {each.seq}: {wording.one_line(format_failure(each.failure))}"
 
 
 def _tasks(found: Why) -> Iterator[str]:
     if found.task is None:
         if found.failure is not None:
             yield f"no task: the plan's own code raised{f', in thread {found.thread}' if found.thread else ''}"
-            yield from (f"  {line}" for line in told_failure(found.failure).splitlines())
+            yield from (f"  {line}" for line in format_failure(found.failure).splitlines())
         return
     path = list(found.task.around())
     path.reverse()
@@ -157,7 +157,7 @@ def _tasks(found: Why) -> Iterator[str]:
             state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
         yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.end}, {state}]"
     if found.task.failure is not None:
-        yield from (f"{'  ' * len(path)}{line}" for line in told_failure(found.task.failure).splitlines())
+        yield from (f"{'  ' * len(path)}{line}" for line in format_failure(found.task.failure).splitlines())
     told = {each.task for each in found.tries}  # in a section of their own
     siblings = [
         part
@@ -171,7 +171,7 @@ def _tasks(found: Why) -> Iterator[str]:
 def _in_world(found: Why) -> str:
     """Which world it is, where that isn't plain."""
     world = found.world
-    return f" in {world.title}" if world is not None and not (found.is_default and world.life == 1) else ""
+    return f" in {world.title}" if world is not None and not (found.is_default and world.lifetime == 1) else ""
 
 
 def _things(found: Why) -> Iterator[str]:

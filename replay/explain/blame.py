@@ -123,21 +123,21 @@ def _removal(log: Log, state: State, target: str, world: str | None, missing: No
     Raises:
         NoSuchName: there is none; it says so if the body was in a world that had been closed by then.
     """
-    opened = {name: log.life_at(name, state.step) for name, place in state.worlds.items() if place.open}
-    meant = {name: life for name, life in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lives) > len(opened)  # where none is open, the error tells that itself
+    opened = {name: log.lifetime_at(name, state.step) for name, place in state.worlds.items() if place.open}
+    meant = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error tells that itself
     found, error = [], missing
     for body in _bodies(target) if meant or some_closed else ():
         for record in log.backwards(state.step, Mutation, naming=body):
-            life = log.life_at(record.world, record.seq)
-            if not isinstance(record, Mutation) or life is None:
+            lifetime = log.lifetime_at(record.world, record.seq)
+            if not isinstance(record, Mutation) or lifetime is None:
                 continue
-            if body in record.effect.removed and life == meant.get(record.world):
+            if body in record.effect.removed and lifetime == meant.get(record.world):
                 found.append(record)
                 break
-            told = some_closed and error is missing and life != opened.get(record.world)
+            told = some_closed and error is missing and lifetime != opened.get(record.world)
             if told and any(one.body == body for one in record.effect.bodies[:]):
-                hint = f"it was in {life.title}, which was closed later: --at {record.seq}, or an earlier step"
+                hint = f"it was in {lifetime.title}, which was closed later: --at {record.seq}, or an earlier step"
                 error = NoSuchName("object", body, missing.known, hint)
     if not found:
         raise error from None
@@ -241,12 +241,12 @@ class _Search:
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
         """Records that changed it, the last one first, down to its loading or the first record that knows it."""
-        life = self._log.life_at(self._world, step)
-        if life is None:
+        lifetime = self._log.lifetime_at(self._world, step)
+        if lifetime is None:
             return
-        start = life.start
+        start = lifetime.start
         for record in self._log.backwards(step, Mutation, naming=self._body):
-            if not life.has(record.seq):  # what was before is another world's
+            if not lifetime.has(record.seq):  # what was before is another world's
                 break
             if not isinstance(record, Mutation) or record.world != self._world:
                 continue
@@ -258,7 +258,7 @@ class _Search:
                 return
             if self._is_change(record):
                 yield record
-        for frame in self._log.records_of(life, Keyframe, life.keyframes):
+        for frame in self._log.records_of(lifetime, Keyframe, lifetime.keyframes):
             if frame.seq >= start and isinstance(frame, Keyframe) and self._is_in(frame):
                 yield frame
                 return

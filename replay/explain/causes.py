@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Mutation, Task
 from replay.explain.source import Source
-from replay.state.json_data import plain_arguments
+from replay.state.json_data import arguments_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -52,7 +52,7 @@ class Cause:
             started.task,
             started.kind,
             started.name,
-            plain_arguments(started.parameters),
+            arguments_data(started.parameters),
             started.seq,
             source.line(started.source_file, started.source_line),
             source.callers(started),

@@ -16,7 +16,7 @@ from replay.explain.causes import causes
 from replay.explain.summary import Summary, final_of, summary
 from replay.state.diff import Difference, difference
 from replay.state.fold import state_at
-from replay.state.json_data import kind_of, plain_record
+from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -164,7 +164,7 @@ def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str
     a, b = _bare(first), _bare(second)
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
         return {}  # the bytes tell -0.0 from 0.0
-    return dict(_leaves(plain_record(a), plain_record(b), "", tolerance))
+    return dict(_leaves(record_data(a), record_data(b), "", tolerance))
 
 
 def _bare(record: Record) -> Record:

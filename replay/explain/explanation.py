@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from recorder.records import Failure, Query, Run
     from replay.explain.failed_tasks import Attempt
-    from replay.explain.parsed_traceback import Raised
+    from replay.explain.parsed_traceback import ParsedException
     from replay.explain.source import Line
     from replay.explain.summary import Summary
     from replay.state.diff import Difference
@@ -116,7 +116,7 @@ class Why:
     step: int
     failure: Failure | None
     thread: str = ""
-    raised: tuple[Raised, ...] = ()
+    raised: tuple[ParsedException, ...] = ()
     task: Attempt | None = None
     way: tuple[Line, ...] = ()
     world: World | None = None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Task
 from recorder.tasks import is_dealt_with
-from replay.state.json_data import plain_arguments
+from replay.state.json_data import arguments_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -57,7 +57,7 @@ class Attempt:
     @property
     def parameters(self) -> dict[str, Plain]:
         """What it was given."""
-        return plain_arguments(self.started.parameters)
+        return arguments_data(self.started.parameters)
 
     @property
     def outermost(self) -> Attempt:

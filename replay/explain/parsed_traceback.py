@@ -29,7 +29,7 @@ _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|si
 
 
 @dataclass(frozen=True, slots=True)
-class Raised:
+class ParsedException:
     """One exception.
 
     Attributes:
@@ -43,7 +43,7 @@ class Raised:
     lines: tuple[Line, ...]
 
 
-def raised(traceback: str, source: Source) -> list[Raised]:
+def raised(traceback: str, source: Source) -> list[ParsedException]:
     """The exceptions in a traceback, causes first.
 
     Args:
@@ -56,14 +56,14 @@ def raised(traceback: str, source: Source) -> list[Raised]:
     return [_raised(part, source, roots) for part in parts if part.strip()]
 
 
-def _raised(part: str, source: Source, roots: tuple[str, ...]) -> Raised:
+def _raised(part: str, source: Source, roots: tuple[str, ...]) -> ParsedException:
     lines = part.splitlines()
     start = next((at for at, text in enumerate(lines) if _START.match(text)), -1)
     end = start + 1
     while end < len(lines) and (lines[end][:1] in (" ", "\t") or not lines[end].strip()):
         end += 1
     title = _TITLE.match("\n".join(lines[end:]).strip())
-    return Raised(
+    return ParsedException(
         title["type"] if title else "",
         (title["message"] or "") if title else "\n".join(lines[end:]).strip(),
         tuple(_lines(lines[:end], source, roots)),

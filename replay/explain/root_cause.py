@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from recorder.records import Run
 from recorder.tasks import decisive
 from replay.explain.failed_tasks import failures
-from replay.explain.parsed_traceback import Raised, raised
+from replay.explain.parsed_traceback import ParsedException, raised
 from replay.explain.source import Source
 from replay.explain.summary import failed_threads, final_of
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Breakdown:
+class RootCause:
     """Where a plan broke.
 
     Attributes:
@@ -42,10 +42,10 @@ class Breakdown:
     task: Attempt | None
     failure: Failure | None = None
     thread: str = ""
-    chain: tuple[Raised, ...] = ()
+    chain: tuple[ParsedException, ...] = ()
 
 
-def breakdown(log: Log, found: Failures | None = None) -> Breakdown | None:
+def root_cause(log: Log, found: Failures | None = None) -> RootCause | None:
     """Where a recording's plan broke; None if nothing failed.
 
     Args:
@@ -56,15 +56,15 @@ def breakdown(log: Log, found: Failures | None = None) -> Breakdown | None:
     end = uncaught(log)
     if end is None:
         task = decisive(failed.origins)
-        return Breakdown(task.end, task) if task is not None else None
+        return RootCause(task.end, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     chain = _chain(end.failure, Source(log))
     earlier = [task for task in failed.origins if task.end < end.seq]  # the plan may go on, and fail alike
     began = _began(earlier, chain)
     if began is None:
-        return Breakdown(end.seq if thread else final_of(log), None, end.failure, thread, chain)
+        return RootCause(end.seq if thread else final_of(log), None, end.failure, thread, chain)
     task, first = began
-    return Breakdown(task.end, task, end.failure, thread, chain[first:])
+    return RootCause(task.end, task, end.failure, thread, chain[first:])
 
 
 def uncaught(log: Log) -> Run | None:
@@ -79,14 +79,14 @@ def uncaught(log: Log) -> Run | None:
     return next(reversed(failed_threads(log)), None)
 
 
-def _chain(failure: Failure, source: Source) -> tuple[Raised, ...]:
+def _chain(failure: Failure, source: Source) -> tuple[ParsedException, ...]:
     """The exceptions, causes first; the last one is the failure itself, whose words the record has."""
     chain = raised(failure.traceback, source)
-    last = chain.pop() if chain else Raised("", "", ())
-    return (*chain, Raised(failure.type, failure.message, last.lines))
+    last = chain.pop() if chain else ParsedException("", "", ())
+    return (*chain, ParsedException(failure.type, failure.message, last.lines))
 
 
-def _began(origins: Sequence[Attempt], chain: Sequence[Raised]) -> tuple[Attempt, int] | None:
+def _began(origins: Sequence[Attempt], chain: Sequence[ParsedException]) -> tuple[Attempt, int] | None:
     """The task that raised the failure, or else the nearest cause of it that a task raised; and which cause it is.
 
     What was raised before that had been dealt with, even if Python goes on telling it. Of all that failed in a block it

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from replay.errors import NoSuchStep
-from replay.explain.root_cause import breakdown
+from replay.explain.root_cause import root_cause
 from replay.explain.summary import closes
 
 if TYPE_CHECKING:
-    from replay.file.lifetimes import Life
+    from replay.file.lifetimes import Lifetime
     from replay.file.log import Log
 
 HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
@@ -52,7 +52,7 @@ def step_of(log: Log, name: int | str) -> int:
 
 
 def _failure(log: Log) -> int:
-    broken = breakdown(log)
+    broken = root_cause(log)
     if broken is None:
         raise NoSuchStep("failure", len(log), "nothing failed")
     return broken.step
@@ -119,32 +119,32 @@ def _which_are(log: Log, path: str, count: int) -> str:
 
 
 def _at_time(log: Log, seconds: float, text: str) -> int:
-    if not math.isfinite(seconds) or seconds < 0 or not log.lives:
+    if not math.isfinite(seconds) or seconds < 0 or not log.lifetimes:
         raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
     limit = seconds * STEPS_PER_SECOND
     ends = {}
-    for life in log.lives:
-        end = log.end_of(life)
+    for lifetime in log.lifetimes:
+        end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
-            return max(0, _passing(log, life, limit) - 1)
+            return max(0, _passing(log, lifetime, limit) - 1)
         if end is not None and end.sim_step == limit:  # to the end of it, but a world that is closed shows nothing
-            return end.seq - 1 if closes(end) else (life.stop or len(log)) - 1
-        ends[life.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
+            return end.seq - 1 if closes(end) else (lifetime.stop or len(log)) - 1
+        ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
     raise NoSuchStep(text, len(log), f"no world got so far; the clock of {longest} ends at {ends[longest]:.3f}s")
 
 
-def _passing(log: Log, life: Life, limit: float) -> int:
+def _passing(log: Log, lifetime: Lifetime, limit: float) -> int:
     """The first step at which a world's clock is past a moment that it does pass."""
 
     def passes(at: int) -> int | None:
         """The first such step in a chunk."""
-        for record in log.records_of(life, (Mutation, Keyframe), [life.changes[at]]):
+        for record in log.records_of(lifetime, (Mutation, Keyframe), [lifetime.changes[at]]):
             if record.sim_step > limit:
                 return record.seq
         return None
 
-    low, high = 0, len(life.changes) - 1  # its clock never goes back: the first such chunk is found by halving
+    low, high = 0, len(lifetime.changes) - 1  # its clock never goes back: the first such chunk is found by halving
     while low < high:
         middle = (low + high) // 2
         if passes(middle) is None:

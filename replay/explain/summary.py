@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Run, told_failure
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Run, format_failure
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from recorder.records import Record
-    from replay.file.lifetimes import Life
+    from replay.file.lifetimes import Lifetime
     from replay.file.log import Log
 
 #: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
@@ -31,7 +31,7 @@ class Simulated:
     """
 
     world: str
-    life: int
+    lifetime: int
     seconds: float
 
 
@@ -72,9 +72,9 @@ class Summary:
     metadata: Mapping[str, str]
 
 
-def _simulated(log: Log, life: Life) -> Simulated:
-    end = log.end_of(life)
-    return Simulated(life.world, life.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
+def _simulated(log: Log, lifetime: Lifetime) -> Simulated:
+    end = log.end_of(lifetime)
+    return Simulated(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
 
 
 def summary(log: Log) -> Summary:
@@ -95,10 +95,10 @@ def summary(log: Log) -> Summary:
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc),
         seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
-        worlds=tuple(_simulated(log, life) for life in log.lives),
+        worlds=tuple(_simulated(log, lifetime) for lifetime in log.lifetimes),
         outcome=outcome,
-        failure=told_failure(end.failure) if end is not None and end.HasField("failure") else "",
-        threads=tuple((record.thread, told_failure(record.failure)) for record in failed_threads(log)),
+        failure=format_failure(end.failure) if end is not None and end.HasField("failure") else "",
+        threads=tuple((record.thread, format_failure(record.failure)) for record in failed_threads(log)),
         records=len(log),
         counts=log.counts(),
         attachments=len(log.assets),

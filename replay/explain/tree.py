@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Task
 from recorder.tasks import Node, State, Tree
-from replay.explain.root_cause import breakdown, uncaught
+from replay.explain.root_cause import root_cause, uncaught
 
 if TYPE_CHECKING:
     from replay.file.log import Log
@@ -26,6 +26,6 @@ def tree(log: Log, stop: int | None = None) -> Tree:
         if isinstance(record, Task):
             found.apply(record)
     if stop is None and uncaught(log) is not None:
-        broken = breakdown(log)  # what the plan failed with tells more than its tasks do
+        broken = root_cause(log)  # what the plan failed with tells more than its tasks do
         found.began = broken.task.started.task if broken is not None and broken.task is not None else 0
     return found

@@ -14,19 +14,19 @@ from recorder.records import Query
 from replay.errors import NoSuchStep
 from replay.explain.explanation import Asked, Since, Thing, Try, Why, heading
 from replay.explain.failed_tasks import failures
-from replay.explain.root_cause import breakdown
+from replay.explain.root_cause import root_cause
 from replay.explain.source import Source
 from replay.explain.step_names import step_of
 from replay.explain.summary import failed_threads, final_of, summary
 from replay.state.diff import difference
 from replay.state.fold import state_at
-from replay.state.json_data import mentions, plain_arguments
+from replay.state.json_data import arguments_data, mentions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from replay.explain.failed_tasks import Attempt, Failures
-    from replay.explain.root_cause import Breakdown
+    from replay.explain.root_cause import RootCause
     from replay.explain.summary import Summary
     from replay.file.log import Log
     from replay.state.json_data import Plain
@@ -43,7 +43,7 @@ def why(log: Log, step: int | str | None = None) -> Why:
     Args:
         log: the recording.
         step: one of a task that failed, or the first after it did; by default that of
-            :func:`replay.explain.root_cause.breakdown`.
+            :func:`replay.explain.root_cause.root_cause`.
 
     Raises:
         NoSuchStep: there is no such step, or nothing failed until then.
@@ -52,7 +52,7 @@ def why(log: Log, step: int | str | None = None) -> Why:
     run = summary(log)
     if step is not None:
         return _of_task(log, run, _chosen(log, found, step_of(log, step)))
-    broken = breakdown(log, found)
+    broken = root_cause(log, found)
     running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
     if broken is None:
         return Why(run, final_of(log), None, running=running)
@@ -76,7 +76,7 @@ def _chosen(log: Log, found: Failures, step: int) -> Attempt:
 
 
 def _of_task(
-    log: Log, run: Summary, task: Attempt, broken: Breakdown | None = None, running: tuple[Attempt, ...] = ()
+    log: Log, run: Summary, task: Attempt, broken: RootCause | None = None, running: tuple[Attempt, ...] = ()
 ) -> Why:
     source, motion = Source(log), task.motion
     began, ended = motion.started.seq, task.end
@@ -113,13 +113,13 @@ def _of_task(
     )
 
 
-def _of_plan(log: Log, run: Summary, found: Failures, broken: Breakdown) -> Why:
+def _of_plan(log: Log, run: Summary, found: Failures, broken: RootCause) -> Why:
     """Of a failure that the plan's own code raised, not a task."""
     state = state_at(log, broken.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
     asked, earlier = _asked(log, window, broken.step if broken.thread else len(log), (), ())
-    objects = list(dict.fromkeys(each for query in asked for each in _objects(plain_arguments(query.arguments))))
+    objects = list(dict.fromkeys(each for query in asked for each in _objects(arguments_data(query.arguments))))
     world = _world(state, objects, asked)
     return Why(
         run,
@@ -147,7 +147,11 @@ def _is_alike(log: Log, task: Attempt, wanted: Attempt, objects: Iterable[tuple[
     told = set(_objects(task.parameters))
     now, then = wanted.started.seq, task.started.seq
     common = told.intersection(objects)
-    return not objects or not told or any(log.life_at(world, now) == log.life_at(world, then) for _, world in common)
+    return (
+        not objects
+        or not told
+        or any(log.lifetime_at(world, now) == log.lifetime_at(world, then) for _, world in common)
+    )
 
 
 def _ids(task: Attempt) -> set[int]:
@@ -202,7 +206,7 @@ def _with_changes(log: Log, query: Query, world: World | None) -> Asked:
     if then.title != world.title:
         return Asked(query, world=then.title)
     moved, gone = [], []
-    for name, _ in dict.fromkeys(_objects(plain_arguments(query.arguments))):
+    for name, _ in dict.fromkeys(_objects(arguments_data(query.arguments))):
         before, after = then.bodies.get(name), world.bodies.get(name)
         if before is None:
             continue
@@ -247,7 +251,7 @@ def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
 
 def _named(world: World | None, task: Attempt) -> Iterator[str]:
     """The bodies that a failure names in its data."""
-    data = plain_arguments(task.failure.data) if task.failure is not None else {}
+    data = arguments_data(task.failure.data) if task.failure is not None else {}
     for value in data.values():
         for name in value if isinstance(value, list) else [value]:
             body = world.bodies.get(name) if world is not None and isinstance(name, str) else None

@@ -8,9 +8,9 @@ from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Event, Query, Task, told_failure
+from recorder.records import STEPS_PER_SECOND, Event, Query, Task, format_failure
 from recorder.records.text import text_of
-from replay.state.json_data import plain_arguments, plain_json
+from replay.state.json_data import arguments_data, to_plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -205,12 +205,12 @@ def line(record: Record) -> str:
         record: any.
     """
     if isinstance(record, Task) and record.phase == Task.STARTED:
-        return f"{record.kind} {call(record.name, plain_arguments(record.parameters))}"
+        return f"{record.kind} {call(record.name, arguments_data(record.parameters))}"
     if isinstance(record, Query):
         told = reasons(record)
         return f"{question(record)}: {answer(record)}" + (f"; {told}" if told else "")
     if isinstance(record, Event):
-        told = f"event {call(record.name, plain_arguments(record.arguments))}"
+        told = f"event {call(record.name, arguments_data(record.arguments))}"
         return f"{told}, {len(record.handlers)} handlers" if record.handlers else told
     return "; ".join(text_of(record)[0].splitlines())
 
@@ -224,7 +224,7 @@ def question(query: Query) -> str:
     Args:
         query: its record.
     """
-    return call(query.name, plain_arguments(query.arguments))
+    return call(query.name, arguments_data(query.arguments))
 
 
 def answer(query: Query) -> str:
@@ -234,8 +234,8 @@ def answer(query: Query) -> str:
         query: its record.
     """
     if query.HasField("failure"):
-        return told_failure(query.failure)
-    told = plain_json(query.answer_json)
+        return format_failure(query.failure)
+    told = to_plain(query.answer_json)
     if isinstance(told, bool):
         return "yes" if told else "no"
     if isinstance(told, list):
@@ -249,7 +249,7 @@ def reasons(query: Query) -> str:
     Args:
         query: its record.
     """
-    evidence = plain_arguments(query.evidence)
+    evidence = arguments_data(query.evidence)
     found: list[str] = []
     for key, item in evidence.items():
         if key in _PHRASES:

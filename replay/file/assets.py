@@ -39,7 +39,7 @@ class Assets(Mapping[str, bytes]):
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.hurt: dict[str, str] = {}
+        self.damaged: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> bytes:
         """The content of a file.
@@ -60,7 +60,7 @@ class Assets(Mapping[str, bytes]):
         return data
 
     def _damaged(self, name: str, cause: str) -> Damaged:
-        self.hurt[name] = cause
+        self.damaged[name] = cause
         return Damaged(self._path, f"the attached file {name}", cause)
 
     def __iter__(self) -> Iterator[str]:

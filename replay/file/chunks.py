@@ -60,7 +60,7 @@ class Chunks:
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of chunks, as far as they were looked at
         self._numbers: list[int] = []  # of these chunks, in order
         self._firsts: list[int] = []  # their first steps
-        self.hurt: dict[int, str] = {}
+        self.damaged: dict[int, str] = {}
         self.refresh(0)
 
     def __len__(self) -> int:
@@ -76,7 +76,7 @@ class Chunks:
         Args:
             number: of the first chunk that may have become another.
         """
-        for known in (self._cache, self._spans, self.hurt):
+        for known in (self._cache, self._spans, self.damaged):
             for stale in [other for other in known if other >= number]:
                 del known[stale]
         self._numbers = sorted(self._spans)
@@ -166,7 +166,7 @@ class Chunks:
                     yield record, self._owners[channel]
 
     def check(self, number: int) -> None:
-        """Reads and decodes a whole chunk, and notes in ``hurt`` what is wrong with it."""
+        """Reads and decodes a whole chunk, and notes in ``damaged`` what is wrong with it."""
         for _ in self.records(number):
             pass
 
@@ -243,7 +243,7 @@ class Chunks:
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
-            self.hurt.setdefault(number, str(error) or type(error).__name__)
+            self.damaged.setdefault(number, str(error) or type(error).__name__)
         self._cache[number] = entries
         if len(self._cache) > _CACHED:
             self._cache.popitem(last=False)
@@ -266,7 +266,7 @@ class Chunks:
             try:
                 entries.decoded[at] = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
             except DecodeError as error:
-                self.hurt.setdefault(number, str(error))
+                self.damaged.setdefault(number, str(error))
                 entries.decoded[at] = None
         return entries.decoded[at]
 
@@ -287,5 +287,5 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
     """Which world a channel is for, and which one of that name; None if it doesn't say so."""
-    life = metadata.get("life", "")
-    return (metadata["world"], int(life)) if "world" in metadata and life.isdecimal() else None
+    lifetime = metadata.get("life", "")
+    return (metadata["world"], int(lifetime)) if "world" in metadata and lifetime.isdecimal() else None

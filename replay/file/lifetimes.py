@@ -22,7 +22,7 @@ _Mark: TypeAlias = "tuple[type[Record], Owner]"  # what sort of record a chunk h
 
 
 @dataclass(frozen=True, slots=True)
-class Life:
+class Lifetime:
     """A world from its opening to its end.
 
     Attributes:
@@ -68,7 +68,7 @@ def title(world: str, number: int) -> str:
     return f"{world} ({number}{ending} of that name)"
 
 
-def lives_of(chunks: Chunks) -> tuple[Life, ...]:
+def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
     """The lives of all worlds, in the order of their opening.
 
     Args:
@@ -76,12 +76,12 @@ def lives_of(chunks: Chunks) -> tuple[Life, ...]:
     """
     found = _found(chunks)
     starts = _starts(chunks, found)
-    lives = []
+    lifetimes = []
     for owner, (changes, keyframes) in sorted(found.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
         world, number = owner
         stop = starts.get((world, number + 1))
-        lives.append(Life(world, number, starts[owner] if number > 1 else 0, stop, changes, keyframes))
-    return tuple(lives)
+        lifetimes.append(Lifetime(world, number, starts[owner] if number > 1 else 0, stop, changes, keyframes))
+    return tuple(lifetimes)
 
 
 def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
@@ -98,8 +98,8 @@ def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
             exact = bool(ids) and len(marks) == len(told)
             if not exact:
                 marks = [(type(record), _owner(record, owner, latest)) for record, owner in chunks.changes(number)]
-            for _, (world, life) in marks:
-                latest[world] = max(life, latest.get(world, 0))
+            for _, (world, lifetime) in marks:
+                latest[world] = max(lifetime, latest.get(world, 0))
             belongs = _where(found, marks)
             if exact:
                 alike[ids] = belongs
@@ -110,11 +110,11 @@ def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
 
 def _owner(record: Record, told: Owner | None, latest: dict[str, int]) -> Owner:
     """Which life a record is of: what its channel tells, else by counting."""
-    life = told[1] if told is not None else latest.get(record.world, 0)
-    if not life or (told is None and _opens(record)):
-        life += 1
-    latest[record.world] = life
-    return record.world, life
+    lifetime = told[1] if told is not None else latest.get(record.world, 0)
+    if not lifetime or (told is None and _opens(record)):
+        lifetime += 1
+    latest[record.world] = lifetime
+    return record.world, lifetime
 
 
 def _opens(record: Record) -> bool:

@@ -18,7 +18,7 @@ from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.file.container import check_ours, is_locked, open_file
 from replay.file.index import Index
-from replay.file.lifetimes import Life, lives_of
+from replay.file.lifetimes import Lifetime, lifetimes_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -116,16 +116,16 @@ class Log:
         elif not self._index.whole:
             told.append("the index at its end is damaged")
         told += self._index.damage
-        told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.hurt.items())]
-        told += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.hurt.items()]
-        if self._lost and not self._chunks.hurt:
+        told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
+        told += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
+        if self._lost and not self._chunks.damaged:
             told.append(f"{self._lost} records are lost on the way")
         return "; ".join(told)
 
     @cached_property
-    def lives(self) -> tuple[Life, ...]:
+    def lifetimes(self) -> tuple[Lifetime, ...]:
         """The worlds in the order of their opening; one whose name was taken again is another one."""
-        return lives_of(self._chunks)
+        return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
         """How many records of each kind there are, by the file's own index; nothing is decoded."""
@@ -190,26 +190,26 @@ class Log:
                 if record.seq <= first:
                     yield record
 
-    def life_at(self, world: str, step: int) -> Life | None:
+    def lifetime_at(self, world: str, step: int) -> Lifetime | None:
         """The world that a name meant at a step, or will mean first; None if there is none of that name.
 
         Args:
             world: its name.
             step: from 0.
         """
-        return next((life for life in self.lives if life.world == world and life.has(step)), None)
+        return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
-    def records_of(self, life: Life, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
+    def records_of(self, lifetime: Lifetime, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
         """Streams a world's records of certain chunks.
 
         Args:
-            life: the world.
+            lifetime: the world.
             kind: only those of this type, or of one of these.
             chunks: their numbers, some of those that the world names.
         """
         for number in chunks:
-            for record in self._chunks.records(number, kind, life.world):
-                if life.has(record.seq):
+            for record in self._chunks.records(number, kind, lifetime.world):
+                if lifetime.has(record.seq):
                     yield record
 
     def chunk_of(self, step: int) -> int:
@@ -220,14 +220,14 @@ class Log:
         """
         return self._chunks.chunk_of(step, self._steps)
 
-    def end_of(self, life: Life) -> Record | None:
+    def end_of(self, lifetime: Lifetime) -> Record | None:
         """The last change of a world, or its last keyframe if that comes later; None if it is lost.
 
         Args:
-            life: the world.
+            lifetime: the world.
         """
         last = None
-        for last in self.records_of(life, (Mutation, Keyframe), life.changes[-1:]):  # noqa: B007  the last one
+        for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last one
             pass
         return last
 
@@ -251,7 +251,7 @@ class Log:
     def lost(self) -> list[range]:
         """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
         sound = self._index.whole or (not self._index.closed and not self._index.damage)
-        if sound and not self._chunks.hurt and not self._lost:
+        if sound and not self._chunks.damaged and not self._lost:
             return []
         found = []
         expected = 0
@@ -271,7 +271,7 @@ class Log:
         if not self._index.refresh():
             return False
         self._chunks.refresh(last)
-        self.__dict__.pop("lives", None)
+        self.__dict__.pop("lifetimes", None)
         self._steps = self._count()
         return True
 

@@ -19,7 +19,7 @@ from recorder.records import Query, to_json
 from replay.errors import NoSuchName
 from replay.explain.step_names import step_of
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
-from replay.restore.world import aside
+from replay.restore.world import unrecorded
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def ask(
     number = step_of(log, step)
     state = state_at(log, number)
     name = state.world(world).name if world is not None else None
-    with aside(log, number, name) as restored:
+    with unrecorded(log, number, name) as restored:
         try:
             for move in moves:
                 _put(restored, move)

@@ -30,7 +30,7 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
         ReplayError: they can't be written.
     """
     from replay.restore.render import seen  # noqa: PLC0415  both need the physics engine
-    from replay.restore.world import aside  # noqa: PLC0415
+    from replay.restore.world import unrecorded  # noqa: PLC0415
 
     robot = next((thing.body for thing in found.things if thing.robot), None)
     camera = camera_of(robot.loaded).get("frame") if robot is not None else None
@@ -39,7 +39,7 @@ def write_pictures(log: Log, found: Why, folder: Path) -> list[Path]:
         folder.mkdir(parents=True, exist_ok=True)
         if not found.things:
             return []
-        with aside(log, found.step, found.world.name if found.world is not None else None) as world:
+        with unrecorded(log, found.step, found.world.name if found.world is not None else None) as world:
             if isinstance(camera, str):
                 files.append(folder / f"step_{found.step}_robot.png")
                 seen(world, camera=camera).save(files[-1])

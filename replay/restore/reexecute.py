@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, Mutation
-from recorder.tracing.journal import Journal, aside
+from recorder.tracing.journal import Journal, unrecorded
 from replay.errors import Damaged, NotRestored
 from replay.restore.world import load_body, open_world, rebuild
 from replay.state.fold import fold
@@ -74,7 +74,7 @@ class Reexecution:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with aside():
+        with unrecorded():
             for world in self.worlds.values():
                 world.exit()
 
@@ -86,7 +86,7 @@ class Reexecution:
         """
         if frame.world not in self.worlds:
             told = fold([frame]).worlds[frame.world]
-            with aside():
+            with unrecorded():
                 self.worlds[frame.world] = rebuild(self._log, told, self._mark, self._mode)
             self.late.add(frame.world)
 
@@ -110,7 +110,7 @@ class Reexecution:
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording doesn't tell how {record.world} began")
         self._told.last = None
-        with aside(*([self._journal] if tell else [])):
+        with unrecorded(*([self._journal] if tell else [])):
             if command == "open_world":
                 self._open(record)
             elif command in _COMMANDS:
@@ -153,10 +153,10 @@ def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> Bull
     if gap is not None:
         cause = f"step {gap.start} is lost; without exact, the state may do"
         raise Damaged(log.path, f"what led to step {step}", cause)
-    life = next(life for life in log.lives if life.world == name and life.has(step))
-    chunks = [number for number in life.changes if number <= log.chunk_of(step)]
+    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
+    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as again:
-        for record in log.records_of(life, (Mutation, Keyframe), chunks):
+        for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
             if record.seq > step:
                 break
             if isinstance(record, Mutation):

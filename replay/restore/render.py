@@ -15,7 +15,7 @@ from PIL import Image
 from pycram.vision.camera import Camera
 from recorder import geometry
 from replay.errors import NoSuchName, ReplayError
-from replay.restore.world import aside
+from replay.restore.world import unrecorded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -58,7 +58,7 @@ def render(
         NoSuchName: there is no such frame.
         ReplayError: a size or a point that can't be.
     """
-    with aside(log, step, world) as restored:
+    with unrecorded(log, step, world) as restored:
         return seen(restored, camera=camera, eye=eye, target=target, size=size)
 
 

@@ -18,13 +18,13 @@ from pycram.world.transaction import put, read
 from recorder.mcap.sink import versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
-from recorder.tracing.journal import aside
+from recorder.tracing.journal import unrecorded
 from replay.errors import ReplayError
 from replay.restore.reexecute import Reexecution
 from replay.restore.world import reading
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.integrity import Integrity, Problem, files_problem
-from replay.state.json_data import plain_record
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -152,7 +152,7 @@ class _Verification:
             return self._compare_late(record)
         if now.SerializeToString() == record.SerializeToString():
             return None
-        deviation = first_deviation(plain_record(record), plain_record(now))
+        deviation = first_deviation(record_data(record), record_data(now))
         if deviation is None:
             deviation = Deviation("a last bit", "another", "another")
         if self._environment:
@@ -170,7 +170,7 @@ class _Verification:
                 return self._problem(record, _OTHER, worst)
             self._note(worst)
             return None
-        with aside():
+        with unrecorded():
             for body in world.objects:
                 put(body, reading(told.body(body.name)))
         return None

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from replay.file.log import Log
     from replay.state.state import Body, World
 
-__all__ = ["aside", "load_body", "open_world", "reading", "rebuild", "world_at"]
+__all__ = ["load_body", "open_world", "reading", "rebuild", "world_at"]
 
 
 def world_at(
@@ -61,7 +61,7 @@ def world_at(
     """
     told = _told(log, step, world)
     number = step_of(log, step)
-    with journal.aside(), _explained(log, number):
+    with journal.unrecorded(), _explained(log, number):
         if exact:
             from replay.restore.reexecute import executed_again  # noqa: PLC0415  it opens and loads worlds by this module
 
@@ -69,7 +69,7 @@ def world_at(
         else:
             restored = rebuild(log, told, str(number), mode)
     try:
-        journal.introduce(restored)
+        journal.announce(restored)
         BulletWorld.current_bullet_world = restored
     except BaseException:
         restored.exit()
@@ -78,7 +78,7 @@ def world_at(
 
 
 @contextmanager
-def aside(log: Log, step: int | str, world: str | None = None) -> Iterator[BulletWorld]:
+def unrecorded(log: Log, step: int | str, world: str | None = None) -> Iterator[BulletWorld]:
     """A world as it was, for a question or a picture: never the current one, on no record, gone after the block.
 
     Args:
@@ -95,7 +95,7 @@ def aside(log: Log, step: int | str, world: str | None = None) -> Iterator[Bulle
     """
     told = _told(log, step, world)
     number = step_of(log, step)
-    with journal.aside():
+    with journal.unrecorded():
         with _explained(log, number):
             restored = rebuild(log, told, str(number))
         with restored:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from recorder import records
     from recorder.geometry import Quaternion, Vector
-    from replay.file.lifetimes import Life
+    from replay.file.lifetimes import Lifetime
     from replay.file.log import Log
 
 _AT_REST: Final = (0.0,) * 6
@@ -32,7 +32,7 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
         all_records: in order; those that don't change worlds count as steps only.
         step: the step that the state is told to be of; by default that of the last record.
     """
-    worlds: dict[str, Making] = {}
+    worlds: dict[str, WorldBuilder] = {}
     for record in all_records:
         step = max(step, record.seq)
         if isinstance(record, Mutation | Keyframe):
@@ -51,25 +51,25 @@ def state_at(log: Log, step: int) -> State:
         Damaged: a record makes no sense.
     """
     here = log.chunk_of(step)
-    worlds: dict[str, Making] = {}
+    worlds: dict[str, WorldBuilder] = {}
     since = step
-    for life in log.lives:
-        if not life.has(step):  # it came later, or another one has taken its name since
+    for lifetime in log.lifetimes:
+        if not lifetime.has(step):  # it came later, or another one has taken its name since
             continue
-        base = _base(log, life, here, step)
-        begin = life.changes[0] if base is None else log.chunk_of(base.seq)
-        start = life.start if base is None else base.seq
-        chunks = life.changes[bisect_left(life.changes, begin) : bisect_right(life.changes, here)]
+        base = _base(log, lifetime, here, step)
+        begin = lifetime.changes[0] if base is None else log.chunk_of(base.seq)
+        start = lifetime.start if base is None else base.seq
+        chunks = lifetime.changes[bisect_left(lifetime.changes, begin) : bisect_right(lifetime.changes, here)]
         if chunks:
             since = min(since, start)
-        for record in log.records_of(life, _OF_WORLDS, chunks):
+        for record in log.records_of(lifetime, _OF_WORLDS, chunks):
             if start <= record.seq <= step:
                 try:
                     take(worlds, record)
                 except (ValueError, IndexError) as error:
                     raise Damaged(log.path, f"step {record.seq}", str(error)) from error
-        if life.world in worlds:
-            worlds[life.world].told["life"] = life.number
+        if lifetime.world in worlds:
+            worlds[lifetime.world].told["lifetime"] = lifetime.number
     doubt = ", ".join(_range(gap) for gap in log.lost() if since < gap.stop and gap.start <= step)
     return State(
         step,
@@ -83,20 +83,20 @@ def _range(gap: range) -> str:
     return str(gap.start) if len(gap) == 1 else f"{gap.start}-{gap.stop - 1}"
 
 
-def _base(log: Log, life: Life, here: int, last: int) -> records.Record | None:
+def _base(log: Log, lifetime: Lifetime, here: int, last: int) -> records.Record | None:
     """The last keyframe of a world at or before a step."""
-    for at in range(bisect_right(life.keyframes, here) - 1, -1, -1):
-        frames = [frame for frame in log.records_of(life, Keyframe, [life.keyframes[at]]) if frame.seq <= last]
+    for at in range(bisect_right(lifetime.keyframes, here) - 1, -1, -1):
+        frames = [frame for frame in log.records_of(lifetime, Keyframe, [lifetime.keyframes[at]]) if frame.seq <= last]
         if frames:
             return frames[-1]
     return None
 
 
-class Making:
+class WorldBuilder:
     """A world in the making; what it holds changes until it is frozen."""
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
-        self.told: dict[str, object] = {"name": name, "life": 1, "mode": mode}
+        self.told: dict[str, object] = {"name": name, "lifetime": 1, "mode": mode}
         self.bodies: dict[str, _Body] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
 
@@ -176,7 +176,7 @@ class _Body:
         )
 
 
-def take(worlds: dict[str, Making], record: records.Record) -> None:
+def take(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
     """Brings worlds from before a record to after it.
 
     Args:
@@ -187,23 +187,23 @@ def take(worlds: dict[str, Making], record: records.Record) -> None:
         before = worlds.get(record.world)
         worlds[record.world] = _of_keyframe(record)
         if before is not None:
-            worlds[record.world].told["life"] = before.told["life"]
+            worlds[record.world].told["lifetime"] = before.told["lifetime"]
     elif isinstance(record, Mutation):
         command = record.WhichOneof("command")
         if command == "open_world":
             ended = worlds.pop(record.world, None)  # in the order of opening, also when a name is taken again
-            world = worlds[record.world] = Making(record.world, record.open_world.mode)
+            world = worlds[record.world] = WorldBuilder(record.world, record.open_world.mode)
             if ended is not None:
-                world.told["life"] = int(str(ended.told["life"])) + 1
+                world.told["lifetime"] = int(str(ended.told["lifetime"])) + 1
         if record.world not in worlds:
-            worlds[record.world] = Making(record.world)
+            worlds[record.world] = WorldBuilder(record.world)
         world = worlds[record.world]
         world.told["sim_step"] = record.sim_step
         _obey(world, record, command or "")
         world.take_effect(record.effect)
 
 
-def _obey(world: Making, record: Mutation, command: str) -> None:
+def _obey(world: WorldBuilder, record: Mutation, command: str) -> None:
     """Makes true what a command says by itself, beside its effect on bodies."""
     if command == "load_body":
         world.bodies[record.load_body.body] = _Body(record.load_body)
@@ -223,8 +223,8 @@ def _obey(world: Making, record: Mutation, command: str) -> None:
         world.told |= {"open": False, "realtime": False, "robot": ""}
 
 
-def _of_keyframe(frame: Keyframe) -> Making:
-    world = Making(frame.world, frame.mode)
+def _of_keyframe(frame: Keyframe) -> WorldBuilder:
+    world = WorldBuilder(frame.world, frame.mode)
     world.told |= {
         "sim_step": frame.sim_step,
         "gravity": _vector(frame.gravity) if frame.gravity else (0.0, 0.0, 0.0),

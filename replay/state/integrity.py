@@ -13,7 +13,7 @@ from recorder.records import Keyframe, Mutation, Run, Task
 from replay.errors import Damaged
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import fold, take
-from replay.state.json_data import plain_state
+from replay.state.json_data import state_data
 from replay.state.state import State
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Record
     from replay.file.log import Log
-    from replay.state.fold import Making
+    from replay.state.fold import WorldBuilder
     from replay.state.json_data import Plain
     from replay.state.state import World
 
@@ -67,7 +67,7 @@ class Integrity:
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, int] = {}
-        self._worlds: dict[str, Making] = {}
+        self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
         """What the records so far say of a world that they know."""
@@ -152,7 +152,7 @@ class Integrity:
 
 def _plain(world: World) -> Plain:
     """A world as plain data, bodies by name, attachments by their pairs."""
-    told = plain_state(State(0, {world.name: world}))["worlds"]
+    told = state_data(State(0, {world.name: world}))["worlds"]
     assert isinstance(told, dict)  # noqa: S101  tells mypy
     facts = told[world.name]
     assert isinstance(facts, dict)  # noqa: S101  tells mypy

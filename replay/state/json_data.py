@@ -27,7 +27,7 @@ def kind_of(record: Record) -> str:
     return TOPICS[type(record)].removeprefix("/")
 
 
-def plain_record(record: Record) -> dict[str, Plain]:
+def record_data(record: Record) -> dict[str, Plain]:
     """A record whole; fields that are not set are left out."""
     told: dict[str, Plain] = {
         "step": record.seq,
@@ -44,7 +44,7 @@ def plain_record(record: Record) -> dict[str, Plain]:
 def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
     for field, value in message.ListFields():
         if field.name.endswith("_json"):
-            yield field.name.removesuffix("_json"), plain_json(value)
+            yield field.name.removesuffix("_json"), to_plain(value)
         elif field.enum_type is not None:
             known = field.enum_type.values_by_number.get(value)
             yield field.name, known.name.lower() if known else value
@@ -58,26 +58,26 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
     if field.message_type is None:
         return list(value) if _is_repeated(value) else value  # type: ignore[call-overload, return-value]
     if field.message_type.full_name == Argument.DESCRIPTOR.full_name:
-        return plain_arguments(value)  # type: ignore[arg-type]
+        return arguments_data(value)  # type: ignore[arg-type]
     if _is_repeated(value):
         return [dict(_fields(item)) for item in value]  # type: ignore[attr-defined]
     return dict(_fields(value))  # type: ignore[arg-type]
 
 
-def plain_arguments(arguments: Iterable[Argument]) -> dict[str, Plain]:
+def arguments_data(arguments: Iterable[Argument]) -> dict[str, Plain]:
     """Named values, unpacked.
 
     Args:
         arguments: as records carry them.
     """
-    return {argument.name: plain_json(argument.json) for argument in arguments}
+    return {argument.name: to_plain(argument.json) for argument in arguments}
 
 
 def _is_repeated(value: object) -> bool:
     return hasattr(value, "append")
 
 
-def plain_json(text: str) -> Plain:
+def to_plain(text: str) -> Plain:
     """A value that stands as JSON in a record.
 
     Args:
@@ -107,7 +107,7 @@ def mentions(record: Record, name: str) -> bool:
         told.update(effect.removed)
         told.update(body for held in (*effect.attached, *effect.detached) for body in (held.carrier, held.body))
         return name in told
-    return _has(plain_record(record), name)
+    return _has(record_data(record), name)
 
 
 def _has(value: Plain, name: str) -> bool:
@@ -118,7 +118,7 @@ def _has(value: Plain, name: str) -> bool:
     return value == name
 
 
-def plain_state(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
+def state_data(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
     """A state.
 
     Args:
@@ -137,7 +137,7 @@ def plain_state(state: State, body: str | None = None, world: str | None = None)
 def _world(world: World, only: str | None) -> Plain:
     return {
         "open": world.open,
-        "life": world.life,
+        "life": world.lifetime,
         "mode": world.mode,
         "sim_step": world.sim_step,
         "gravity": list(world.gravity),

@@ -116,14 +116,14 @@ class World:
     gravity: Vector = (0.0, 0.0, 0.0)
     realtime: bool = False
     robot: str = ""
-    life: int = 1
+    lifetime: int = 1
     bodies: Mapping[str, Body] = field(default_factory=dict)
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
 
     @property
     def title(self) -> str:
         """What people call it: its name, and which of that name it is if it isn't the first."""
-        return title(self.name, self.life)
+        return title(self.name, self.lifetime)
 
     @property
     def seconds(self) -> float:

@@ -22,7 +22,7 @@ from rerun.experimental import ViewerClient
 import recorder.viewer
 from recorder.errors import RecordingError
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
-from recorder.viewer.connection import PORT, Kind, ViewerGone, Wish, address, answers
+from recorder.viewer.connection import PORT, Kind, Target, ViewerGone, address, answers
 from recorder.viewer.scene_view import acts
 from recorder.viewer.windows import open_window, stream_to_file
 from replay.errors import ReplayError
@@ -153,7 +153,7 @@ def cached(log: Log, at: int | None = None) -> Path:
         Damaged: a record makes no sense.
     """
     if at is not None and _front(log, at) != _front(log):
-        file = aside(f"{log.path.name}.rrd")
+        file = unrecorded(f"{log.path.name}.rrd")
         convert([log], file, at)
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
@@ -162,7 +162,7 @@ def cached(log: Log, at: int | None = None) -> Path:
     if newer and _is_of_this_release(beside):
         return beside
     if not os.access(log.path.parent, os.W_OK):
-        beside = aside(beside.name)
+        beside = unrecorded(beside.name)
     missing = log.missing
     convert([log], beside)
     known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
@@ -172,7 +172,7 @@ def cached(log: Log, at: int | None = None) -> Path:
     return beside
 
 
-def aside(name: str) -> Path:
+def unrecorded(name: str) -> Path:
     """Where a file goes that isn't kept beside its recording: in the user's own folder among those for temporary files.
 
     Nobody can replace another user's file there, and several users view the same recordings.
@@ -216,7 +216,7 @@ def check(url: str | None) -> None:
     if url is None:
         return
     try:
-        place = Wish.parse(f"{Kind.CONNECT.value}:{url}").url
+        place = Target.parse(f"{Kind.CONNECT.value}:{url}").url
     except RecordingError as error:
         raise ReplayError(f"{url} is no address of a viewer; one on this machine is {address(PORT)}") from error
     if not answers(place):

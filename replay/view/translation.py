@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.records.asset import AssetFile
 from recorder.viewer.translator import Half, Translator
 from replay.errors import Damaged
-from replay.view.worker import Teller
+from replay.view.worker import Worker
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,18 +53,18 @@ def translated(log: Log, stream: rr.RecordingStream, root: str = "", folder: Pat
         Damaged: a record makes no sense.
         OSError: there is no room.
     """
-    teller = None
+    worker = None
     if len(log) >= _LONG and os.cpu_count() != 1:
         with contextlib.suppress(OSError):  # as where a process can't begin another; if there is no room, that is told
-            teller = Teller(log, root, folder)
-    if teller is None:
+            worker = Worker(log, root, folder)
+    if worker is None:
         translator = Translator(stream, root)
         _see(log, translator)
         return translator
-    with teller:
+    with worker:
         translator = Translator(stream, root, Half.SEEN)
         _see(log, translator)
-        teller.hand_over(stream)
+        worker.hand_over(stream)
     return translator
 
 
@@ -77,7 +77,7 @@ def _see(log: Log, translator: Translator) -> None:
             raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
     show(log, translator)
     for name in translator.absent:  # filters of other tools leave attachments out
-        log.assets.hurt.setdefault(name, "it isn't there")
+        log.assets.damaged.setdefault(name, "it isn't there")
 
 
 def show(log: Log, translator: Translator, stop: int | None = None) -> None:

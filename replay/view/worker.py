@@ -37,7 +37,7 @@ main(*sys.argv[1:6])
 _ON_THE_WAY: Final = 50  # chunks of rows that memory holds at once
 
 
-class Teller:
+class Worker:
     """The process; to be used in a ``with``.
 
     Args:

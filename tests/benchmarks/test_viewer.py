@@ -137,8 +137,8 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
                 process.kill()
                 process.wait()
             else:
-                hurt = {"stopped": signal.SIGSTOP, "killed": signal.SIGKILL}[fault]
-                threading.Timer(bare[0].planned / 2, process.send_signal, [hurt]).start()
+                damaged = {"stopped": signal.SIGSTOP, "killed": signal.SIGKILL}[fault]
+                threading.Timer(bare[0].planned / 2, process.send_signal, [damaged]).start()
             costs.append(demo(tmp_path / f"{i}.mcap", url))
     end = max(cost.end for cost in costs)
     processor = least(costs, lambda cost: cost.processor) / least(bare, lambda cost: cost.processor)

@@ -70,8 +70,8 @@ def test_what_the_robot_holds_collides_too(scene: BulletWorld) -> None:
 def test_looking_points_the_camera(scene: BulletWorld, base: tuple[list[float], float]) -> None:
     robot = scene.robot
     robot.set_position_and_orientation(base[0], geometry.from_rpy(0, 0, base[1]))
-    for forward, aside, height in ((1, 0, 0.9), (1, 0.8, 0.3), (2, -1, 1.5)):
-        point = list(geometry.transform(robot.get_position_and_orientation(), (forward, aside, height)))
+    for forward, unrecorded, height in ((1, 0, 0.9), (1, 0.8, 0.3), (2, -1, 1.5)):
+        point = list(geometry.transform(robot.get_position_and_orientation(), (forward, unrecorded, height)))
         perform(type="looking", target=point)
         assert gaze_error(robot, point) < 1.0
     before = snapshot(scene)

@@ -82,8 +82,8 @@ def test_visible_and_occluding(scene: BulletWorld) -> None:
     assert hidden.evidence["share"] < 0.05
     assert btr.occluding(milk, eye) == [cereal]
     shares = []
-    for aside in (0.02, 0.06, 0.1, 0.14):
-        cereal.set_position([x - 0.2, y + aside, z])
+    for unrecorded in (0.02, 0.06, 0.1, 0.14):
+        cereal.set_position([x - 0.2, y + unrecorded, z])
         shares.append(btr.visible(milk, eye).evidence["share"])
     assert shares == sorted(shares)
     assert shares[-1] == 1.0

@@ -55,7 +55,7 @@ class Running:
     around: tuple[Running, ...]
 
 
-class Stage:
+class SceneView:
     """All motions that are under way: none ever meets another one that needs what it moves, or the same module."""
 
     def __init__(self) -> None:
@@ -84,7 +84,7 @@ class Stage:
 class Juggler(ProcessModule):
     """Moves an object, and may be made of other motions."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: SceneView) -> None:
         super().__init__()
         self.stage = stage
 
@@ -226,7 +226,7 @@ def run(plans: int, first: int, file: Path) -> None:
     with recorder.record(file), BulletWorld() as world:
         for body in BODIES:
             Object(body, body, f"{body}.stl", [0, 0, 5])
-        stage = Stage()
+        stage = SceneView()
         jugglers = [Juggler(stage) for _ in range(3)]
         chooser = ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("juggler"))
         threads = threading.active_count()

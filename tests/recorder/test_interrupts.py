@@ -80,7 +80,7 @@ def test_interrupts_never_part_the_world_from_its_log(tmp_path: Path) -> None:
         assert log.complete
         assert [record.seq for record in log] == list(range(len(log)))
         for live in told:
-            world = replay.state_at(log, live["length"] - 1).world()
+            world = log.state_at(live["length"] - 1).world()
             assert world.sim_step == live["sim_step"]
             assert bool(world.attachments) == live["held"]
             for name, (position, orientation) in live["bodies"].items():

@@ -16,7 +16,7 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_site import MOST, Way
+from recorder.tracing.call_site import MOST, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame
@@ -214,7 +214,7 @@ def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
                 told.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
                 assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
-        monkeypatch.setattr(Way, "turned", lambda *_: None)
+        monkeypatch.setattr(CallStack, "turned", lambda *_: None)
     assert told[:2] == told[2:]
     assert len(told[0]) > 30
 

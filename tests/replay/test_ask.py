@@ -83,7 +83,7 @@ def test_a_name_that_is_no_word_says_so() -> None:
         parse("stable(red-cup)")
 
 
-def first(log: replay.Log, query: str) -> Query:
+def first(log: replay.Recording, query: str) -> Query:
     return next(record for record in log.records(Query) if isinstance(record, Query) and record.name == query)
 
 

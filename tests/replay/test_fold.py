@@ -68,7 +68,7 @@ class Model:
     """A world as plain as can be, kept by the test."""
 
     name: str
-    life: int = 0
+    lifetime: int = 0
     sim_step: int = 0
     gravity: tuple[float, ...] = (0.0, 0.0, 0.0)
     positions: dict[str, tuple[float, ...]] = field(default_factory=dict)
@@ -80,7 +80,7 @@ class Model:
     def told(self) -> dict[str, object]:
         return {
             "open": self.open,
-            "life": self.life,
+            "life": self.lifetime,
             "sim_step": self.sim_step,
             "gravity": self.gravity,
             "positions": dict(self.positions),
@@ -120,7 +120,7 @@ def perform(model: Model, action: tuple[object, ...]) -> Record | None:
         return Event(name="tick")
     if not model.open:
         model.open, model.sim_step, model.gravity = True, 0, (0.0, 0.0, 0.0)
-        model.life += 1
+        model.lifetime += 1
         return Mutation(open_world=OpenWorld(mode="DIRECT"))
     return ACTIONS[str(kind)](model, *given_)
 
@@ -223,7 +223,7 @@ def told(state: replay.State) -> dict[str, dict[str, object]]:
     return {
         world.name: {
             "open": world.open,
-            "life": world.life,
+            "life": world.lifetime,
             "sim_step": world.sim_step,
             "gravity": world.gravity,
             "positions": {body.name: body.position for body in world.bodies.values()},

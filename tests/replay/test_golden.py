@@ -18,7 +18,7 @@ from replay.cli.main import main
 from replay.explain.blame import blame
 from replay.explain.tree import tree
 from replay.explain.why import why
-from replay.state.json_data import plain_record
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,10 +62,10 @@ def test_records_of_every_kind(log: Recording) -> None:
     kinds = (Run, Task, Mutation, Event, Fluent, Query, Keyframe)
     assert [sum(1 for _ in log.records(kind)) for kind in kinds] == [2, 12, 123, 3, 1, 4, 1]
     assert [record.WhichOneof("command") for record in log.records(Mutation)] == COMMANDS
-    assert [plain_record(query)["answer"] for query in log.records(Query)] == [False, True, False, False]
-    assert [plain_record(fluent)["after"] for fluent in log.records(Fluent)] == [True]
+    assert [record_data(query)["answer"] for query in log.records(Query)] == [False, True, False, False]
+    assert [record_data(fluent)["after"] for fluent in log.records(Fluent)] == [True]
     visible = list(log.records(Query))[1]
-    assert plain_record(visible)["evidence"]["hidden_by"].keys() == {"cereal"}
+    assert record_data(visible)["evidence"]["hidden_by"].keys() == {"cereal"}
 
 
 def test_states_of_worlds(log: Recording) -> None:

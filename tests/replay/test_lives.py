@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def old_register(sink: McapSink, topic: str, world: str = "", life: int = 0) -> int:
+def old_register(sink: McapSink, topic: str, world: str = "", lifetime: int = 0) -> int:
     """As recorders did before channels told which world of a name they are for."""
     told = {"world": world} if world else {}
     channel = sink._writer.add_channel(topic, "protobuf", sink._schemas[topic], told)
-    sink._channels[topic, world, life] = channel
+    sink._channels[topic, world, lifetime] = channel
     return channel
 
 
@@ -36,7 +36,7 @@ def tell_apart(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
         monkeypatch.setattr(mcap_sink, "_MOST_CHANNELS", 0)
     elif how == "old channels":
         monkeypatch.setattr(McapSink, "_register", old_register)
-        monkeypatch.setattr(McapSink, "_life", lambda *_: 0)
+        monkeypatch.setattr(McapSink, "_lifetime", lambda *_: 0)
 
 
 @pytest.fixture(scope="module", params=["own channels", "shared channels", "old channels"])
@@ -56,7 +56,7 @@ def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture
-def log(file: Path) -> Iterator[replay.Log]:
+def log(file: Path) -> Iterator[replay.Recording]:
     with replay.open(file) as log:
         yield log
 
@@ -74,14 +74,14 @@ def lab(*, height: float, seconds: float, ends: bool) -> BulletWorld:
     return world
 
 
-def openings(log: replay.Log) -> list[int]:
+def openings(log: replay.Recording) -> list[int]:
     return [record.seq for record in log.records(Mutation) if record.HasField("open_world")]
 
 
-def test_lives_are_in_the_order_of_their_opening(log: replay.Log) -> None:
+def test_lives_are_in_the_order_of_their_opening(log: replay.Recording) -> None:
     first, _, second = openings(log)
-    assert [(life.world, life.number) for life in log.lives] == [("lab", 1), ("hall", 1), ("lab", 2)]
-    early, _, late = log.lives
+    assert [(lifetime.world, lifetime.number) for lifetime in log.lifetimes] == [("lab", 1), ("hall", 1), ("lab", 2)]
+    early, _, late = log.lifetimes
     assert not late.has(second - 1)
     assert late.has(second)
     assert early.has(first)
@@ -89,31 +89,31 @@ def test_lives_are_in_the_order_of_their_opening(log: replay.Log) -> None:
     assert not early.has(second)
 
 
-def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Log) -> None:
+def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Recording) -> None:
     """Also where its name is older than another world's."""
     state = log.state_at("last")
-    assert [(world.name, world.life) for world in state.worlds.values()] == [("hall", 1), ("lab", 2)]
-    assert (state.world().name, state.world().life) == ("lab", 2)
+    assert [(world.name, world.lifetime) for world in state.worlds.values()] == [("hall", 1), ("lab", 2)]
+    assert (state.world().name, state.world().lifetime) == ("lab", 2)
     assert state.body("ball").position[:2] == (0, 0)
     with log.world_at("last") as world:
         assert world.name.startswith("lab@")
 
 
-@pytest.mark.parametrize(("time", "life", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)])
+@pytest.mark.parametrize(("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)])
 def test_simulated_time_is_that_of_the_first_world_that_gets_so_far(
-    log: replay.Log, time: str, life: int, sim_step: int
+    log: replay.Recording, time: str, lifetime: int, sim_step: int
 ) -> None:
     world = log.state_at(time).world("lab")
-    assert (world.life, world.sim_step, world.open) == (life, sim_step, True)
+    assert (world.lifetime, world.sim_step, world.open) == (lifetime, sim_step, True)
 
 
-def test_time_that_no_world_reached(log: replay.Log) -> None:
+def test_time_that_no_world_reached(log: replay.Recording) -> None:
     with pytest.raises(replay.NoSuchStep, match=r"the clock of lab ends at 2\.000s"):
         log.step("2.1s")
 
 
-def test_each_clock_is_told(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
-    assert [(each.world, each.life, each.seconds) for each in summary(log).worlds] == [
+def test_each_clock_is_told(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
+    assert [(each.world, each.lifetime, each.seconds) for each in summary(log).worlds] == [
         ("lab", 1, 2.0),
         ("hall", 1, 0.0),
         ("lab", 2, 0.5),
@@ -122,7 +122,7 @@ def test_each_clock_is_told(log: replay.Log, capsys: pytest.CaptureFixture[str])
     assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
 
 
-def test_a_difference_is_between_the_same_worlds_only(log: replay.Log) -> None:
+def test_a_difference_is_between_the_same_worlds_only(log: replay.Recording) -> None:
     first, hall, _ = openings(log)
     found = difference(log.state_at(hall - 2), log.state_at("last"))
     assert found.closed == ("lab",)
@@ -131,20 +131,20 @@ def test_a_difference_is_between_the_same_worlds_only(log: replay.Log) -> None:
     assert difference(log.state_at(first + 2), log.state_at(hall - 2)).changed
 
 
-def test_a_state_says_which_world_it_is_of(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_state_says_which_world_it_is_of(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["state", str(log.path), "last"]) == 0
     assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
     assert main(["state", str(log.path), "last", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["worlds"]["lab"]["life"] == 2
 
 
-def test_a_line_says_which_world_it_is_about(log: replay.Log, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_line_says_which_world_it_is_about(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", str(log.path), "--text", "load body ball"]) == 0
     worlds = [line.split(" mutation ")[1].split(": ")[0] for line in capsys.readouterr().out.splitlines()]
     assert worlds == ["lab", "hall", "lab (2nd of that name)"]
 
 
-def test_a_later_life_is_executed_again_by_itself(log: replay.Log) -> None:
+def test_a_later_life_is_executed_again_by_itself(log: replay.Recording) -> None:
     told = log.state_at("last").world("lab")
     with log.world_at("last", "lab", exact=True) as world:
         assert world.sim_step == 120

@@ -15,7 +15,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from recorder.tracing.span import span
-from replay.cli.console import tell, tell_json, visible
+from replay.cli.console import print_json, tell, visible
 from replay.cli.main import main
 
 SPOON = "Löffel 🥄"
@@ -104,7 +104,7 @@ def test_lines_and_columns_stay(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixture[str]) -> None:
-    tell_json({"x": [float("nan"), (float("-inf"), 1.5)], "y": "\x7f"})
+    print_json({"x": [float("nan"), (float("-inf"), 1.5)], "y": "\x7f"})
     said = capsys.readouterr().out
     assert json.loads(said, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
     assert "\x7f" not in said

@@ -68,7 +68,7 @@ for step in json.load(sys.stdin):
             }
             for body in world.bodies.values()
         }
-        for world in replay.state_at(log, step).worlds.values()
+        for world in log.state_at(step).worlds.values()
     }
 assert "pybullet" not in sys.modules and "pycram" not in sys.modules
 json.dump(told, sys.stdout)
@@ -201,6 +201,6 @@ def test_what_changed_between_two_recordings_is_in_the_second(tmp_path: Path) ->
             robot = Object("pr2", "robot", "pr2.urdf")
             live = snapshot(world)["pr2"]
     with replay.open(tmp_path / "second.mcap") as log:
-        body = replay.state_at(log, 2).world().body("pr2")
+        body = log.state_at(2).world().body("pr2")
         assert list(body.position) == live["position"]
         assert dict(body.joints) == live["joints"]

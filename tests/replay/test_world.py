@@ -75,7 +75,7 @@ def planned(plan_log: tuple[Path, dict[str, object]]) -> Path:
     return plan_log[0]
 
 
-def end_of(log: replay.Log) -> int:
+def end_of(log: replay.Recording) -> int:
     """The last step at which the world is open."""
     return max(record.seq for record in log.records(Mutation) if not record.HasField("close_world"))
 
@@ -205,7 +205,7 @@ def test_the_future_of_the_demo_is_the_originals(demo_log: Path) -> None:
                 assert everything(world) == made_by_hand(log, step), f"step {step}"
 
 
-def made_by_hand(log: replay.Log, step: int) -> dict[str, object]:
+def made_by_hand(log: replay.Recording, step: int) -> dict[str, object]:
     with BulletWorld() as world:
         for change in log.records(Mutation, stop=step + 1):
             make(world, change)

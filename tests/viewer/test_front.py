@@ -40,7 +40,7 @@ def two_worlds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return log
 
 
-def moved(log: replay.Log, body: str) -> int:
+def moved(log: replay.Recording, body: str) -> int:
     """The first step at which a body was moved."""
     return next(record.seq for record in log.records(Mutation) if record.move_body.body == body)
 

@@ -21,7 +21,7 @@ import pytest
 import recorder
 import replay
 from recorder.viewer import sink
-from recorder.viewer.connection import LINGERING, Kind, Wish, answers, free_port
+from recorder.viewer.connection import LINGERING, Kind, Target, answers, free_port
 from replay.view.rrd import convert
 from tests.viewer.conftest import rows_of, wait_until
 
@@ -372,6 +372,6 @@ def test_the_command_line_refuses_it_too(pycram: Callable[..., subprocess.Popen[
 
 
 def test_addresses() -> None:
-    assert Wish.parse("connect") == Wish(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
-    assert Wish.parse("connect:rerun://robot/proxy") == Wish(Kind.CONNECT, "rerun://robot/proxy")
-    assert Wish.parse("rerun+http://robot:1/proxy") == Wish(Kind.CONNECT, "rerun+http://robot:1/proxy")
+    assert Target.parse("connect") == Target(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
+    assert Target.parse("connect:rerun://robot/proxy") == Target(Kind.CONNECT, "rerun://robot/proxy")
+    assert Target.parse("rerun+http://robot:1/proxy") == Target(Kind.CONNECT, "rerun+http://robot:1/proxy")

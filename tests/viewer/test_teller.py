@@ -228,13 +228,13 @@ def test_a_recording_that_was_replaced_is_not_mixed_with_the_other_one(tmp_path:
 @pytest.mark.slow
 @pytest.mark.usefixtures("two")
 def test_a_file_that_has_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Robbed(worker.Teller):
+    class Robbed(worker.Worker):
         def hand_over(self, stream: rr.RecordingStream) -> None:
             self._process.wait()
             self._file.unlink()
             super().hand_over(stream)
 
-    monkeypatch.setattr(translation, "Teller", Robbed)
+    monkeypatch.setattr(translation, "Worker", Robbed)
     log = small(tmp_path / "log.mcap")
     with replay.open(log) as recording, pytest.raises(ReplayError, match=r"log.rrd: can't be written: .*not found"):
         convert([recording], tmp_path / "log.rrd")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.failures import BadArgument, GraspFailed, PlaceFailed, PostureInCollision, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision import checker, ray_cast
-from pycram.reasoning.collision.checker import Rehearsal
+from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import choice, closing_width, placing
 from pycram.reasoning.kinematics import reach
 from recorder import geometry
@@ -79,7 +79,7 @@ class MoveTCP(SimulatedModule):
 def _newly_touched(robot: Object, positions: Mapping[str, float]) -> list[str]:
     """Names of what a robot would touch in a posture, but for what it touches already, as on purpose."""
     now = robot.get_joint_positions()
-    with Rehearsal(robot, positions) as rehearsal:
+    with CollisionChecker(robot, positions) as rehearsal:
         rehearsal.take(positions)
         touched = rehearsal.touched()
         if not touched:

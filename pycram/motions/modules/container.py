@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from pycram.foundation.failures import AccessFailed, BadArgument, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
-from pycram.reasoning.collision.checker import DEPTH, Rehearsal
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import half
 from pycram.reasoning.collision.simulation_clone import twin
 from pycram.reasoning.kinematics import reach
@@ -94,7 +94,7 @@ def _hit(
     """What the arm would touch on the way, but for what it opens."""
     moved = set(carried.moved_links(container.urdf, [joint]))
     opened = arm.gripper.positions("open")
-    with Rehearsal(robot, [*arm.joints, *opened]) as rehearsal:
+    with CollisionChecker(robot, [*arm.joints, *opened]) as rehearsal:
         for posture in postures:
             rehearsal.take({**posture, **opened})
             for body, told in rehearsal.touched().items():

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.boxes import meeting, together
-from pycram.reasoning.collision.inscribed_spheres import FEW, balls_in
-from pycram.reasoning.collision.moving_links import Limbs, arm_depths
+from pycram.reasoning.collision.inscribed_spheres import FEW, inscribed_spheres
+from pycram.reasoning.collision.moving_links import MovingLinks, arm_depths
 from pycram.reasoning.collision.simulation_clone import twin
 from pycram.reasoning.collision.surroundings import Surroundings
 from recorder import geometry
@@ -41,7 +41,7 @@ _FEET: Final = 0.02  # m above the ground
 
 
 @dataclass(frozen=True, slots=True)
-class Foreseen:
+class Candidate:
     """A posture, and what could touch in it.
 
     Attributes:
@@ -65,7 +65,7 @@ class Foreseen:
     pairs: list[Pair] = field(default_factory=list)
 
 
-class Rehearsal:
+class CollisionChecker:
     """A robot that is put into postures in a twin. Use it as a context manager, with the world's lock held.
 
     Args:
@@ -92,8 +92,10 @@ class Rehearsal:
         self._joints = tuple(joints)
         self._limbs = limbs = self._twin.known(
             robot,
-            (Limbs, self._joints, everything),
-            lambda copy: Limbs(self._engine, copy, robot, self._twin.boxes(robot), self._joints, everything=everything),
+            (MovingLinks, self._joints, everything),
+            lambda copy: MovingLinks(
+                self._engine, copy, robot, self._twin.boxes(robot), self._joints, everything=everything
+            ),
         )
         self._held = [(other, bodies[other.name], link, pose) for other, link, pose in _held(robot)]
         skipped = {robot, *(other for other, *_ in self._held), *ignored}
@@ -109,7 +111,7 @@ class Rehearsal:
         self._mine = together([limbs.boxes, *(boxes for _, boxes, _ in held)])
         self._around = Surroundings(obstacles, [self._twin.boxes(other) for other in obstacles])
         none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
-        self._taken = Foreseen({}, None, (none, none), nothing, nothing, nothing)
+        self._taken = Candidate({}, None, (none, none), nothing, nothing, nothing)
         self._there = self._moved = False
 
     def __enter__(self) -> Self:
@@ -121,7 +123,7 @@ class Rehearsal:
         if self._moved:
             self._twin.disturbed(self.robot.name, *(other.name for other, *_ in self._held))
 
-    def foresee(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Foreseen]:
+    def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[Candidate]:
         """Finds out what could touch in postures, all at once.
 
         Args:
@@ -136,26 +138,26 @@ class Rehearsal:
         posture, box, other = meeting(centers, axes, self._mine.halves, self._around.boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
-            Foreseen(positions, base, (box[start:end], other[start:end]), *there)
+            Candidate(positions, base, (box[start:end], other[start:end]), *there)
             for positions, (start, end), *there in zip(postures, ends, centers, axes, moved, strict=True)
         ]
 
-    def take(self, positions: Mapping[str, float] | Foreseen, base: Pose | None = None) -> None:
+    def take(self, positions: Mapping[str, float] | Candidate, base: Pose | None = None) -> None:
         """Puts the robot into a posture.
 
         Args:
             positions: one that was foreseen, or joint values in rad or m by name; the others stay.
             base: pose of its base; it stays by default.
         """
-        if not isinstance(positions, Foreseen):
-            (positions,) = self.foresee([positions], base)
+        if not isinstance(positions, Candidate):
+            (positions,) = self.predict([positions], base)
         if positions is not self._taken:
             self._taken = positions
             self._there = False
             if not positions.pairs:
                 positions.pairs.extend(_in_turn(self._pairs(*positions.meets)))
 
-    def surely(self, postures: Sequence[Foreseen], links: Collection[str]) -> list[dict[Object, float]]:
+    def surely(self, postures: Sequence[Candidate], links: Collection[str]) -> list[dict[Object, float]]:
         """What postures touch for sure, without asking the engine.
 
         Args:
@@ -175,7 +177,7 @@ class Rehearsal:
         which, box, other = which[some], box[some], other[some]
         centers = np.array([posture.centers for posture in postures])[which, box]
         axes = np.array([posture.axes for posture in postures])[which, box]
-        balls = balls_in(self.robot.model.path).of(self._limbs.numbers[box], FEW)
+        balls = inscribed_spheres(self.robot.model.path).of(self._limbs.numbers[box], FEW)
         depths = self._around.overlaps(balls, centers, axes, other)
         for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
             touched, thing = found[which[number]], self._around.whose[other[number]]
@@ -320,7 +322,7 @@ def in_the_way(
     *,
     everything: bool = False,
 ) -> dict[Object, dict[str, object]]:
-    """What a robot would touch in one other posture or at one other place; see :meth:`Rehearsal.touched`.
+    """What a robot would touch in one other posture or at one other place; see :meth:`CollisionChecker.touched`.
 
     Args:
         robot: the robot.
@@ -329,6 +331,6 @@ def in_the_way(
         base: pose of the robot's base; the present one by default.
         everything: count all links of the robot; else only those that the joints move.
     """
-    with Rehearsal(robot, positions, ignored, everything=everything) as rehearsal:
+    with CollisionChecker(robot, positions, ignored, everything=everything) as rehearsal:
         rehearsal.take(positions, base)
         return rehearsal.touched()

@@ -33,7 +33,7 @@ _TRIED: Final = 250  # places that centres are chosen from
 
 
 @dataclass(frozen=True, slots=True)
-class Balls:
+class InscribedSpheres:
     """Balls in k boxes; a radius of -inf stands for none.
 
     Attributes:
@@ -46,16 +46,16 @@ class Balls:
     radii: Array
     folded: Array
 
-    def of(self, boxes: NDArray[np.intp], most: int = MANY) -> Balls:
+    def of(self, boxes: NDArray[np.intp], most: int = MANY) -> InscribedSpheres:
         """The first balls in some of the boxes.
 
         Args:
             boxes: their numbers.
             most: so many in each.
         """
-        return Balls(self.places[boxes, :most], self.radii[boxes, :most], self.folded[boxes, :, :most])
+        return InscribedSpheres(self.places[boxes, :most], self.radii[boxes, :most], self.folded[boxes, :, :most])
 
-    def overlaps(self, turns: Array, ways: Array, others: Balls) -> Array:
+    def overlaps(self, turns: Array, ways: Array, others: InscribedSpheres) -> Array:
         """How far they overlap with those in other boxes at most, box by box.
 
         Args:
@@ -77,7 +77,7 @@ class Balls:
 
 
 @lru_cache(maxsize=256)
-def balls_in(path: Path) -> Balls:
+def inscribed_spheres(path: Path) -> InscribedSpheres:
     """Balls inside of the pieces of a model.
 
     Args:
@@ -91,17 +91,17 @@ def balls_in(path: Path) -> Balls:
     balls = np.array(chosen).reshape(-1, MANY, 4)
     places = balls[..., :3]
     folded = np.concatenate([-2.0 * places, (places * places).sum(axis=2, keepdims=True)], axis=2).transpose(0, 2, 1)
-    return Balls(places, balls[..., 3], np.ascontiguousarray(folded))
+    return InscribedSpheres(places, balls[..., 3], np.ascontiguousarray(folded))
 
 
-def together(parts: Sequence[Balls]) -> Balls:
+def together(parts: Sequence[InscribedSpheres]) -> InscribedSpheres:
     """The balls in all boxes, one after the other.
 
     Args:
         parts: at least one.
     """
     places, radii, folded = zip(*((part.places, part.radii, part.folded) for part in parts), strict=True)
-    return Balls(np.concatenate(places), np.concatenate(radii), np.concatenate(folded))
+    return InscribedSpheres(np.concatenate(places), np.concatenate(radii), np.concatenate(folded))
 
 
 def _places(solids: Solids, pieces: Sequence[int]) -> tuple[Array, Array]:

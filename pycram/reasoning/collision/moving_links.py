@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _BESIDE: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
 
 
-class Limbs:
+class MovingLinks:
     """Links that joints move, and the others of the same robot.
 
     Args:

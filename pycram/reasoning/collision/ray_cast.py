@@ -70,7 +70,7 @@ class Scan:
     step: float
 
 
-class Outline:
+class RayCaster:
     """The surface of one object, as it stands.
 
     Attributes:

@@ -38,7 +38,7 @@ class _Copy:
     known: dict[Hashable, tuple[Reading, object]] = field(default_factory=dict)
 
 
-class Twin:
+class SimulationClone:
     """A copy of some of a world's objects.
 
     Use it with the world's lock held.
@@ -172,11 +172,11 @@ class Twin:
         self.engine.close()
 
 
-_twins: weakref.WeakKeyDictionary[BulletWorld, dict[str, Twin]] = weakref.WeakKeyDictionary()
+_twins: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()
 _registry = threading.Lock()
 
 
-def twin(world: BulletWorld, purpose: str) -> Twin:
+def twin(world: BulletWorld, purpose: str) -> SimulationClone:
     """The world's twin for a purpose, made at its first use and ended with the world.
 
     Args:
@@ -186,6 +186,6 @@ def twin(world: BulletWorld, purpose: str) -> Twin:
     with _registry:
         mine = _twins.setdefault(world, {})
     if purpose not in mine:
-        made = mine[purpose] = Twin(world, solid=purpose != "reach")
+        made = mine[purpose] = SimulationClone(world, solid=purpose != "reach")
         world.at_exit(made.close)
     return mine[purpose]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.reasoning.collision.boxes import Boxes
-    from pycram.reasoning.collision.inscribed_spheres import Balls
+    from pycram.reasoning.collision.inscribed_spheres import InscribedSpheres
     from pycram.world.object import Object
 
     Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Surroundings:
         self.whose = [objects[number] for number in self._numbers.tolist()]
         self.loose = np.repeat(np.array([not other.fixed for other in objects], dtype=bool), counts)
 
-    def overlaps(self, balls: Balls, centers: Array, axes: Array, others: Indices) -> Array:
+    def overlaps(self, balls: InscribedSpheres, centers: Array, axes: Array, others: Indices) -> Array:
         """How deep balls in n boxes beside some of these are in what is in them, at least.
 
         Args:
@@ -59,12 +59,12 @@ class Surroundings:
         ways = (back @ (centers - self.boxes.centers[others])[:, :, None])[:, :, 0]
         return balls.overlaps(back @ axes, ways, self._balls(others))
 
-    def _balls(self, others: Indices) -> Balls:
+    def _balls(self, others: Indices) -> InscribedSpheres:
         """Those inside of some boxes; asked for only of the objects that these are around."""
         numbers = self._numbers[others]
         shift = np.zeros(len(self._objects), dtype=np.intp)  # from a box's number to that of its balls
-        found: list[Balls] = []
+        found: list[InscribedSpheres] = []
         for number in sorted(set(numbers.tolist())):
             shift[number] = sum(len(mine.radii) for mine in found) - self._firsts[number]
-            found.append(inscribed_spheres.balls_in(self._objects[number].model.path))
+            found.append(inscribed_spheres.inscribed_spheres(self._objects[number].model.path))
         return inscribed_spheres.together(found).of(others + shift[numbers])

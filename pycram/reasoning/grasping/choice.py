@@ -9,7 +9,7 @@ from functools import cached_property
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.collision.checker import Rehearsal
+from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import middle
 from pycram.reasoning.grasping.grasps import Grasp, candidates
 from pycram.reasoning.kinematics import reach
@@ -84,7 +84,7 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         missed = (way for _, ways in found for way in ways)
         return GraspPlan(None, min(missed, key=lambda way: way.posture.position_error, default=None))
     opened = arm.gripper.positions("open") if arm else {}
-    with Rehearsal(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
+    with CollisionChecker(robot, [*solver.joints, *opened], [] if arm else [body]) as rehearsal:
         return _Choice(body, rehearsal, reaching, opened, rehearsal.beyond(solver.joints)).made()
 
 
@@ -107,7 +107,7 @@ class _Choice:
     def __init__(
         self,
         body: Object,
-        rehearsal: Rehearsal,
+        rehearsal: CollisionChecker,
         options: Sequence[tuple[Grasp, Sequence[Reach]]],
         opened: Mapping[str, float],
         hand: Collection[str],
@@ -116,8 +116,8 @@ class _Choice:
         self._rehearsal = rehearsal
         self._options = options
         every = [{**way.posture.positions, **opened} for _, ways in options for way in ways]
-        foreseen = iter(rehearsal.foresee(every))  # all at once: it takes little longer than one
-        self._foreseen = [list(itertools.islice(foreseen, len(ways))) for _, ways in options]
+        candidates = iter(rehearsal.predict(every))  # all at once: it takes little longer than one
+        self._candidates = [list(itertools.islice(candidates, len(ways))) for _, ways in options]
         self._hand = hand
         self._arm = rehearsal.moving() - set(hand)
 
@@ -133,7 +133,7 @@ class _Choice:
             if surprised and place != _HAND:
                 cost = max(cost, self._told(_deepest(depths, self._sure[number][place])))
             if (cost, number, place) <= least:
-                self._rehearsal.take(self._foreseen[number][max(place, 0)])
+                self._rehearsal.take(self._candidates[number][max(place, 0)])
                 found = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
                 surprised |= place != _HAND and found > cost
                 cost = found
@@ -155,9 +155,9 @@ class _Choice:
     @cached_property
     def _sure(self) -> list[list[dict[Object, float]]]:
         """For each option what the arm touches for sure in its postures; worked out when the first isn't free."""
-        every = itertools.chain.from_iterable(self._foreseen)
+        every = itertools.chain.from_iterable(self._candidates)
         sure = iter(self._rehearsal.surely(list(every), self._arm))
-        return [list(itertools.islice(sure, len(postures))) for postures in self._foreseen]
+        return [list(itertools.islice(sure, len(postures))) for postures in self._candidates]
 
     def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
         """What a posture costs: furniture stays, other things can be moved first, little overlap is better.

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.collision.ray_cast import Outline, Scan
+from pycram.reasoning.collision.ray_cast import RayCaster, Scan
 from pycram.reasoning.kinematics import reach
 from recorder import geometry
 
@@ -61,7 +61,7 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
     """
-    outline = Outline(body)
+    outline = RayCaster(body)
     heading, lying = reach.heading(robot), body.get_orientation()
     asked: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
@@ -95,7 +95,7 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
+def _between_fingers(outline: RayCaster, ways: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
     """For each side and orientation the grasp with the object in the middle between the fingers; None if too wide."""
     if not ways:
         return
@@ -127,7 +127,7 @@ def _between_fingers(outline: Outline, ways: Sequence[tuple[str, Quaternion]], a
         yield Grasp(name, geometry.transform(scan.frame, middle), turn, high - low) if fit else None
 
 
-def _rims(outline: Outline, robot: Object, arm: Arm) -> Iterator[Grasp]:
+def _rims(outline: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
     """Over the wall of something hollow that is too wide: beside the middle on the arm's side, or in front of it."""
     gripper = arm.gripper
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]

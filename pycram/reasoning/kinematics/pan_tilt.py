@@ -78,7 +78,7 @@ def _error(
     """Rotation vector's two parts, in the camera's frame, from its axis to the point; its length is the angle."""
     pose = urdf.forward_kinematics({**now, **dict(zip(joints, values, strict=True))}, camera)
     x, y, z = geometry.transform(geometry.invert(pose), point)
-    aside = math.hypot(x, y)
-    angle = math.atan2(aside, z)
-    scale = angle / aside if aside > 1e-12 else 1.0
+    unrecorded = math.hypot(x, y)
+    angle = math.atan2(unrecorded, z)
+    scale = angle / unrecorded if unrecorded > 1e-12 else 1.0
     return np.array([x * scale, y * scale])

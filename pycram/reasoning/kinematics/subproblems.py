@@ -31,15 +31,15 @@ def turned(axis: Array, angle: Array, vector: Array) -> Array:
         angle: by how much.
         vector: what is turned.
     """
-    along, aside, beside = _parts(axis, vector)
-    result: Array = along + np.cos(angle) * aside + np.sin(angle) * beside
+    along, unrecorded, beside = _parts(axis, vector)
+    result: Array = along + np.cos(angle) * unrecorded + np.sin(angle) * beside
     return result
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
     """What of vectors lies along an axis, what across it, and the latter turned on by a right angle."""
-    along, aside, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
-    return along, aside, beside
+    along, unrecorded, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
+    return along, unrecorded, beside
 
 
 @lru_cache(maxsize=256)
@@ -64,8 +64,8 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
         start: the vector before.
         end: the vector after; what of both lies along the axis doesn't count.
     """
-    _, aside, beside = _parts(axis, start)
-    result: Array = np.arctan2(_dot(beside, end), _dot(aside, end))
+    _, unrecorded, beside = _parts(axis, start)
+    result: Array = np.arctan2(_dot(beside, end), _dot(unrecorded, end))
     return result
 
 
@@ -85,13 +85,13 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
     # the vector before, and after, each by its parts beside the other axis, across both axes, and along its own axis
     x, y, z = inner_frame @ start
-    aside = x * x + y * y
-    lengths = aside + z * z
+    unrecorded = x * x + y * y
+    lengths = unrecorded + z * z
     ends = outer_frame @ end
     u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
     # between both turns it has the parts along both axes, and either of two across them
     inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
-    rest = aside - inner * inner
+    rest = unrecorded - inner * inner
     across = np.sqrt(np.maximum(rest, 0.0))
     inner, outer = np.arctan2(across, inner), np.arctan2(across, outer)
     before, after = np.arctan2(y, x), np.arctan2(v, u)
@@ -169,6 +169,6 @@ def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
     """
     straight, mean, half = hinge
     cosine = (mean - distance * distance) / np.maximum(half, 1e-12)
-    aside = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
+    unrecorded = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
     strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _SLACK, 0.0))
-    return np.array([straight + aside, straight - aside]), strain
+    return np.array([straight + unrecorded, straight - unrecorded]), strain

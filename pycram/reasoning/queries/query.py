@@ -83,14 +83,14 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
     """
     start = time.perf_counter_ns()
     with world.lock:
-        funnel = world.funnel
-        outer = funnel.query
-        funnel.query = ""  # asked inside another query: that one is fine
+        transactions = world.transactions
+        outer = transactions.query
+        transactions.query = ""  # asked inside another query: that one is fine
         try:
-            funnel.check(f"ask {name}")
+            transactions.check(f"ask {name}")
         finally:
-            funnel.query = outer
-        funnel.query = name
+            transactions.query = outer
+        transactions.query = name
         asked = Asking()
         error: BaseException | None = None
         try:
@@ -99,7 +99,7 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
             error = raised
             raise
         finally:
-            funnel.query = outer
+            transactions.query = outer
             if journal.recording() and not isinstance(error, UsageError):  # what can't be asked has not been asked
                 record = records.Query(
                     name=name,

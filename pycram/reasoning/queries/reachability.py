@@ -10,7 +10,7 @@ from pycram.reasoning.queries.query import Verdict
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from pycram.reasoning.collision.checker import Rehearsal
+    from pycram.reasoning.collision.checker import CollisionChecker
     from pycram.reasoning.kinematics.reach import Reach
     from recorder.geometry import Pose
 
@@ -20,7 +20,7 @@ T = TypeVar("T")
 def judge(
     options: Sequence[Reach],
     threshold: float,
-    rehearsal: Rehearsal | None,
+    rehearsal: CollisionChecker | None,
     *,
     oriented: bool,
     base: Pose | None = None,
@@ -42,7 +42,7 @@ def judge(
     if rehearsal is None or not ways:
         return Verdict(ways, evidence)
     settled = rehearsal.settled(ways[0].link if oriented else None)
-    for way, posture in zip(ways, rehearsal.foresee([way.posture.positions for way in ways], base), strict=True):
+    for way, posture in zip(ways, rehearsal.predict([way.posture.positions for way in ways], base), strict=True):
         rehearsal.take(posture)
         touched = rehearsal.touched()
         own = rehearsal.touches_itself()

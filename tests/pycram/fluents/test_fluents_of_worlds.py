@@ -142,7 +142,7 @@ def test_what_is_gone_says_so_to_all_who_ask_or_wait(scene: BulletWorld) -> None
 
 def test_worlds_that_nobody_follows_do_nothing_for_fluents(scene: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
-    assert scene.funnel.observer is None
+    assert scene.transactions.observer is None
     followed = contact(milk, kitchen)
     asked = []
     monkeypatch.setattr("pycram.fluents.world.touches", lambda *_: asked.append(1))

@@ -299,12 +299,12 @@ def test_boxes_meet_where_some_point_is_in_both(
     skew: float,
 ) -> None:
     """None for a turn: nearly that of the other box, off by what rounding does."""
-    aside = turn @ (np.eye(3) + skew * (1.0 - np.eye(3))) if other_turn is None else other_turn
-    others = boxes.Boxes(("other",), other_at[None], aside[None], other_half[None])
+    unrecorded = turn @ (np.eye(3) + skew * (1.0 - np.eye(3))) if other_turn is None else other_turn
+    others = boxes.Boxes(("other",), other_at[None], unrecorded[None], other_half[None])
     met = boxes.meeting(at[None, None], turn[None, None], half[None], others)
-    planes = np.vstack([turn.T, -turn.T, aside.T, -aside.T])
-    room = np.concatenate([turn.T @ at + half, half - turn.T @ at, aside.T @ other_at + other_half])
-    room = np.concatenate([room, other_half - aside.T @ other_at])
+    planes = np.vstack([turn.T, -turn.T, unrecorded.T, -unrecorded.T])
+    room = np.concatenate([turn.T @ at + half, half - turn.T @ at, unrecorded.T @ other_at + other_half])
+    room = np.concatenate([room, other_half - unrecorded.T @ other_at])
     solved = linprog([0, 0, 0, 1], np.column_stack([planes, -np.ones(12)]), room, bounds=[(None, None)] * 4)
     assume(solved.status == 0)
     if abs(solved.x[3]) > 1e-5:  # m by which the boxes have to grow to share a point

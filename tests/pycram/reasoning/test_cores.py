@@ -26,7 +26,7 @@ def test_balls_are_inside_of_the_pieces(robot: Object) -> None:
     for body in (robot, *(Object(file, file, f"{file}.stl") for file in FILES)):
         solids = solids_of(body.model.path)
         boxes = Boxes.around(body.world.engine, body.handle, body)
-        balls = inscribed_spheres.balls_in(body.model.path)
+        balls = inscribed_spheres.inscribed_spheres(body.model.path)
         assert len(balls.radii) == len(boxes.links)
         positions, orientations = body.world.engine.link_frames(body.handle, boxes.links)
         turns = geometry.to_matrices(orientations)
@@ -60,8 +60,10 @@ def test_links_overlap_at_least_as_deep_as_their_balls(robot: Object, file: str)
             which = np.full(len(others.links), number)
             back = others.axes.transpose(0, 2, 1)
             ways = (back @ (mine.centers[which] - others.centers)[:, :, None])[:, :, 0]
-            hands = inscribed_spheres.balls_in(robot.model.path).of(which, inscribed_spheres.FEW)
-            overlap = hands.overlaps(back @ mine.axes[which], ways, inscribed_spheres.balls_in(thing.model.path)).max()
+            hands = inscribed_spheres.inscribed_spheres(robot.model.path).of(which, inscribed_spheres.FEW)
+            overlap = hands.overlaps(
+                back @ mine.axes[which], ways, inscribed_spheres.inscribed_spheres(thing.model.path)
+            ).max()
             depth = max((-touch.distance for touch in engine.link_touches(hand, link, copy)), default=0.0)
             sure += overlap > 0.003
             assert overlap <= depth + 1e-4

@@ -177,7 +177,7 @@ def test_a_reach_that_fails_in_the_middle_leaves_the_robot(scene: BulletWorld, m
     robot, milk = scene.robot, scene.get_object("milk")
     before, right = bits(scene), btr.blocking(milk, robot, LEFT).evidence
     with monkeypatch.context() as patch:
-        patch.setattr(checker.Rehearsal, "touched", lambda _: 1 / 0)
+        patch.setattr(checker.CollisionChecker, "touched", lambda _: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             btr.blocking(milk, robot, LEFT)
     assert bits(scene) == before

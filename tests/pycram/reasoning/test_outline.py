@@ -10,7 +10,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.physics.engine import bullet
-from pycram.reasoning.collision.ray_cast import Outline, Scan
+from pycram.reasoning.collision.ray_cast import RayCaster, Scan
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def felt(body: Object, frame: Pose, xs: list[float], zs: tuple[float, ...], sign
 @pytest.mark.parametrize("name", ["milk", "breakfast_cereal", "bowl", "cup", "plate", "bottle", "fork", "apple", "pot"])
 def test_widths_are_those_that_rays_feel(world: BulletWorld, name: str) -> None:
     body = Object(name, name, f"{name}.stl", [1, 2, 1], list(geometry.from_rpy(0.2, -0.3, 0.7)))
-    outline = Outline(body)
+    outline = RayCaster(body)
     for turn in (geometry.from_rpy(0, 0, 0.3), geometry.from_rpy(0.5, math.pi / 2, 0)):
         frame = (outline.middle, turn)
         xs = np.linspace(-0.1, 0.1, 41).tolist()
@@ -52,7 +52,7 @@ def test_widths_are_those_that_rays_feel(world: BulletWorld, name: str) -> None:
 @pytest.mark.parametrize(("name", "inside"), [("bowl", 0.0625), ("glass", 0.0285), ("pot", 0.0944)])
 def test_walls_of_what_is_hollow(world: BulletWorld, name: str, inside: float) -> None:
     body = Object(name, name, f"{name}.stl", [1, 2, 1])
-    outline = Outline(body)
+    outline = RayCaster(body)
     x, y, _ = outline.middle
     high, low = outline.high[2] - 0.012, outline.low[2] - 0.01
     frames = [((x, y, 0.0), geometry.from_rpy(0, 0, yaw)) for yaw in (0.0, 1.0, 2.0)]
@@ -63,7 +63,7 @@ def test_walls_of_what_is_hollow(world: BulletWorld, name: str, inside: float) -
 
 
 def test_what_is_solid_or_not_there_has_no_inside(world: BulletWorld) -> None:
-    outline = Outline(Object("apple", "apple", "apple.stl", [1, 2, 1]))
+    outline = RayCaster(Object("apple", "apple", "apple.stl", [1, 2, 1]))
     x, y, z = outline.middle
     ((within, above),) = outline.walls([Scan(((x, y, 0.0), (0, 0, 0, 1)), z, 1.0)], 2, (0.0,))
     assert math.isnan(within[0])
@@ -91,12 +91,12 @@ def test_shapes_of_all_kinds_have_outlines(world: BulletWorld, tmp_path: Path) -
     two = Object("two", "two", file, [0, 0, 1])
     for value, far in ((0.0, 0.1), (0.4, 0.45)):
         two.set_joint_position("slide", value)
-        (((low, high),),) = Outline(two).across([Scan(((0, 0, 1), (0, 0, 0, 1)), 0.0, 0.0)], 1, (0.0,))
+        (((low, high),),) = RayCaster(two).across([Scan(((0, 0, 1), (0, 0, 0, 1)), 0.0, 0.0)], 1, (0.0,))
         assert low == pytest.approx(-0.1, abs=0.002)
         assert high == pytest.approx(far, abs=0.002)
     bare = tmp_path / "frame.urdf"
     bare.write_text('<robot name="frame"><link name="nothing"/></robot>')
-    frame = Outline(Object("frame", "frame", bare))
+    frame = RayCaster(Object("frame", "frame", bare))
     scan = Scan(((0, 0, 0), (0, 0, 0, 1)), 0.0, 0.0)
     assert np.isnan(frame.across([scan], 1, (0.0,))).all()
     assert np.isnan(frame.walls([scan], 1, (0.0,))).all()

@@ -72,8 +72,8 @@ def test_the_camera_decides(milk: Object, view: object, expected: float, reason:
 def test_half_out_of_the_image_is_half_seen(milk: Object) -> None:
     edge = math.radians(30)  # half of the field of view where only a pose is given
     eye = [-5.0, 0.0, 1.0]
-    for aside, expected in ((0.0, 0.5), (-0.0175, 0.25), (0.0175, 0.75)):
-        direction = edge - aside / 5
+    for unrecorded, expected in ((0.0, 0.5), (-0.0175, 0.25), (0.0175, 0.75)):
+        direction = edge - unrecorded / 5
         at = [eye[0] + math.cos(direction), eye[1] + math.sin(direction), 1.0]
         assert share(milk, camera(eye, at)) == pytest.approx(expected, abs=0.06)
 
