@@ -32,8 +32,7 @@ from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from types import FrameType, TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.actions import Result
     from pycram.binding import Binding

@@ -30,8 +30,7 @@ from recorder.tracing.span import Span
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from types import TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.open_block import Rule
 

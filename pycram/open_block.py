@@ -26,8 +26,7 @@ from recorder.tracing.span import current_call_stack
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.cancellation import Scope
     from recorder.tracing.span import Span

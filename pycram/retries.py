@@ -40,7 +40,7 @@ from pycram.failed_blocks import leaves_uncleaned
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.attempts import Attempt
 

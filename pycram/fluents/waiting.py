@@ -16,8 +16,7 @@ from pycram.fluents.expressions import lock
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.fluents.expressions import State, Term, Value
 

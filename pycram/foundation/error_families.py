@@ -15,8 +15,7 @@ from weakref import WeakSet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-
-    from typing_extensions import Self
+    from typing import Self
 
 
 class PycramError(Exception):

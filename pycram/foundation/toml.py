@@ -1,16 +1,11 @@
-"""Reads TOML, with the standard library where it can (Python 3.11) and its forerunner on 3.10."""
+"""Reads TOML, with errors that name the file."""
 
 from __future__ import annotations
 
-import sys
+import tomllib
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import AssetError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,18 +14,21 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import trimesh
 
 from pycram.foundation import toml
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
 from pycram.models.links import DENSITY
+from recorder.extras import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+with needed():
+    import trimesh
 
 _FARTHEST: Final = 1e4  # m; what is larger was not measured in metres
 _CONVEX_SHARE: Final = 0.9  # of its hull's volume: less is concave

@@ -29,7 +29,7 @@ from pycram.motions.solutions import Solution, Solutions
 from pycram.world.event import qualified_name
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.claims import Claims
 

@@ -17,6 +17,7 @@ import numpy as np
 from pycram.physics.body import Body, Joint
 from pycram.physics.silence import quiet
 from recorder import geometry
+from recorder.extras import needed
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-with quiet(1, 2):  # it announces its build time
+with needed(), quiet(1, 2):  # it announces its build time
     import pybullet as bullet
 
 _UPWARD: Final = 0.5  # of a normal's length

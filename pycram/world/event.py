@@ -18,8 +18,7 @@ from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-
-    from typing_extensions import Self
+    from typing import Self
 
     Handler: TypeAlias = Callable[..., object]
     Envelope: TypeAlias = Callable[[], tuple[str, int]]

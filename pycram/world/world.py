@@ -30,8 +30,7 @@ from recorder.tracing import journal
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.world.lock import WorldLock
     from pycram.world.transaction import Change

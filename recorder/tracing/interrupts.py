@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from collections.abc import Callable
     from types import FrameType
-
-    from typing_extensions import Self
+    from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
 _holder = 0  # identifies the main thread while it is in such a block

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from contextvars import ContextVar, Token
     from types import FrameType, TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
 #: A plan may run for days: its tree keeps the latest tasks, so many of them and so many bytes of records.
 KEPT: Final = 20_000

@@ -31,6 +31,7 @@ print("ended")
 """
 
 
+@pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:
     ended = subprocess.run(

@@ -27,6 +27,7 @@ from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.open_block import OpenBlock
 from pycram.process_module import ProcessModule
+from tests.measures import seeded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -275,7 +276,6 @@ def test_random_plans(tmp_path: Path) -> None:
     run(30, 0, tmp_path / "plans.mcap")
 
 
-@pytest.mark.slow
-def test_a_thousand_random_plans(tmp_path: Path) -> None:
-    for batch in range(10):
-        run(100, 1000 + 100 * batch, tmp_path / f"{batch}.mcap")
+@seeded("random plans of the plan language", range(1000, 2000), 100, always=2)
+def test_a_thousand_random_plans(tmp_path: Path, seeds: range) -> None:
+    run(len(seeds), seeds[0], tmp_path / "plans.mcap")

@@ -215,7 +215,7 @@ def _overlap(
     turn = back @ other_axes  # the other's axes in the box's frame
     way = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
-    overlap: NDArray[np.bool_] = (np.abs(way) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0]).all(axis=1)
+    overlap: NDArray[np.bool_] = np.all(np.abs(way) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1)
     left = np.flatnonzero(overlap)  # the few that the box's own axes don't separate
     turn, way, cosines, halves, other_halves = (part[left] for part in (turn, way, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ way[:, :, None])[:, :, 0]

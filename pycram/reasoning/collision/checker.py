@@ -23,9 +23,9 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
+    from typing import Self
 
     from numpy.typing import NDArray
-    from typing_extensions import Self
 
     from pycram.physics.engine import Touch
     from pycram.world.object import Object
