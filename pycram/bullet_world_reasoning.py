@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
 from pycram.foundation.failures import ReasoningError
-from pycram.handle import unwrap
 from pycram.reasoning.collision import checker as _rehearsal
 from pycram.reasoning.collision import ray_cast as _outline
 from pycram.reasoning.grasping import choice as _choice
@@ -21,6 +20,7 @@ from pycram.reasoning.queries import reachability as _reachability
 from pycram.reasoning.queries import stability as _stability
 from pycram.reasoning.queries import visibility as _visibility
 from pycram.reasoning.queries.query import Asking, Found, Verdict, asking, robot_of, world_of
+from pycram.scheduling.future import unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -16,12 +16,12 @@ collector may run finalizers anywhere, and they may set fluents.
 from __future__ import annotations
 
 import reprlib
-import threading
 from abc import ABC, abstractmethod
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from pycram.foundation.failures import WorldClosed
+from pycram.scheduling.locks import Lock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -33,7 +33,7 @@ Value: TypeAlias = Any
 #: Values of leaves at one moment; operations put theirs beside, so that each is worked out once.
 State: TypeAlias = dict["Term", Value]
 
-lock: Final = threading.RLock()
+lock: Final = Lock()
 _DEEPEST: Final = 4  # operations within each other that a name spells out
 _HIGHEST: Final = 100  # operations within each other that are worked out by calls within each other
 

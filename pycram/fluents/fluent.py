@@ -34,8 +34,8 @@ from pycram.fluents.waiting import first_value
 from pycram.fluents.whenever import whenever
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.handle import unwrap
-from pycram.open_block import await_turn
+from pycram.language.body import await_turn
+from pycram.scheduling.future import unwrap
 from pycram.world.event import qualified_name
 from recorder.tracing.span import span
 

@@ -11,8 +11,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from pycram.cancellation import checkpoint, wait
 from pycram.fluents.expressions import lock
+from pycram.scheduling.cancellation import Condition, checkpoint, wait
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -32,7 +32,7 @@ class Watch:
 
     def __init__(self, term: Term) -> None:
         self._term = term
-        self._news = threading.Condition(lock)
+        self._news = Condition()
         self._states: deque[State] = deque()
 
     def __enter__(self) -> Self:

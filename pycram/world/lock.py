@@ -1,4 +1,4 @@
-"""A world's lock: reentrant, and never held while handlers of events run.
+"""A world's lock: reentrant, and never held while handlers of events run, or while a branch gives way to another one.
 
 Whoever holds it may make any number of changes. The calls of handlers that these owe are left with the lock, and made
 when its thread has let it go altogether: a handler is user code, and one that waits for another thread that wants this
@@ -7,29 +7,29 @@ world would otherwise never end.
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_chain import chained
+from pycram.scheduling.locks import Lock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import TracebackType
 
 
-class WorldLock:
+class WorldLock(Lock):
     """The lock, as a context manager."""
 
     def __init__(self) -> None:
         """Begins free."""
-        self._lock = threading.RLock()
+        super().__init__()
         self._depth = 0
         self._deferred: list[Callable[[], None]] = []
 
     @property
-    def depth(self) -> int:
-        """How often its holder has taken it."""
-        return self._depth
+    def is_held(self) -> bool:
+        """Whether the branch that runs here holds it; as none gives way with it, that is whether its thread does."""
+        return self._lock._is_owned()  # type: ignore[attr-defined, no-any-return]  # noqa: SLF001  as Condition does
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Leaves calls to be made when the lock is free; for its holder.
@@ -41,7 +41,7 @@ class WorldLock:
 
     def __enter__(self) -> None:
         """Waits for it."""
-        self._lock.acquire()
+        super().__enter__()
         self._depth += 1
 
     def __exit__(
@@ -57,7 +57,7 @@ class WorldLock:
         self._depth -= 1
         if not self._depth:
             deferred, self._deferred = self._deferred, []
-        self._lock.release()
+        super().__exit__(kind, error, traceback)
         errors = [failed for call in deferred if (failed := _made(call)) is not None]
         if error is not None:
             chained(error, errors)

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
-from pycram.cancellation import before_change
 from pycram.foundation.failures import ChangeRefused, WorldClosed
+from pycram.scheduling.cancellation import before_change
 from pycram.world.lock import WorldLock
 from recorder import records
 from recorder.tracing import journal, span
@@ -218,10 +218,10 @@ class TransactionManager:
             RecordingError: the record can't be kept.
             Cancelled: the branch of the plan that asks for it has been told to stop.
         """
+        if not self.lock.is_held:  # what is made of several changes is done as a whole
+            before_change()
         with self.lock, Uninterrupted() as hold:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
-            if self.lock.depth == 1:  # what is made of several changes is done as a whole
-                before_change()
             change = Change(command, hold)
             yield change
             for name in change.removed:

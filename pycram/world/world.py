@@ -7,16 +7,15 @@ again. Physics runs in :meth:`BulletWorld.simulate` and in real time only, 240 s
 from __future__ import annotations
 
 import math
-import threading
 from contextlib import ExitStack
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from pycram.cancellation import whole
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.physics.engine import Engine
 from pycram.physics.window import check_display
+from pycram.scheduling.cancellation import uninterruptible
 from pycram.world import carried, current
 from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
@@ -24,7 +23,7 @@ from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import Reading, TransactionManager, read
-from recorder import records
+from recorder import records, threads
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
@@ -370,7 +369,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 journal.attach(body.model.files)
             frame = self.transactions.keyframe()
             frame.world, frame.sim_step = self.name, self.sim_step
-            frame.thread = threading.current_thread().name
+            frame.thread = threads.name()
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:
@@ -386,7 +385,7 @@ class BulletWorld(metaclass=CurrentWorld):
             raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)
 
-    @whole()
+    @uninterruptible()
     def exit(self) -> None:
         """Ends the world at once, its window and its threads; a second call does nothing.
 

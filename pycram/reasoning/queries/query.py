@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
-from pycram.handle import unwrap
+from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 from recorder import records
 from recorder.tracing import journal

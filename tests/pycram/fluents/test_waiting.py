@@ -8,10 +8,10 @@ import threading
 
 import pytest
 
-from pycram.cancellation import Cancelled, Scope, entered
 from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.language import par
+from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
 from tests.pycram.fluents.waiters import PATIENCE, Running, waiting
 
 
@@ -129,7 +129,7 @@ def test_a_wait_ends_in_time_or_when_cancelled_however_often_the_value_changes()
 
 def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
     fluent = Fluent(1)
-    scope = Scope()
+    scope = CancelScope()
     scope.cancel()
     with entered(scope):
         with pytest.raises(Cancelled):
