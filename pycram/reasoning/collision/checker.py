@@ -14,10 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.boxes import meeting, together
-from pycram.reasoning.collision.inscribed_spheres import FEW, inscribed_spheres
 from pycram.reasoning.collision.moving_links import MovingLinks, arm_depths
 from pycram.reasoning.collision.simulation_clone import twin
-from pycram.reasoning.collision.surroundings import Surroundings
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
     Pair = tuple[Object, str, Object, str]
 
 DEPTH: Final = 2e-3  # m of overlap below which shapes, which the engine pads, don't count as in the way
-_SURE: Final = 1e-3  # m by which balls inside of shapes may overlap deeper than the engine says
 _OWN_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
 _STANDING: Final = 0.9  # of a normal's length pointing up
 _FEET: Final = 0.02  # m above the ground
@@ -48,8 +45,6 @@ class Candidate:
         positions: joint values in rad or m by name; the others stay.
         base: pose of the robot's base; None where it stands.
         meets: (n,) numbers of boxes that move, and of the others that they meet.
-        centers: (k, 3) of all boxes that move, m.
-        axes: (k, 3, 3) of these boxes.
         moved: (joints + 1, 4, 4) how the joints carry things there.
         seen: touches of the pairs that have been looked at.
         pairs: links that move, with whose they are, and the others that they could touch; once it has been taken.
@@ -58,8 +53,6 @@ class Candidate:
     positions: Mapping[str, float]
     base: Pose | None
     meets: tuple[NDArray[np.intp], NDArray[np.intp]]
-    centers: NDArray[np.float64]
-    axes: NDArray[np.float64]
     moved: NDArray[np.float64]
     seen: dict[Pair, list[Touch]] = field(default_factory=dict)
     pairs: list[Pair] = field(default_factory=list)
@@ -109,9 +102,11 @@ class CollisionChecker:
         loaded = [carriers[link] for _, boxes, link in held for _ in boxes.links]
         self._carriers = np.concatenate([limbs.carriers, np.array(loaded, dtype=np.intp)])
         self._mine = together([limbs.boxes, *(boxes for _, boxes, _ in held)])
-        self._around = Surroundings(obstacles, [self._twin.boxes(other) for other in obstacles])
-        none, nothing = np.zeros(0, dtype=np.intp), np.zeros(0)
-        self._taken = Candidate({}, None, (none, none), nothing, nothing, nothing)
+        around = [(other, self._twin.boxes(other)) for other in obstacles]
+        self._around = together([boxes for _, boxes in around])
+        self._whose = [other for other, boxes in around for _ in boxes.links]
+        none = np.zeros(0, dtype=np.intp)
+        self._taken = Candidate({}, None, (none, none), np.zeros(0))
         self._there = self._moved = False
 
     def __enter__(self) -> Self:
@@ -135,11 +130,11 @@ class CollisionChecker:
         if base is not None:
             there = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._limbs.stand))) @ moved
         centers, axes = self._mine.carried(there[:, self._carriers])
-        posture, box, other = meeting(centers, axes, self._mine.halves, self._around.boxes)
+        posture, box, other = meeting(centers, axes, self._mine.halves, self._around)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
-            Candidate(positions, base, (box[start:end], other[start:end]), *there)
-            for positions, (start, end), *there in zip(postures, ends, centers, axes, moved, strict=True)
+            Candidate(positions, base, (box[start:end], other[start:end]), carried)
+            for positions, (start, end), carried in zip(postures, ends, moved, strict=True)
         ]
 
     def take(self, positions: Mapping[str, float] | Candidate, base: Pose | None = None) -> None:
@@ -157,39 +152,12 @@ class CollisionChecker:
             if not positions.pairs:
                 positions.pairs.extend(_in_turn(self._pairs(*positions.meets)))
 
-    def surely(self, postures: Sequence[Candidate], links: Collection[str]) -> list[dict[Object, float]]:
-        """What postures touch for sure, without asking the engine.
-
-        Args:
-            postures: that were foreseen.
-            links: the robot's links that are looked at.
-
-        Returns:
-            For each, things that some of these links touch, and how deep at least, m.
-        """
-        found: list[dict[Object, float]] = [{} for _ in postures]
-        looked = np.array([mover is self.robot and link in links for mover, link, _ in self._owners], dtype=bool)
-        which = np.repeat(np.arange(len(postures)), [len(posture.meets[0]) for posture in postures])
-        box, other = np.concatenate([posture.meets for posture in postures], axis=1)
-        some = np.flatnonzero(looked[box] & self._around.loose[other])
-        if not len(some):
-            return found
-        which, box, other = which[some], box[some], other[some]
-        centers = np.array([posture.centers for posture in postures])[which, box]
-        axes = np.array([posture.axes for posture in postures])[which, box]
-        balls = inscribed_spheres(self.robot.model.path).of(self._limbs.numbers[box], FEW)
-        depths = self._around.overlaps(balls, centers, axes, other)
-        for number in np.flatnonzero(depths > DEPTH + _SURE).tolist():
-            touched, thing = found[which[number]], self._around.whose[other[number]]
-            touched[thing] = max(touched.get(thing, 0.0), float(depths[number]) - _SURE)
-        return found
-
     def _pairs(self, boxes: NDArray[np.intp], others: NDArray[np.intp]) -> Iterable[Pair]:
         """The links that boxes are around, with those of others; in order, each pair once."""
         found: dict[Pair, None] = {}
         for box, other in zip(boxes.tolist(), others.tolist(), strict=True):
             mover, link, _ = self._owners[box]
-            found[mover, link, self._around.whose[other], self._around.boxes.links[other]] = None
+            found[mover, link, self._whose[other], self._around.links[other]] = None
         return found
 
     def _look(self, pair: Pair) -> list[Touch]:

@@ -46,7 +46,6 @@ class MovingLinks:
         articulation: how the joints move them.
         boxes: around the links that are looked at.
         carriers: (k,) the number of the joint that carries each box, -1 where none does.
-        numbers: (k,) of these boxes among those around the whole robot.
     """
 
     def __init__(
@@ -64,7 +63,6 @@ class MovingLinks:
         moving = np.array([link in self.moving for link in boxes.links], dtype=bool)
         self.boxes = boxes.chosen(moving)
         self.carriers = self._carriers[moving]
-        self.numbers = np.flatnonzero(moving)
         depths = np.array([self.depth[link] for link in boxes.links])
         names = np.array(boxes.links)
         told = moving[:, None] & (np.abs(depths[:, None] - depths) > _BESIDE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
@@ -93,8 +92,7 @@ class _Choice:
 
     It goes on with the one that costs least by what is known of it, and looks at the next pair of links there, until
     that one is known completely: no other can cost less then. The hand is where it is whatever the arm does, so it is
-    looked at once for each grasp, and what it costs is what all postures for that grasp cost at least. As soon as one
-    posture touches something, arithmetic says what each of them costs at least, so that few others are looked at.
+    looked at once for each grasp, and what it costs is what all postures for that grasp cost at least.
 
     Args:
         body: the object, which the open hand shouldn't be in.
@@ -126,17 +124,12 @@ class _Choice:
         waiting: list[tuple[Cost, int, int, dict[Object, float]]] = []
         waiting.extend((_FREE, number, _HAND, {}) for number in range(len(self._options)))
         bent: tuple[int, int, GraspPlan] = -1, 0, GraspPlan(None, None)
-        surprised = False
         while waiting:
             cost, number, place, depths = heappop(waiting)
             least = waiting[0][:3] if waiting else (_NEVER, 0, 0)
-            if surprised and place != _HAND:
-                cost = max(cost, self._told(_deepest(depths, self._sure[number][place])))
             if (cost, number, place) <= least:
                 self._rehearsal.take(self._candidates[number][max(place, 0)])
-                found = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
-                surprised |= place != _HAND and found > cost
-                cost = found
+                cost = self._cost(depths, self._hand if place == _HAND else self._arm, least[0])
             if (cost, number, place) > least:
                 heappush(waiting, (cost, number, place, depths))
                 continue
@@ -151,13 +144,6 @@ class _Choice:
                 obstacles.pop(self._body, None)
                 return GraspPlan(grasp, ways[place], obstacles)
         return bent[2]
-
-    @cached_property
-    def _sure(self) -> list[list[dict[Object, float]]]:
-        """For each option what the arm touches for sure in its postures; worked out when the first isn't free."""
-        every = itertools.chain.from_iterable(self._candidates)
-        sure = iter(self._rehearsal.surely(list(every), self._arm))
-        return [list(itertools.islice(sure, len(postures))) for postures in self._candidates]
 
     def _cost(self, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
         """What a posture costs: furniture stays, other things can be moved first, little overlap is better.
@@ -184,8 +170,3 @@ class _Choice:
         counted = {hit: depth for hit, depth in depths.items() if hit is not self._body}
         furniture = sum([hit.fixed for hit in counted])
         return self._body in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
-
-
-def _deepest(some: Mapping[Object, float], others: Mapping[Object, float]) -> Mapping[Object, float]:
-    """All that is in one of two, with the greater number where it is in both."""
-    return {**some, **{body: max(depth, some.get(body, 0.0)) for body, depth in others.items()}}
