@@ -1,22 +1,19 @@
-"""What a robot's arm can reach, and what would be in its way (thesis 4.4.5, 4.4.6).
+"""Inverse kinematics of a robot in the world (thesis 4.4.5): which postures bring a link to a pose.
 
-Postures come from :mod:`pycram.reasoning.kinematics.arm`, which keeps to joint limits; what they would touch is looked
-for by :mod:`pycram.reasoning.collision.checker`. Neither touches the world.
-
-Grasps are named by the side of the object that the gripper comes from, as seen by the robot: "front" is the side that
-faces it.
+Postures come from :mod:`pycram.reasoning.kinematics.arm`, which keeps to joint limits; the world isn't touched. Grasps
+are named by the side of the object that the gripper comes from, as seen by the robot: "front" is the side that faces
+it.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
 from pycram.foundation import checks
 from pycram.foundation.failures import UnknownName
-from pycram.reasoning.kinematics.arm import ArmKinematics, Posture
+from pycram.reasoning.kinematics.arm import THRESHOLD, ArmKinematics, Posture
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -25,14 +22,22 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import PoseLike, Quaternion, Vector
 
+    #: Position and orientation in the world, and the pose that the robot's base is taken to have.
     Target = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
-_KEPT: Final = 16  # chains of a robot
-THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
+_MAX_CHAINS: Final = 16  # of a robot that are kept
+
+GRASPS: Final[Mapping[str, Quaternion]] = {
+    "front": (0.0, 0.0, 0.0, 1.0),
+    "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
+    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left side to its right
+    "right": geometry.from_rpy(0.0, 0.0, math.pi / 2),
+}
+"""Tool orientations in a frame that has the robot's heading."""
 
 
-def approach(grasp: str, robot: Object) -> Quaternion:
-    """Orientation of the tool for a grasp, in the world.
+def grasp_orientation(grasp: str, robot: Object) -> Quaternion:
+    """Return the orientation of the tool for a grasp, in the world.
 
     Args:
         grasp: "front", "top", "left" or "right".
@@ -47,64 +52,14 @@ def approach(grasp: str, robot: Object) -> Quaternion:
 
 
 def heading(robot: Object) -> Quaternion:
-    """Where a robot looks: its orientation about the vertical.
-
-    Args:
-        robot: the robot, as it stands.
-    """
-    x, y, _ = geometry.rotate(robot.get_orientation(), (1.0, 0.0, 0.0))
-    return geometry.from_rpy(0.0, 0.0, math.atan2(y, x))
+    """Return a robot's orientation about the vertical."""
+    return geometry.from_rpy(0.0, 0.0, yaw(robot))
 
 
-GRASPS: Final[Mapping[str, Quaternion]] = {
-    "front": (0.0, 0.0, 0.0, 1.0),
-    "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
-    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left side to its right
-    "right": geometry.from_rpy(0.0, 0.0, math.pi / 2),
-}
-"""Tool orientations in a frame that has the robot's heading."""
-
-
-@dataclass(frozen=True, slots=True)
-class Reach:
-    """How a link gets to a target.
-
-    Attributes:
-        posture: the joints that move, and how near they bring it.
-        link: the link that is to get there.
-    """
-
-    posture: Posture
-    link: str
-
-    def reached(self, threshold: float) -> bool:
-        """Whether position (and orientation, if one was asked for) are within tolerance."""
-        return self.posture.position_error <= threshold and self.posture.turn_error < math.radians(2)
-
-    def evidence(self) -> dict[str, object]:
-        """As records carry it."""
-        posture = self.posture
-        return {"joints": posture.positions, "distance": posture.position_error, "turn": posture.turn_error}
-
-
-def moving_joints(robot: Object, link: str) -> tuple[str, tuple[str, ...]]:
-    """The joints that bring a link to a target, and the link that they hang on.
-
-    Args:
-        robot: the robot.
-        link: an arm's tool frame, or any other of its links.
-
-    Raises:
-        UnknownName: there is no such link.
-    """
-    robot.check_link(link)
-    arm = robot.description.arm_of(link) if robot.description else None
-    if arm is not None:
-        return arm.base_link, arm.joints
-    chain = [joint for joint in robot.urdf.chain(robot.base_link, link) if joint.movable and joint.type != "prismatic"]
-    if not chain:
-        return robot.base_link, ()
-    return chain[0].parent, tuple(joint.name for joint in chain)
+def yaw(body: Object) -> float:
+    """Return the angle about the vertical by which an object's x axis is turned, rad."""
+    x, y, _ = geometry.rotate(body.get_orientation(), (1.0, 0.0, 0.0))
+    return math.atan2(y, x)
 
 
 def postures(
@@ -116,22 +71,10 @@ def postures(
     thorough: bool = False,
     quick: bool = False,
     seed: Mapping[str, float] | None = None,
-) -> list[Reach]:
-    """Postures that bring a link of a robot to a pose in the world, nearest to its present one first.
-
-    Args:
-        robot: the robot, as it stands.
-        link: an arm's tool frame, or any other of its links.
-        position: xyz in the world, m.
-        orientation: xyzw in the world, None if any will do.
-        thorough: look for several.
-        quick: don't look long; a miss then proves nothing.
-        seed: posture to start from; the present one by default.
-
-    Returns:
-        At least one; if the first doesn't reach, none does.
-    """
-    return Solver(robot, link).postures(position, orientation, thorough=thorough, quick=quick, seed=seed)
+) -> list[Posture]:
+    """Return postures that bring a link of a robot to one pose in the world; see :meth:`Solver.search`."""
+    target = (position, orientation, None)
+    return Solver(robot, link).search([target], thorough=thorough, quick=quick, seed=seed)[0]
 
 
 class Solver:
@@ -139,37 +82,32 @@ class Solver:
 
     Args:
         robot: the robot.
-        link: an arm's tool frame, or any other of its links.
+        link: an arm's tool frame, or any other link.
+
+    Attributes:
+        joints: names of the joints that bring the link to a target.
+
+    Raises:
+        UnknownName: the robot has no such link.
     """
 
     def __init__(self, robot: Object, link: str) -> None:
-        root, self.joints = moving_joints(robot, link)
-        self._link = link
-        self._now = robot.get_joint_positions()
+        robot.check_link(link)
         self._arm = robot.description.arm_of(link) if robot.description else None
+        if self._arm is not None:
+            root, self.joints = self._arm.base_link, self._arm.joints
+        else:
+            chain = robot.urdf.chain(robot.base_link, link)
+            turning = [joint for joint in chain if joint.movable and joint.type != "prismatic"]
+            root = turning[0].parent if turning else robot.base_link
+            self.joints = tuple(joint.name for joint in turning)
+        self._now = robot.get_joint_positions()
         self._kinematics = _kinematics(robot, root, link, self.joints, self._now)
         self._root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
         self._root_T_link = geometry.transform(self._root_T_world, robot.get_link_position(link))
         self._root_T_base = geometry.multiply(self._root_T_world, robot.get_position_and_orientation())
 
-    def postures(
-        self,
-        position: Sequence[float],
-        orientation: Sequence[float] | None,
-        *,
-        thorough: bool = False,
-        quick: bool = False,
-        seed: Mapping[str, float] | None = None,
-        base: PoseLike | None = None,
-        threshold: float = THRESHOLD,
-    ) -> list[Reach]:
-        """See :func:`postures`; ``base`` is where the robot's base is taken to be, ``threshold`` m are near enough."""
-        (found,) = self.searched(
-            [(position, orientation, base)], thorough=thorough, quick=quick, seed=seed, threshold=threshold
-        )
-        return found
-
-    def searched(
+    def search(
         self,
         targets: Sequence[Target],
         *,
@@ -177,41 +115,35 @@ class Solver:
         quick: bool = False,
         seed: Mapping[str, float] | None = None,
         threshold: float = THRESHOLD,
-    ) -> list[list[Reach]]:
-        """As :meth:`postures`, for many targets.
+    ) -> list[list[Posture]]:
+        """Return postures for targets, nearest to the present one first.
 
         Args:
-            targets: positions and orientations in the world, for all or for none, and where the robot's base is taken
-                to be.
+            targets: poses; all of them with an orientation, or none.
             thorough: look for several.
             quick: don't look long; a miss then proves nothing.
             seed: posture to start from; the present one by default.
             threshold: m that are near enough.
 
         Returns:
-            For each at least one; if the first doesn't reach, none does.
+            For each target at least one; if the first doesn't reach, none does.
         """
         if not self.joints:
-            ways = [math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, _, _ in targets]
-            return [[Reach(Posture({}, away, 0.0, away < THRESHOLD), self._link)] for away in ways]
+            distances = (math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, *_ in targets)
+            return [[Posture({}, distance, 0.0)] for distance in distances]
         if not targets:
             return []
-        start = self._now if seed is None else seed
-        seeds = [start, *(self._arm.posture(name) for name in self._arm.poses)] if self._arm else [start]
-        wanted = [self._in_root(*target) for target in targets]
-        found = self._kinematics.solve_all(wanted, seeds, thorough=thorough, quick=quick, enough=threshold)
-        return [[Reach(posture, self._link) for posture in each] for each in found]
+        seeds = [self._now if seed is None else seed]
+        if self._arm is not None:
+            seeds += [self._arm.posture(name) for name in self._arm.poses]
+        goals = [self._in_root(*target) for target in targets]
+        return self._kinematics.solve_all(goals, seeds, thorough=thorough, quick=quick, enough=threshold)
 
-    def at_once(self, targets: Sequence[Target]) -> list[list[Reach]]:
-        """Postures for many targets that are found without searching; an empty list says nothing.
-
-        Args:
-            targets: as for :meth:`searched`.
-        """
+    def closed_form(self, targets: Sequence[Target]) -> list[list[Posture]]:
+        """Return postures for targets that are found without searching; an empty list proves nothing."""
         if not self.joints:
             return [[] for _ in targets]
-        found = self._kinematics.at_once([self._in_root(*target) for target in targets], self._now)
-        return [[Reach(posture, self._link) for posture in each] for each in found]
+        return self._kinematics.closed_form([self._in_root(*target) for target in targets], self._now)
 
     def _in_root(
         self, position: Sequence[float], orientation: Sequence[float] | None, base: PoseLike | None
@@ -223,16 +155,16 @@ class Solver:
         return geometry.transform(root_T_world, position), turn
 
 
-_made: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()
+_chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()
 
 
 def _kinematics(robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float]) -> ArmKinematics:
-    """A chain's arithmetic, which is kept: making it takes as long as solving it."""
+    """Return a chain's kinematics, which are kept: making them takes as long as solving them."""
     others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
     key = (link, *(now[name] for name in others))
-    mine = _made.setdefault(robot, {})
-    if key not in mine:
-        if len(mine) >= _KEPT:
-            mine.clear()
-        mine[key] = ArmKinematics(robot.urdf, root, link, joints, now)
-    return mine[key]
+    chains = _chains.setdefault(robot, {})
+    if key not in chains:
+        if len(chains) >= _MAX_CHAINS:
+            chains.clear()
+        chains[key] = ArmKinematics(robot.urdf, root, link, joints, now)
+    return chains[key]
