@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.kinematics.chain import Chain
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend, spread
 from recorder import geometry
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from recorder.geometry.urdf import Urdf
+    from pycram.reasoning.kinematics.chain import Chain
 
     Array = NDArray[np.float64]
     Target = tuple[Sequence[float], Sequence[float] | None]
@@ -67,39 +66,15 @@ class Posture:
 
 
 class ArmKinematics:
-    """Postures of a chain of joints with a tool at its end.
+    """Inverse kinematics of a chain of joints with a tool at its end."""
 
-    Args:
-        urdf: of the robot.
-        base_link: the link that targets are given in.
-        tool_link: the link that is to reach them.
-        joints: names of the joints that may move, in order; others of the chain keep their value.
-        fixed: values of those others; 0 by default.
-    """
-
-    def __init__(
-        self,
-        urdf: Urdf,
-        base_link: str,
-        tool_link: str,
-        joints: Sequence[str],
-        fixed: Mapping[str, float] | None = None,
-    ) -> None:
-        self.chain = Chain(urdf, base_link, tool_link, joints, fixed)
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
         self._closed: ClosedForm | None = None
-        if self.chain.joints and not self.chain.sliding:
-            self._closed = ClosedForm.of(*self.chain.at_zero(), self.chain.lower, self.chain.upper, self.chain.bounded)
+        if chain.joints and not chain.sliding:
+            self._closed = ClosedForm.of(*chain.at_zero(), chain.lower, chain.upper, chain.bounded)
 
     def solve(
-        self,
-        position: Sequence[float],
-        orientation: Sequence[float] | None = None,
-        seeds: Iterable[Mapping[str, float]] = (),
-    ) -> Posture:
-        """Return a posture for one target, near the first seed if there are several; see :meth:`solve_all`."""
-        return self.solve_all([(position, orientation)], seeds)[0][0]
-
-    def solve_all(
         self,
         targets: Sequence[Target],
         seeds: Iterable[Mapping[str, float]] = (),
@@ -149,7 +124,7 @@ class ArmKinematics:
         """Return the closed form's solutions for many targets, in a fraction of a search's time.
 
         Args:
-            targets: as for :meth:`solve_all`.
+            targets: as for :meth:`solve`.
             seed: a posture; postures near it come first.
 
         Returns:

@@ -48,7 +48,7 @@ class Articulation:
         axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), axes)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        self._parts = screws.parts_of(axes, points, slides)
+        self._parts = screws.constant_parts(axes, points, slides)
         self._now = np.array([engine.joint(body, name) for name in self.joints])
 
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:

@@ -14,6 +14,7 @@ from weakref import WeakKeyDictionary
 from pycram.foundation import checks
 from pycram.foundation.failures import UnknownName
 from pycram.reasoning.kinematics.arm import THRESHOLD, ArmKinematics, Posture
+from pycram.reasoning.kinematics.chain import Chain
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ class Solver:
         if self._arm is not None:
             seeds += [self._arm.posture(name) for name in self._arm.poses]
         goals = [self._in_root(*target) for target in targets]
-        return self._kinematics.solve_all(goals, seeds, thorough=thorough, quick=quick, enough=threshold)
+        return self._kinematics.solve(goals, seeds, thorough=thorough, quick=quick, enough=threshold)
 
     def closed_form(self, targets: Sequence[Target]) -> list[list[Posture]]:
         """Return postures for targets that are found without searching; an empty list proves nothing."""
@@ -166,5 +167,5 @@ def _kinematics(robot: Object, root: str, link: str, joints: Sequence[str], now:
     if key not in chains:
         if len(chains) >= _MAX_CHAINS:
             chains.clear()
-        chains[key] = ArmKinematics(robot.urdf, root, link, joints, now)
+        chains[key] = ArmKinematics(Chain(robot.urdf, root, link, joints, now))
     return chains[key]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from pycram.reasoning.kinematics import subproblems
 from pycram.reasoning.kinematics.arm import ArmKinematics
+from pycram.reasoning.kinematics.chain import Chain
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.descent import TURN_TOLERANCE
 from recorder import geometry
@@ -40,7 +41,7 @@ def robot(axes: list[str], lengths: list[float], limit: float = 2.5) -> Urdf:
 def chain(axes: list[str], lengths: list[float], limit: float = 2.5) -> ArmKinematics:
     """The kinematics of such an arm."""
     urdf = robot(axes, lengths, limit)
-    return ArmKinematics(urdf, "l0", urdf.links[-1], [f"j{i}" for i in range(len(axes))])
+    return ArmKinematics(Chain(urdf, "l0", urdf.links[-1], [f"j{i}" for i in range(len(axes))]))
 
 
 X, Y, Z = "1 0 0", "0 1 0", "0 0 1"
@@ -65,7 +66,7 @@ def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
     posture = np.array(data.draw(st.lists(st.floats(-limit, limit), min_size=len(arm[0]), max_size=len(arm[0]))))
     pose = solver.chain.poses(posture[None])[0]
     turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
-    (found,) = solver.solve_all([(pose[:3, 3], turn)])
+    (found,) = solver.solve([(pose[:3, 3], turn)])
     if arm in (PR2, IIWA, SKEWED):
         assert found[0].reaches()
         assert found[0].turn_error < TURN_TOLERANCE
@@ -94,7 +95,7 @@ def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> Non
         reached = 0
         for pose in solver.chain.poses(postures):
             turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
-            reached += solver.solve(pose[:3, 3], turn).reaches()
+            reached += solver.solve([(pose[:3, 3], turn)])[0][0].reaches()
         assert reached >= 23, arm
 
 
@@ -135,7 +136,7 @@ def test_a_turn_to_a_distance(axis: np.ndarray, start: np.ndarray, end: np.ndarr
     moved = subproblems.turned(axis, np.array([angle]), start[:, None])
     distance = np.linalg.norm(moved - end[:, None], axis=0)
     assume(distance > 1e-3)
-    found, strain = subproblems.to_distance(axis, start[:, None], end[:, None], distance)
+    found, strain = subproblems.opened(subproblems.hinge(axis, start[:, None], end[:, None]), distance)
     assert strain == pytest.approx(0.0, abs=1e-3)
     for turn in found:
         again = subproblems.turned(axis, turn, start[:, None])
@@ -144,10 +145,11 @@ def test_a_turn_to_a_distance(axis: np.ndarray, start: np.ndarray, end: np.ndarr
 
 def test_the_arm_points_at_targets_that_are_too_far() -> None:
     solver = chain(*PR2)
-    found = solver.solve([1.3, 0.0, 0.0])
+    ((found,),) = solver.solve([([1.3, 0.0, 0.0], None)])
     assert not found.reaches()
     assert found.position_error == pytest.approx(0.3, abs=0.01)
-    assert not solver.solve([0.0, 0.0, 5.0], geometry.from_rpy(0, math.pi, 0)).reaches()
+    ((turned,),) = solver.solve([([0.0, 0.0, 5.0], geometry.from_rpy(0, math.pi, 0))])
+    assert not turned.reaches()
 
 
 def test_many_targets_are_solved_as_one_by_one() -> None:
@@ -157,11 +159,11 @@ def test_many_targets_are_solved_as_one_by_one() -> None:
     positions = [[float(x) for x in rng.uniform(-1.2, 1.2, 3)] for _ in range(20)]
     turn = geometry.from_rpy(0.3, 0.8, -0.4)
     for targets in ([(position, turn) for position in positions], [(position, None) for position in positions]):
-        many = solver.solve_all(targets)
+        many = solver.solve(targets)
         reached = [postures[0].reaches() for postures in many]
         assert 0 < sum(reached) < len(reached)
         for target, postures in zip(targets, many, strict=True):
-            alone = solver.solve(*target)
+            alone = solver.solve([target])[0][0]
             assert alone.reaches() is postures[0].reaches()
             assert alone.position_error == pytest.approx(postures[0].position_error, abs=1e-6)
         exact = solver.closed_form(targets, {})
@@ -171,4 +173,4 @@ def test_many_targets_are_solved_as_one_by_one() -> None:
 
 def test_arms_of_any_number_of_joints_are_searched() -> None:
     solver = chain([Z, Y] * 7, [0.1] * 15)
-    assert solver.solve([0.7, 0.3, 0.4]).reaches()
+    assert solver.solve([([0.7, 0.3, 0.4], None)])[0][0].reaches()
