@@ -1,7 +1,7 @@
 """What a robot would touch in other postures or at another pose (thesis 4.4.6): tried in a simulation clone.
 
 Boxes say at once which links could touch in many postures (:mod:`pycram.reasoning.collision.boxes`, the broad phase);
-the engine looks only at these pairs, when it is asked (the narrow phase).
+the engine checks only these pairs, one by one as they are needed (the narrow phase).
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class Candidate:
         base: pose of the robot's base; None where it stands.
         overlaps: (n,) numbers of boxes that move, and of the others that they overlap.
         transforms: (joints + 1, 4, 4) how the joints move what hangs on them.
-        pairs: the links in these boxes, in the order in which they are looked at; once somebody has asked.
-        touches: of the pairs that the engine has looked at.
+        pairs: the links in these boxes, in the order in which they are checked; empty until then.
+        touches: of the pairs that the engine has checked.
     """
 
     positions: Mapping[str, float]
@@ -77,13 +77,13 @@ class CollisionChecker:
 
     Args:
         robot: the robot.
-        joints: names of the joints that will be moved; what they don't move isn't looked at.
+        joints: names of the joints that will be moved; what they don't move isn't checked.
         ignored: objects that don't count.
-        all_links: look at all links of the robot, not just those that the joints move.
+        all_links: check all links of the robot, not just those that the joints move.
 
     Attributes:
         robot: the robot.
-        moving: links of the robot that are looked at.
+        moving: links of the robot that are checked.
     """
 
     def __init__(
@@ -163,11 +163,11 @@ class CollisionChecker:
     def collisions(
         self, candidate: Candidate, links: Collection[str] | None = None
     ) -> Iterator[tuple[Object, list[Touch]]]:
-        """Look at the pairs of a candidate, one after the other; what was looked at before is known.
+        """Check the pairs of a candidate, one after the other; what was checked before is known.
 
         Args:
             candidate: that was predicted.
-            links: the robot's links that are looked at, and what it holds with them; all that move by default.
+            links: the robot's links that are checked, and what it holds with them; all that move by default.
 
         Yields:
             What is touched, and where a link touches one of its links. The floor that a robot stands on doesn't collide
@@ -259,13 +259,13 @@ class CollisionChecker:
 def touched(
     robot: Object, positions: Mapping[str, float], base: Pose | None = None, *, all_links: bool = False
 ) -> dict[Object, Collision]:
-    """Return what a robot would collide with in one other posture or at one other pose, deepest first.
+    """Return what a robot would collide with in another posture or at another pose, deepest first.
 
     Args:
         robot: the robot; its world's lock is held.
         positions: joint values in rad or m by name that differ from the present ones.
         base: pose of the robot's base; the present one by default.
-        all_links: look at all links of the robot, not just those that the joints move.
+        all_links: check all links of the robot, not just those that the joints move.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)

@@ -1,6 +1,6 @@
 """What of a robot some joints move, as it stands: its links, the boxes around them, and which of these could overlap.
 
-It is worked out once for a state of the robot, since many questions are asked while the robot stays where it is.
+It is worked out once for a state of the robot, since there are many queries while the robot stays where it is.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ class MovingLinks:
         robot: the robot.
         boxes: around all its pieces, as it stands there.
         joints: names of the joints that will be moved.
-        all_links: look at all links, not just those that the joints move.
+        all_links: check all links, not just those that the joints move.
 
     Attributes:
-        moving: links that are looked at.
+        moving: links that are checked.
         joint_counts: how many of the joints each link hangs on.
         positions: values of the joints, rad or m.
         base_pose: of the robot.
         articulation: how the joints move the links.
-        boxes: around the links that are looked at.
+        boxes: around the links that are checked.
         drivers: (k,) the number of the joint that moves each of these boxes, -1 where none does.
     """
 

@@ -2,7 +2,7 @@
 
 A gripper has to know how wide an object is where the fingers go, which neither its bounds nor its origin say: bounds
 grow when it turns, and a hollow one has walls. Lines are intersected with the convex pieces of the model, all at once;
-no engine is asked, hence nothing can be stale and nothing is put anywhere.
+no engine is asked, so nothing can be stale and nothing is moved.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ class _Intersections:
     Attributes:
         pieces: (scans,) how many of them are near each scan: the first ones, the next ones, ...
         count: of points in a scan at most.
-        begins: (n,) the first point where lines are looked at; the rest miss the piece.
+        begins: (n,) the first point where lines may hit the piece.
         enter: (n, beside, width), m: where each line enters the piece, inf where it misses it.
         leave: (n, beside, width), m: where each line leaves it, -inf where it misses it.
     """

@@ -93,9 +93,9 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
 class _Choice:
     """The choice of the posture that touches least, of several the first: a best-first search.
 
-    It goes on with the posture that costs least by what is known of it, and looks at the next pair of links there,
+    It goes on with the posture that costs least by what is known of it, and checks the next pair of links there,
     until that one is known completely: no other can cost less then. The hand is where it is whatever the arm does, so
-    it is looked at once for each grasp, and its cost is a lower bound for all postures for that grasp.
+    it is checked once for each grasp, and its cost is a lower bound for all postures for that grasp.
 
     Args:
         target: the object, which the open hand shouldn't be in.
@@ -131,7 +131,7 @@ class _Choice:
             _, option, number, depths = heappop(queue)
             bound = queue[0][:3] if queue else (_INFINITE, 0, 0)
             candidate = self._candidates[option][max(number, 0)]
-            cost = self._look(candidate, depths, self._hand if number == _HAND else self._arm, bound[0])
+            cost = self._check(candidate, depths, self._hand if number == _HAND else self._arm, bound[0])
             grasp, postures = self._options[option]
             if (cost, option, number) > bound:
                 heappush(queue, (cost, option, number, depths))
@@ -146,13 +146,13 @@ class _Choice:
                 return GraspPlan(grasp, postures[number], obstacles)
         return contorted[max(contorted)]
 
-    def _look(self, candidate: Candidate, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
-        """Look at what some links touch, and return what that costs.
+    def _check(self, candidate: Candidate, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
+        """Check what some links touch, and return what that costs.
 
         Args:
             candidate: the posture.
             depths: of what is touched, m; what these links touch is added.
-            links: the robot's links that are looked at.
+            links: the robot's links that are checked.
             enough: as soon as it costs more, the rest doesn't matter yet.
         """
         cost = self._cost(depths)

@@ -32,7 +32,7 @@ class Verdict(int):
 
     Attributes:
         evidence: what the answer rests on.
-        picture: what was looked at, if anything was.
+        picture: what the camera saw, if one was asked.
     """
 
     evidence: Mapping[str, object]
@@ -62,7 +62,7 @@ class Found(list[T], Generic[T]):
 
     Attributes:
         evidence: what the answer rests on.
-        picture: what was looked at, if anything was.
+        picture: what the camera saw, if one was asked.
     """
 
     def __init__(
