@@ -9,8 +9,8 @@ from pycram.foundation.failures import BadArgument, GraspFailed, PlaceFailed, Po
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping import choice, closing_width, placing
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.grasping import choice, closing_width, placing, sides
+from pycram.reasoning.kinematics import solver
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class MoveTCP(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
         with robot.world.lock:
-            postures = reach.postures(robot, arm.tool_frame, target, solution.get("orientation"), thorough=True)
+            postures = solver.postures(robot, arm.tool_frame, target, solution.get("orientation"), thorough=True)
             if not postures[0].reaches():
                 raise Unreachable(arm.name, target, postures[0].position_error)
             touched: list[str] = []
@@ -156,7 +156,7 @@ class Place(SimulatedModule):
             yield from ((pose, False) for pose in poses)
 
         for (position, turn), quick in tool_poses():
-            for posture in reach.postures(robot, arm.tool_frame, position, turn, quick=quick):
+            for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
                 if not posture.reaches():
                     misses.append(posture.position_error)
                     continue
@@ -185,8 +185,8 @@ def _orientations(
         x, y, z, w = orientation
         yield (x, y, z, w)
         return
-    natural = [reach.grasp_orientation(grasp, robot) for grasp in reach.GRASPS]
-    start = reach.yaw(body)
+    natural = [sides.grasp_orientation(grasp, robot) for grasp in sides.GRASPS]
+    start = sides.yaw(body)
     upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * i / _YAWS) for i in range(_YAWS)]
 
     def strain(turn: Quaternion) -> float:

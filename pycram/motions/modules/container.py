@@ -10,7 +10,8 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import half_extent
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.grasping.sides import grasp_orientation
+from pycram.reasoning.kinematics import solver
 from pycram.world import carried
 from recorder import geometry
 
@@ -76,7 +77,7 @@ class Accessing(SimulatedModule):
             root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)
             link = geometry.multiply(container.get_position_and_orientation(), root_T_link)
             position, orientation = geometry.multiply(link, link_T_tool)
-            posture = reach.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
+            posture = solver.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
             if not posture.reaches():
                 raise Unreachable(arm.name, position, posture.position_error, f"{handle} at {joint} = {value:.3f}")
             seed = posture.positions
@@ -121,7 +122,7 @@ def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[O
 def _tool_at(robot: Object, gripper: Gripper, container: Object, handle: str) -> Pose:
     """Return the pose of the tool at a handle: from the front, the fingers across the bar, the palm before it."""
     low, high = container.get_AABB(handle)
-    tool = reach.grasp_orientation("front", robot)
+    tool = grasp_orientation("front", robot)
     forward = geometry.rotate(tool, (1.0, 0.0, 0.0))
     _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
     across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import Grasp, candidates
-from pycram.reasoning.kinematics.reach import Solver
+from pycram.reasoning.kinematics.solver import Solver
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.grasping.sides import GRASPS, heading
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -62,11 +62,11 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         names: the sides that are allowed; all by default.
     """
     caster = RayCaster(body)
-    heading, lying = reach.heading(robot), body.get_orientation()
+    facing, lying = heading(robot), body.get_orientation()
     sides: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
-            turn = geometry.product(geometry.product(heading, reach.GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
+            turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
             sides.append([(name, other) for other in (turn, *_along(turn, lying))])
     fitting = iter(_between_fingers(caster, [option for options in sides for option in options], arm))
     found: list[Grasp] = []
@@ -137,10 +137,10 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
     height = max(top - gripper.depth, bottom + gripper.tips + _CLEARANCE)
     first = top - _EDGE
     step = (max(height - gripper.tips, bottom + _CLEARANCE) - first) / (_LEVELS - 1)
-    heading = reach.heading(robot)
+    facing = heading(robot)
     frames = []
     for direction in ((0.0, side, 0.0), (-1.0, 0.0, 0.0), (0.0, -side, 0.0)):
-        away = geometry.rotate(heading, direction)
+        away = geometry.rotate(facing, direction)
         frames.append(((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0]))))
     walls = caster.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
     for frame, roll, wall in zip(frames, (0.0, math.pi / 2, 0.0), walls, strict=True):
@@ -154,6 +154,6 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
         if outside - inside > gripper.aperture - _FREE:
             continue
-        turn = geometry.product(geometry.product(heading, reach.GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
+        turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
         yield Grasp("top", (grasp_x, grasp_y, tips), turn, outside - inside)

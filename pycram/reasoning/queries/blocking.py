@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pycram.reasoning.grasping import choice
-from pycram.reasoning.kinematics.reach import grasp_orientation
+from pycram.reasoning.grasping.sides import grasp_orientation
 from pycram.reasoning.queries.query import Found, query
 
 if TYPE_CHECKING:

@@ -41,7 +41,7 @@ class Verdict(int):
     def __new__(
         cls, answer: object, evidence: Mapping[str, object] | None = None, picture: records.Picture | None = None
     ) -> Self:
-        """Makes it from anything that is true or false."""
+        """Make it from anything that is true or false."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})
         verdict.picture = picture
@@ -95,7 +95,7 @@ _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
 
 
 def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
-    """Makes a query of a function that answers about a world.
+    """Make a query of a function that answers about a world.
 
     The function gets results in place of futures, and arguments that have been checked. Which checks, the names of its
     parameters say: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` are of one world, which is
@@ -121,7 +121,7 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
 
 
 def _check(arguments: dict[str, Any]) -> BulletWorld:
-    """Checks arguments, puts what the checks return in their place, and returns the world that they are about."""
+    """Check arguments, put what the checks return in their place, and return the world that they are about."""
     for name, check in _CHECKS.items():
         if name in arguments:
             arguments[name] = check(name, arguments[name])
@@ -139,7 +139,7 @@ def _check(arguments: dict[str, Any]) -> BulletWorld:
 
 
 def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
-    """Calls a query's function with the world locked against changes, and records the answer."""
+    """Call a query's function with the world locked against changes, and record the answer."""
     start = time.perf_counter_ns()
     answer: Answer | None = None
     error: BaseException | None = None

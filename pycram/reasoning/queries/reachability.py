@@ -10,8 +10,9 @@ from pycram.foundation.failures import BadArgument
 from pycram.handle import unwrap
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.sides import grasp_orientation
 from pycram.reasoning.kinematics.arm import THRESHOLD
-from pycram.reasoning.kinematics.reach import Solver, grasp_orientation
+from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.queries.query import Found, Verdict, query
 
 if TYPE_CHECKING:

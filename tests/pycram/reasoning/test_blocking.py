@@ -18,7 +18,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.reasoning.collision import boxes, checker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.kinematics.solver import Solver
 from pycram.world import carried
 from recorder import geometry
 
@@ -68,7 +68,7 @@ def clutter(world: BulletWorld, seed: int) -> list[Object]:
 def by_brute_force(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[float, ...]]:
     """The grasp that touches least, and what it costs; without a grasp if none is reached without self-collision."""
     arm = robot.description.arm_of(link)
-    solver = reach.Solver(robot, link)
+    solver = Solver(robot, link)
     options = grasps.candidates(body, robot, arm)
     targets = [(grasp.position, grasp.orientation, None) for grasp in options]
     found = solver.closed_form(targets)

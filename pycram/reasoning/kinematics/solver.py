@@ -1,8 +1,6 @@
 """Inverse kinematics of a robot in the world (thesis 4.4.5): which postures bring a link to a pose.
 
-Postures come from :mod:`pycram.reasoning.kinematics.arm`, which keeps to joint limits; the world isn't touched. Grasps
-are named by the side of the object that the gripper comes from, as seen by the robot: "front" is the side that faces
-it.
+Postures come from :mod:`pycram.reasoning.kinematics.arm`, which keeps to joint limits; the world isn't touched.
 """
 
 from __future__ import annotations
@@ -11,8 +9,6 @@ import math
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
-from pycram.foundation import checks
-from pycram.foundation.failures import UnknownName
 from pycram.reasoning.kinematics.arm import THRESHOLD, ArmKinematics, Posture
 from pycram.reasoning.kinematics.chain import Chain
 from recorder import geometry
@@ -27,40 +23,6 @@ if TYPE_CHECKING:
     Target = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
 _MAX_CHAINS: Final = 16  # of a robot that are kept
-
-GRASPS: Final[Mapping[str, Quaternion]] = {
-    "front": (0.0, 0.0, 0.0, 1.0),
-    "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
-    "left": geometry.from_rpy(0.0, 0.0, -math.pi / 2),  # from the robot's left side to its right
-    "right": geometry.from_rpy(0.0, 0.0, math.pi / 2),
-}
-"""Tool orientations in a frame that has the robot's heading."""
-
-
-def grasp_orientation(grasp: str, robot: Object) -> Quaternion:
-    """Return the orientation of the tool for a grasp, in the world.
-
-    Args:
-        grasp: "front", "top", "left" or "right".
-        robot: whose heading says what is front.
-
-    Raises:
-        UnknownName: another grasp.
-    """
-    if checks.text("grasp", grasp) not in GRASPS:
-        raise UnknownName("grasp", grasp, "a gripper", GRASPS)
-    return geometry.product(heading(robot), GRASPS[grasp])
-
-
-def heading(robot: Object) -> Quaternion:
-    """Return a robot's orientation about the vertical."""
-    return geometry.from_rpy(0.0, 0.0, yaw(robot))
-
-
-def yaw(body: Object) -> float:
-    """Return the angle about the vertical by which an object's x axis is turned, rad."""
-    x, y, _ = geometry.rotate(body.get_orientation(), (1.0, 0.0, 0.0))
-    return math.atan2(y, x)
 
 
 def postures(
