@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.queries.query import Verdict, query
-from pycram.reasoning.queries.support_polygon import Shape, stands_firmly
+from pycram.reasoning.queries.support_polygon import stands_firmly
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
@@ -42,14 +42,7 @@ _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _PERIOD: Final = 6  # steps between samples of the speeds
 _AT_REST: Final = 4  # samples in a row, at which all must be at rest
-_DECISIONS: Final = (
-    4,
-    6,
-    8,
-    16,
-    32,
-    64,
-)  # samples after which it is checked whether all stands firmly: that takes time
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which to check whether all stands firmly: it takes time
 _GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
@@ -74,14 +67,13 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     clone = clone_of(object.world, "physics with robots" if robots else "physics")
     copies = clone.sync(bodies, holding=True)
     free = [body for body in bodies if not body.fixed]
-    standing = [body for body in free if not _root(body).fixed]
-    attached = any(body.attachments for body in standing)  # who carries whom there, contacts don't say
-    shapes = {body: Shape(copies[body.name], body.model.path) for body in bodies}
+    on_their_own = [body for body in free if not _root(body).fixed]
+    standing = [copies[body.name] for body in on_their_own]
+    attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
+    models = {copies[body.name]: body.model.path for body in bodies}
 
     def firm() -> bool:
-        return not attached and stands_firmly(
-            clone.engine, list(shapes.values()), [shapes[body] for body in standing], object.world.gravity
-        )
+        return not attached and stands_firmly(clone.engine, models, standing, object.world.gravity)
 
     try:
         return _simulate(clone.engine, copies[object.name], [copies[body.name] for body in free], firm)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -36,26 +35,13 @@ _FRICTION: Final = 0.8  # of friction's angle that a contact may slope
 _TILT: Final = math.radians(3)  # by which a firm body can be tilted before it tips
 
 
-@dataclass(frozen=True, slots=True)
-class Shape:
-    """A body that may stand or carry, with its shapes.
-
-    Attributes:
-        body: the engine's side of it.
-        model: its canonical URDF.
-    """
-
-    body: Body
-    model: Path
-
-
-def stands_firmly(engine: Engine, shapes: Sequence[Shape], standing: Sequence[Shape], gravity: Vector) -> bool:
+def stands_firmly(engine: Engine, models: Mapping[Body, Path], standing: Sequence[Body], gravity: Vector) -> bool:
     """Return whether bodies stand firmly.
 
     Args:
         engine: where they have just been simulated.
-        shapes: all bodies that are there.
-        standing: those that are asked about; all others carry without giving way.
+        models: canonical URDFs of all bodies that are there.
+        standing: the bodies in question; all others carry without giving way.
         gravity: m/s^2.
 
     Returns:
@@ -66,22 +52,24 @@ def stands_firmly(engine: Engine, shapes: Sequence[Shape], standing: Sequence[Sh
         return True
     up = np.array(gravity) / -strength
     level = geometry.to_matrix(geometry.look_at((0.0, 0.0, 0.0), up))  # its z axis points up
-    known = {shape.body.id: shape for shape in shapes}
-    below = {shape.body.id: _carriers(engine, shape.body, up) for shape in standing}
+    bodies = {body.id: body for body in models}
+    below = {body.id: _carriers(engine, body, up) for body in standing}
     loads = {
-        number: [other for other, carriers in below.items() if number in {body for body, _ in carriers}]
+        number: [other for other, carriers in below.items() if number in {carrier for carrier, _ in carriers}]
         for number in below
     }
-    masses = {shape.body.id: engine.center_of_mass(shape.body) for shape in standing}
-    for shape in standing:
-        number = shape.body.id
-        centers, weights = zip(*(masses[other] for other in _above(number, loads)), strict=True)
+    masses = {body.id: engine.center_of_mass(body) for body in standing}
+    for body in standing:
+        centers, weights = zip(*(masses[other] for other in _above(body.id, loads)), strict=True)
         center = np.average(np.array(centers), axis=0, weights=weights) @ level
-        carriers = [(known[other], contacts) for (other, _), contacts in below[number].items()]
-        support = _support(engine, shape, carriers, level)
-        if not len(support) or _margin(support[:, :2], center[:2]) < math.tan(_TILT) * (
-            center[2] - support[:, 2].min()
-        ):
+        tops = [
+            (_corners(engine, bodies[other], models[bodies[other]], contacts[0].other_link) @ level, contacts)
+            for (other, _), contacts in below[body.id].items()
+        ]
+        support = _support(engine, body, _corners(engine, body, models[body]) @ level, tops, level)
+        if not len(support):
+            return False
+        if _margin(support[:, :2], center[:2]) < math.tan(_TILT) * (center[2] - support[:, 2].min()):
             return False
     return True
 
@@ -107,38 +95,44 @@ def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
 
 
 def _support(
-    engine: Engine, shape: Shape, carriers: Iterable[tuple[Shape, Sequence[Contact]]], level: Points
+    engine: Engine, body: Body, underside: Points, tops: Iterable[tuple[Points, Sequence[Contact]]], level: Points
 ) -> Points:
-    """Return points (n, 3) on which a body stands, in the levelled frame; their hull is the support polygon."""
-    underside = _corners(engine, shape, None) @ level
+    """Return points (n, 3) on which a body stands, in the levelled frame; their hull is the support polygon.
+
+    Args:
+        engine: where it stands.
+        body: the body.
+        underside: (n, 3) its corners in the levelled frame, m.
+        tops: (n, 3) corners of what carries it, and the contacts there.
+        level: (3, 3) axes of the levelled frame in the world.
+    """
     parts = []
-    for carrier, contacts in carriers:
+    for top, contacts in tops:
         height = float(np.dot(contacts[0].position, level[:, 2]))
-        top = _corners(engine, carrier, contacts[0].other_link) @ level
         lower = _convex_hull(underside[np.abs(underside[:, 2] - height) < _FLAT, :2])
         upper = _convex_hull(top[np.abs(top[:, 2] - height) < _FLAT, :2])
         if len(lower) > 2 and len(upper) > 2:
             area = _intersection(lower, upper)
             parts.append(np.column_stack([area, np.full(len(area), height)]))
-        points = [contact.position for contact in contacts if _holds(engine, shape, contact, level[:, 2])]
+        points = [contact.position for contact in contacts if _holds(engine, body, contact, level[:, 2])]
         parts.append(np.array(points).reshape(-1, 3) @ level)
     return np.concatenate(parts) if parts else np.zeros((0, 3))
 
 
-def _holds(engine: Engine, shape: Shape, contact: Contact, up: Points) -> bool:
+def _holds(engine: Engine, body: Body, contact: Contact, up: Points) -> bool:
     """Return whether a contact carries, and is flat enough for friction to hold it."""
-    friction = engine.friction(shape.body.id, contact.link) * engine.friction(contact.other, contact.other_link)
+    friction = engine.friction(body.id, contact.link) * engine.friction(contact.other, contact.other_link)
     slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))
     return contact.force > 0.0 and slope < _FRICTION * math.atan(friction)
 
 
-def _corners(engine: Engine, shape: Shape, link: int | None) -> Points:
+def _corners(engine: Engine, body: Body, model: Path, link: int | None = None) -> Points:
     """Return corners (n, 3) in the world of the collision shapes of a body, or of one of its links."""
-    shapes = shapes_of(shape.model, "collision")
-    chosen = [i for i, name in enumerate(shapes.links) if link is None or shape.body.links[name] == link]
+    shapes = shapes_of(model, "collision")
+    chosen = [i for i, name in enumerate(shapes.links) if link is None or body.links[name] == link]
     if not chosen:
         return np.zeros((0, 3))
-    positions, orientations = engine.link_frames(shape.body, [shapes.links[i] for i in chosen])
+    positions, orientations = engine.link_frames(body, [shapes.links[i] for i in chosen])
     turns = geometry.to_matrices(orientations)
     moved = [shapes.triangles[i].reshape(-1, 3) @ turns[k].T + positions[k] for k, i in enumerate(chosen)]
     return np.concatenate(moved)
