@@ -100,7 +100,7 @@ def seen(
 def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:
     up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
     finer = (size[0] * _FINER, size[1] * _FINER)
-    picture = Image.fromarray(camera.look(world.objects, camera.window, finer).picture(up))
+    picture = Image.fromarray(camera.render(world.objects, camera.window, finer).picture(up))
     return picture.resize(size, Image.Resampling.BOX)
 
 

@@ -16,7 +16,7 @@ from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
 from pycram.language import par
 from pycram.process_module import ProcessModule
-from pycram.reasoning.queries.query import asking
+from pycram.reasoning.queries.query import Verdict, query
 from recorder.records import Task
 
 if TYPE_CHECKING:
@@ -300,8 +300,13 @@ def test_an_error_of_a_handler_in_real_time_is_told_and_time_goes_on(
 
 def test_a_change_inside_a_query_is_refused(world: BulletWorld) -> None:
     body = Object("cup", "cup", "cup.stl")
-    with pytest.raises(ChangeRefused, match=r"move body.*inspect"), asking("inspect", world, {}):
-        body.set_position([1, 0, 0])
+
+    @query
+    def inspect(object: Object, world: BulletWorld | None = None) -> Verdict:  # noqa: A002
+        return Verdict(object.set_position([1, 0, 0]))
+
+    with pytest.raises(ChangeRefused, match=r"move body.*inspect"):
+        inspect(body)
     body.set_position([1, 0, 0])
 
 
