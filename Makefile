@@ -63,5 +63,5 @@ clean:
 
 .venv-reading/ready: pyproject.toml
 	@.ci/environment .venv-reading .
-	.venv-reading/bin/pip install --quiet 'pytest>=8'
+	.venv-reading/bin/pip install --quiet 'pytest>=8.4'
 	@touch $@

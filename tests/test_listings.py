@@ -56,6 +56,7 @@ def test_listing_5_2_opens_the_drawer(listing_5_1: dict[str, Object]) -> None:
     assert math.dist(tool, kitchen.get_link_position("sink_area_left_upper_drawer_handle")) < 0.05
 
 
+@pytest.mark.slow
 def test_listings_5_3_to_5_5_carry_the_milk(listing_5_1: dict[str, Object]) -> None:
     object_type = "milk"
     target, arm = targets[object_type]

@@ -75,7 +75,7 @@ def test_follow_shows_what_is_being_written_until_its_end(writer: subprocess.Pop
     write(writer, 200)
     seen += [json.loads(reader.stdout.readline())["step"] for _ in range(200)]
     writer.communicate()
-    rest, said = reader.communicate(timeout=20)
+    rest, said = reader.communicate(timeout=100)
     seen += [json.loads(line)["step"] for line in rest.splitlines()]
     assert seen == list(range(232))
     assert reader.returncode == 0, said
@@ -87,7 +87,7 @@ def test_follow_ends_when_the_writer_is_killed(writer: subprocess.Popen, tmp_pat
     for _ in range(51):  # what is in a closed chunk is there
         reader.stdout.readline()
     writer.kill()
-    _, said = reader.communicate(timeout=20)
+    _, said = reader.communicate(timeout=100)
     assert reader.returncode == 3
     assert "nobody is writing" in said
     assert "killed" in said

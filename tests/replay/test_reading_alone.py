@@ -105,6 +105,7 @@ def test_reading_verbs(log: Path) -> None:
         assert not told.err, call
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("pybullet") is None, reason="nothing to compare with: only the base is installed")
 def test_they_say_the_same_as_where_all_is_installed() -> None:
     calls = [replay(verb, LOGS[0], *words) for verb, *words in READING]

@@ -96,4 +96,4 @@ def test_the_viewer_begins_with_the_world_of_the_step(
         assert not (red > blue + 60).any(), "the other world's"
         return bool((blue > red + 60).any())
 
-    until(blue, "the milk is seen", 30)
+    until(blue, "the milk is seen")

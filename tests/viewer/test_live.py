@@ -312,7 +312,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         with urllib.request.urlopen(address[1]) as page:
             assert b"rerun" in page.read().lower()
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=20)
+        process.communicate(timeout=100)
     assert process.returncode == 0
     assert not marked(mark)
 

@@ -397,5 +397,5 @@ def test_the_viewer_shows_the_demo(
             nearest = max(likeness, key=lambda other: likeness[other])
             return nearest == name and likeness[name] > LIKENESS and robot_pixels(scene) > ROBOT
 
-        until(seen, f"{name}, step {step}, looks like its golden picture", 30)
+        until(seen, f"{name}, step {step}, looks like its golden picture")
     assert not headless.complaints()
