@@ -20,8 +20,7 @@ from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
-
-    from typing_extensions import Self
+    from typing import Self
 
 T = TypeVar("T")
 P = ParamSpec("P")

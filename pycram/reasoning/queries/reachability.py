@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
-from pycram.scheduling.future import unwrap
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.sides import grasp_orientation
 from pycram.reasoning.kinematics.arm import THRESHOLD
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.queries.query import Found, Verdict, query
+from pycram.scheduling.future import unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
