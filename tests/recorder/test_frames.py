@@ -53,13 +53,13 @@ def test_usual_names_stand_as_they_are(parts: tuple[str, ...], name: str) -> Non
 
 
 def told(tree: FrameTree, record: Mutation) -> dict[str, Frame]:
-    return {frame.child: frame for moved in tree.moved(record) for frame, _ in moved.frames}
+    return {frame.child: frame for motion in tree.motions(record) for frame, _ in motion.frames}
 
 
 @pytest.fixture
 def tree() -> FrameTree:
     made = FrameTree()
-    made.learn("1", MODEL)
+    made.add_urdf("1", MODEL)
     return made
 
 
@@ -82,7 +82,7 @@ def test_frames_are_a_tree_whatever_bodies_and_links_are_called(tree: FrameTree,
 
 
 def test_a_name_that_is_loaded_again_has_the_links_of_its_new_model(tree: FrameTree) -> None:
-    tree.learn("2", b'<robot name="cup"><link name="cup"/></robot>')
+    tree.add_urdf("2", b'<robot name="cup"><link name="cup"/></robot>')
     assert len(told(tree, loaded("thing"))) == 3
     second = loaded("thing", "2")
     second.effect.bodies[0].ClearField("joints")

@@ -16,7 +16,7 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_site import MOST, CallStack
+from recorder.tracing.call_site import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame
@@ -142,7 +142,7 @@ def test_of_a_very_long_way_both_ends_are_told(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "x.mcap", source=__file__):
         plan["step_0"]()
     told = functions(tmp_path / "x.mcap", "push")
-    assert MOST - 5 < len(told) <= MOST
+    assert MAX_LINES - 5 < len(told) <= MAX_LINES
     assert told[:4] == [inspect.currentframe().f_code.co_name, "step_0", "step_1", "step_2"]
     assert told[-3:] == ["step_99", "step_100", "do"]
 
@@ -205,7 +205,7 @@ def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[set[tuple[object, ...]]] = []
-    for name in ("turned", "walked"):
+    for name in ("reused", "walked"):
         files = [tmp_path / f"{name}.mcap", tmp_path / f"{name} inside.mcap"]
         with recorder.record(files[0], source=__file__):
             many_ways(files[1])
@@ -214,7 +214,7 @@ def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
                 told.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
                 assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
-        monkeypatch.setattr(CallStack, "turned", lambda *_: None)
+        monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
     assert told[:2] == told[2:]
     assert len(told[0]) > 30
 

@@ -21,7 +21,7 @@ import pytest
 import recorder
 import replay
 from recorder.viewer import sink
-from recorder.viewer.connection import LINGERING, Kind, Target, answers, free_port
+from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Target, answers, free_port
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
@@ -56,14 +56,14 @@ Path("begun").touch()
 
 HURRY = """
 from recorder.viewer import sink
-sink._TO_START = dict.fromkeys(sink.Kind, 0.0)
-sink._AT_THE_END = 0.0
+sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 0.0)
+sink._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
 from recorder.viewer import sink
-sink._TO_START = dict.fromkeys(sink.Kind, 60.0)
+sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 60.0)
 """
 
 
@@ -84,7 +84,7 @@ class Ended:
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
         assert self.code == 0, self.err
-        wait_until(lambda: not marked(self.mark), "no process is left", LINGERING + 10)
+        wait_until(lambda: not marked(self.mark), "no process is left", LINGER_TIMEOUT + 10)
         with replay.open(self.log) as log:
             assert log.complete
             count = len(log)
@@ -205,7 +205,7 @@ def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
 def test_a_short_plan_waits_no_longer_than_it_takes_to_see_that_nobody_is_there(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sink, "_AT_THE_END", 90.0)
+    monkeypatch.setattr(sink, "_END_TIMEOUT", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass

@@ -134,7 +134,7 @@ def test_nonsense_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], re
 def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
     sink = McapSink(log, {})
-    sink._frames.learn = lambda *_: None  # it would refuse
+    sink._frames.add_urdf = lambda *_: None  # it would refuse
     sink.attach(AssetFile("cup.urdf", b"no model"))
     sink.write("/task", Task(), b"")
     sink.close()
