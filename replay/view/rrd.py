@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 from rerun.experimental import ViewerClient
@@ -153,11 +153,10 @@ def check(url: str | None) -> None:
 
 def _go_to(client: ViewerClient, step: int) -> None:
     """Sets the viewer's time to a step, as soon as it has loaded something."""
-    paused: dict[str, Any] = {"play_state": "paused"} if hasattr(client, "open") else {}  # older ones pause anyway
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
-            client.set_time("step", sequence=step, **paused)
+            client.set_time("step", sequence=step, play_state="paused")
         except (RuntimeError, OSError):
             if time.monotonic() > until:
                 raise
@@ -184,8 +183,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     try:
         viewer = url or open_window()
         client = ViewerClient.connect(viewer)
-        opening = getattr(client, "open", None) or client.open_url  # by version
-        opening(str(path.resolve()))
+        client.open(str(path.resolve()))
         if step is not None:
             _go_to(client, step)
     except ViewerGone as error:
