@@ -42,7 +42,9 @@ def number(item: Item) -> int:
     max_items=st.integers(1, 30),
     max_bytes=st.integers(4000, 20_000),
 )
-def test_laws(puts: list[tuple[bool, int]], max_items: int, max_bytes: int) -> None:
+def test_the_backlog_keeps_its_bounds_and_order_and_drops_transient_items_first(
+    puts: list[tuple[bool, int]], max_items: int, max_bytes: int
+) -> None:
     backlog = Backlog(max_items, max_bytes)
     for count, (transient, size) in enumerate(puts):
         before = len(backlog)
@@ -62,7 +64,7 @@ def test_laws(puts: list[tuple[bool, int]], max_items: int, max_bytes: int) -> N
         assert all(count < kept_transient[0] for count in dropped if puts[count][0]), "the oldest goes first"
 
 
-def test_what_is_taken_is_the_oldest_and_not_too_much() -> None:
+def test_take_returns_the_oldest_items_within_its_bounds() -> None:
     backlog = Backlog()
     for count in range(10):
         backlog.put((str(count), bytes(1000)), transient=count % 2 == 0)
@@ -71,14 +73,14 @@ def test_what_is_taken_is_the_oldest_and_not_too_much() -> None:
     assert [number(item) for item in backlog.take(ALL, ALL)] == [5, 6, 7, 8, 9]
 
 
-def test_files_count_by_their_size() -> None:
+def test_files_count_with_their_bytes() -> None:
     backlog = Backlog(max_bytes=10_000)
     backlog.put(AssetFile("robot.urdf", bytes(9_000)), transient=False)
     backlog.put(("1", bytes(1_500)), transient=False)
     assert [number(item) for item in backlog.take(ALL, ALL)] == [1]
 
 
-def test_taking_waits_and_ends() -> None:
+def test_take_waits_for_items_and_for_the_end() -> None:
     backlog = Backlog()
     taken: list[list[Item]] = []
     thread = threading.Thread(target=lambda: taken.extend(iter(lambda: backlog.take(ALL, ALL), [])))
@@ -108,5 +110,5 @@ def test_taking_waits_and_ends() -> None:
         (Keyframe(), False),
     ],
 )
-def test_what_later_records_make_up_for(record, transient: bool) -> None:
+def test_records_that_later_ones_make_up_for_are_transient(record, transient: bool) -> None:
     assert is_transient(record) is transient
