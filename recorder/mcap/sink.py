@@ -8,12 +8,8 @@ system unbuffered; from there on only the machine itself could lose them.
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import io
-import os
 import platform
-import stat
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
@@ -24,7 +20,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
-from recorder.mcap.writer import MAGIC, McapWriter
+from recorder.mcap.output_file import HINT, open_output, reason
+from recorder.mcap.writer import McapWriter
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
@@ -38,7 +35,6 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
-_HINT: Final = "free space or choose another path, and run again"
 _MAX_RECORDS: Final = 50  # of a chunk
 _MAX_BYTES: Final = 1 << 20  # of a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
@@ -88,7 +84,7 @@ class McapSink:
     ) -> None:
         self.path = path
         self._final_metadata = final_metadata
-        raw = _open(path)
+        raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
@@ -251,7 +247,7 @@ class McapSink:
     def _check(self) -> None:
         """Raises if something was lost before."""
         if self._failed is not None:
-            raise RecordingError(self.path, str(self._failed), _HINT)
+            raise RecordingError(self.path, str(self._failed), HINT)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -261,11 +257,7 @@ class McapSink:
             yield
         except (OSError, ValueError) as error:
             self._failed = error if isinstance(error, OSError) else OSError(str(error))
-            raise RecordingError(self.path, _reason(self._failed), _HINT) from error
-
-
-def _reason(error: OSError) -> str:
-    return error.strerror or str(error)
+            raise RecordingError(self.path, reason(self._failed), HINT) from error
 
 
 def _descriptors(message: type[Message]) -> bytes:
@@ -282,39 +274,3 @@ def _descriptors(message: type[Message]) -> bytes:
 
     add(message.DESCRIPTOR.file)
     return found.SerializeToString()
-
-
-def _replace(path: Path, file: io.FileIO) -> None:
-    """Empties an older recording; refuses anything else that has content."""
-    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        start = file.read(len(MAGIC)) or b""
-        if start and start != MAGIC:
-            raise RecordingError(path, "there is a file that is no recording", "move it away or choose another path")
-        file.seek(0)
-        file.truncate()
-
-
-def _open(path: Path) -> io.FileIO:
-    """Opens the file for writing, if it is ours to write.
-
-    Raises:
-        RecordingError: it isn't, or can't be written.
-    """
-    try:
-        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666), "r+")
-    except OSError as error:
-        hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
-        raise RecordingError(path, _reason(error), hint) from error
-    try:
-        try:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise RecordingError(path, "another recording is writing it", "choose another path") from error
-        except OSError as error:  # a file system without locks
-            if error.errno not in (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK):
-                raise RecordingError(path, _reason(error), _HINT) from error
-        _replace(path, file)
-    except BaseException:
-        file.close()
-        raise
-    return file

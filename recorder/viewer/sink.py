@@ -57,9 +57,6 @@ class RerunSink:
         live: which viewer: "spawn", "connect", "connect:URL", "serve" or a URL.
         title: name of the recording.
 
-    Attributes:
-        missed: number of records that the viewer didn't get; known at the end.
-
     Raises:
         RecordingError: ``live`` is none of these.
     """
@@ -73,7 +70,6 @@ class RerunSink:
         self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
         self._sending = threading.Lock()
         self._started = time.monotonic()
-        self.missed = 0
         self._connection, theirs = Pipe()
         with theirs:
             self._process = _start(theirs, live, title)
@@ -109,9 +105,9 @@ class RerunSink:
             _stop(self._process)  # frees the thread, if it still waits
         self._thread.join()
         self._connection.close()
-        self.missed = self._records - self._taken
-        if self.missed:
-            count = f"{self.missed} of {self._records} records"
+        missed = self._records - self._taken
+        if missed:
+            count = f"{missed} of {self._records} records"
             time_left = "the time that it is served" if served else f"{LINGER_TIMEOUT:.0f} s"
             late = f"the viewer is {count} behind; it has {time_left} to take them"
             print(
