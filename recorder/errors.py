@@ -1,4 +1,4 @@
-"""What recording can raise."""
+"""The error of recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class RecordingError(OSError):
 
     Attributes:
         path: the file.
-        cause: what the system said.
+        cause: the system's message.
     """
 
     def __init__(self, path: str | Path, cause: str, hint: str = "") -> None:

@@ -1,4 +1,4 @@
-"""``record``: everything that happens inside of its block is recorded, and the file is closed however it ends."""
+"""``record``: records everything that happens inside of its block, and closes the file however it ends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from recorder.records import Run, failure
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
 from recorder.tracing.journal import Journal
-from recorder.tracing.uncaught import uncaught_noted
+from recorder.tracing.uncaught import recording_uncaught
 from recorder.viewer.sink import RerunSink
 
 if TYPE_CHECKING:
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A recording in the making.
+    """A recording while it is made.
 
     Attributes:
         path: its file.
         journal: its numbering.
-        viewer: who shows it live.
+        viewer: the viewer that shows it live.
     """
 
     path: Path
@@ -43,7 +43,7 @@ class Recording:
 
     @property
     def length(self) -> int:
-        """How many records it has; the next one's step number."""
+        """Number of records; the next one's step number."""
         return self.journal.length
 
 
@@ -62,20 +62,17 @@ def record(
 
     Args:
         path: the MCAP file to write; a recording that is there is replaced.
-        live: how to show it live in Rerun. "spawn" opens the viewer, or takes one that is open; "connect" and
-            "connect:rerun+http://HOST:PORT/proxy" take one that somebody starts, now or later; "serve" makes a page for
-            browsers on this machine, says its address, and serves it until this process ends. A viewer that is slow,
+        live: how to show it live in Rerun. "spawn" opens the viewer, or uses one that is open; "connect" and
+            "connect:rerun+http://HOST:PORT/proxy" use one that somebody starts, now or later; "serve" makes a page for
+            browsers on this machine, prints its address, and serves it until this process ends. A viewer that is slow,
             stalls, dies or never comes costs the plan nothing.
         name: of the plan; by default that of the program.
         arguments: of the plan, for the record.
         source: the plan's file, which is attached; by default the program's, if it has one.
 
-    Yields:
-        The recording.
-
     Raises:
         RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
-            if there is no such source, or an argument isn't what it should be. That no viewer comes is no error.
+            if there is no such source, or an argument is invalid. That no viewer comes is no error.
     """
     _check(path, name=name, live=live, source=source, arguments=arguments)
     file = Path(path)
@@ -85,14 +82,14 @@ def record(
     log, viewer = _begin(file, live, title, arguments, program)
     owner = os.getpid()
     try:
-        with uncaught_noted(log, title):
+        with recording_uncaught(log, title):
             yield Recording(file, log, viewer)
     except BaseException as error:
         try:
             if os.getpid() == owner:
                 _finish(log, title, start, error)
-        except OSError as lost:
-            lost.__context__, error.__context__ = error.__context__, lost
+        except OSError as failed:
+            failed.__context__, error.__context__ = error.__context__, failed
         raise
     else:
         if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
@@ -114,7 +111,7 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
 def _begin(
     file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None
 ) -> tuple[Journal, RerunSink | None]:
-    """Opens the file and tells it what is there already; leaves nothing open if that fails."""
+    """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
         if live is not None and find_spec("rerun") is None:
             raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
@@ -122,7 +119,7 @@ def _begin(
         if viewer is not None:
             undoing.callback(viewer.close)
         metadata = {"plan": title, "plan_arguments": " ".join(map(str, arguments)), "started_ns": str(time.time_ns())}
-        sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.told)
+        sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.final_metadata)
         undoing.callback(sink.close)
         log = Journal([sink] if viewer is None else [sink, viewer])
         _leave_to_parent(sink, log)
@@ -146,7 +143,7 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
 
 
 def _program() -> Path | None:
-    """The file of the program that runs, if it is one."""
+    """The file of the program that runs, if it has one."""
     main = sys.modules.get("__main__")
     file = getattr(main, "__file__", None)
     return Path(file) if file else None
@@ -157,10 +154,10 @@ def _leave_to_parent(sink: McapSink, log: Journal) -> None:
     sink_reference, log_reference = weakref.ref(sink), weakref.ref(log)
 
     def forget() -> None:
-        kept, numbering = sink_reference(), log_reference()
-        if kept is not None:
-            kept.abandon()
-        if numbering is not None:
-            journal.forget_journal(numbering)
+        sink, log = sink_reference(), log_reference()
+        if sink is not None:
+            sink.abandon()
+        if log is not None:
+            journal.forget_journal(log)
 
     os.register_at_fork(after_in_child=forget)

@@ -1,4 +1,4 @@
-"""The demo, watched by somebody who knows nothing of the journal: what they count is what the recording holds."""
+"""The demo is counted from outside, by wrapping public methods: the recording holds just these calls."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
 import set_the_table
 
 QUERIES = ("stable", "contact", "visible", "occluding", "reachable", "reachable_object", "reachable_pose", "blocking")
-CHANGES = {  # public methods and the command of the record that each call has to leave
+CHANGES = {  # public methods, and the command that each call records
     (Object, "__init__"): "load_body",
     (Object, "set_position_and_orientation"): "move_body",
     (Object, "set_joint_positions"): "move_joints",
@@ -41,7 +41,7 @@ CHANGES = {  # public methods and the command of the record that each call has t
 
 
 class Observer:
-    """Wraps public methods and counts what they are called for."""
+    """Wraps public methods and counts their calls."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.seen: Counter[tuple[str, str]] = Counter()
@@ -60,17 +60,17 @@ class Observer:
 
 @pytest.fixture
 def observer(monkeypatch: pytest.MonkeyPatch) -> Observer:
-    watching = Observer(monkeypatch)
+    observer = Observer(monkeypatch)
     for (owner, name), command in CHANGES.items():
-        watching.watch(owner, name, lambda *_, _key=command, **__: ("mutation", _key))
+        observer.watch(owner, name, lambda *_, _key=command, **__: ("mutation", _key))
     for name in QUERIES:
-        watching.watch(btr, name, lambda *_, _key=name, **__: ("query", _key))
-    watching.watch(ProcessModule, "perform", lambda motion: ("motion", motion.prop_value("type")), static=True)
-    return watching
+        observer.watch(btr, name, lambda *_, _key=name, **__: ("query", _key))
+    observer.watch(ProcessModule, "perform", lambda motion: ("motion", motion.prop_value("type")), static=True)
+    return observer
 
 
 def read(file: Path) -> Counter[tuple[str, str]]:
-    """Counts with mcap and protobuf alone."""
+    """Counts records with mcap and protobuf alone."""
     found: Counter[tuple[str, str]] = Counter()
     types = {name: getattr(log_pb2, name) for name in ("Task", "Mutation", "Query", "Event")}
     with file.open("rb") as stream:
@@ -92,7 +92,7 @@ def read(file: Path) -> Counter[tuple[str, str]]:
 
 
 @pytest.mark.slow
-def test_what_an_observer_counts_is_what_the_recording_holds(tmp_path: Path, observer: Observer) -> None:
+def test_the_recording_holds_the_calls_that_an_observer_counts(tmp_path: Path, observer: Observer) -> None:
     file = tmp_path / "x.mcap"
     fired: Counter[tuple[str, str]] = Counter()
     with recorder.record(file), redirect_stdout(StringIO()):
@@ -113,7 +113,7 @@ def test_what_an_observer_counts_is_what_the_recording_holds(tmp_path: Path, obs
     assert sum(fired.values()) > 8
     for (_, name), command in CHANGES.items():
         assert found["mutation", command] == seen["mutation", command] > 0, name
-    # what plans ask calls the module's functions; what a motion asks for itself is on record beside it
+    # plans call the module's functions; queries of motions themselves are recorded beside these
     for name in ("stable", "blocking", "reachable_pose"):
         assert found["query", name] == seen["query", name] > 0
     assert found["process-module", "PickUp"] == found["motion", "pick-up"] == 4

@@ -1,4 +1,4 @@
-"""A joint of a URDF: what it says in the document, and where it puts its child link.
+"""A joint of a URDF: its limits and its kinematics.
 
 Lengths are metres, angles radians, velocities per second; poses are ``(position, quaternion xyzw)``.
 """
@@ -19,7 +19,7 @@ _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
 
 
 class UrdfError(ValueError):
-    """A URDF that is no tree of links, or a name that it doesn't have.
+    """A URDF is no tree of links, or doesn't have a name.
 
     Attributes:
         robot: name of the robot.
@@ -34,7 +34,7 @@ class UrdfError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """What holds a link to its parent.
+    """The connection of a link to its parent.
 
     Attributes:
         name: its name.
@@ -62,15 +62,11 @@ class Joint:
 
     @property
     def movable(self) -> bool:
-        """Whether it has a value at all."""
+        """Whether it isn't fixed."""
         return self.type != "fixed"
 
     def pose(self, value: float) -> Pose:
-        """Pose of the child link in the parent link.
-
-        Args:
-            value: joint value in rad or m; without meaning for a fixed joint.
-        """
+        """Pose of the child link in the parent link, for a joint value in rad or m."""
         if self.type == "fixed":
             return self.origin
         if self.type == "prismatic":
@@ -83,11 +79,7 @@ class Joint:
 
 
 def read_joint(robot: str, element: ET.Element) -> Joint:
-    """Reads a joint.
-
-    Args:
-        robot: the document's name, for errors.
-        element: its element.
+    """Reads the element of a joint; the robot's name is for errors.
 
     Raises:
         UrdfError: something is missing, or no number.
@@ -105,9 +97,9 @@ def read_joint(robot: str, element: ET.Element) -> Joint:
     origin = element.find("origin")
     pose = IDENTITY
     if origin is not None:
-        at = _numbers(robot, name, "origin xyz", origin.get("xyz", "0 0 0"))
+        position = _numbers(robot, name, "origin xyz", origin.get("xyz", "0 0 0"))
         roll, pitch, yaw = _numbers(robot, name, "origin rpy", origin.get("rpy", "0 0 0"))
-        pose = (at, geometry.from_rpy(roll, pitch, yaw))
+        pose = (position, geometry.from_rpy(roll, pitch, yaw))
     lower, upper, effort, velocity = _limits(robot, name, kind, element.find("limit"))
     return Joint(
         name=name,

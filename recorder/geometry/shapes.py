@@ -1,7 +1,7 @@
-"""Shapes of a model's links as its URDF says them: kind, sizes, place and colour, without any mesh being read.
+"""Shapes of a model's links, from its URDF: kind, sizes, pose and colour, without any mesh being read.
 
 Models are canonical (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or OBJ. A link has any
-number of shapes, for the eye ("visual") and for contact ("collision").
+number of "visual" and "collision" shapes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Color: TypeAlias = "tuple[float, float, float, float]"
 """RGBA 0..1."""
 
 GREY: Final[Color] = (0.8, 0.8, 0.8, 1.0)
-_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  # of what is round: radius and length
+_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  # of others: radius and length
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +30,8 @@ class Shape:
 
     Attributes:
         kind: "box", "cylinder", "sphere", "capsule" or "mesh".
-        size: edges of a box, radius and length of what is round, scale of a mesh; m.
-        mesh: path of the mesh, as the model tells it; "" of other shapes.
+        size: edges of a box, radius and length of others in m; scale of a mesh.
+        mesh: path of the mesh, as in the model; "" of other shapes.
         pose: in the link's frame.
         color: its own, or grey.
     """
@@ -44,12 +44,7 @@ class Shape:
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
-    """The shapes of a model by link; only of links that have any.
-
-    Args:
-        model: text of its URDF.
-        role: "visual" or "collision".
-    """
+    """The "visual" or "collision" shapes of a URDF by link; only of links that have any."""
     root = ET.fromstring(model)  # noqa: S314  canonical: written by PyCRAM
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
     found = {}

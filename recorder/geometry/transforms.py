@@ -1,8 +1,8 @@
-"""Poses and rotations: the few operations that everything here needs, once.
+"""Poses and rotations.
 
 A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
 frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
-arithmetic is several times faster than arrays of 3; whoever has thousands works on arrays of matrices instead.
+arithmetic is several times faster than arrays of 3; for thousands, use arrays of matrices.
 
 Quaternions are taken to be of unit length. A quaternion and its negative are the same rotation.
 """
@@ -29,17 +29,17 @@ Pose: TypeAlias = tuple[Vector, Quaternion]
 """Position in m and orientation xyzw."""
 
 Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
-"""What the functions here take for a vector or a quaternion."""
+"""A vector or a quaternion, as arguments."""
 
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
-"""What the functions here take for a pose."""
+"""A pose, as an argument."""
 
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
 _TINY = 1e-12
 
-# A rotation's matrix, row by row, less that of no rotation: which products of the parts of its quaternion make it.
+# A rotation's matrix minus identity, row by row, as a linear map of the products of the quaternion's components.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
 _PRODUCTS = 2.0 * np.array(
     [
@@ -57,15 +57,7 @@ _PRODUCTS = 2.0 * np.array(
 
 
 def product(a: Numbers, b: Numbers) -> Quaternion:
-    """Two rotations in one: first b, then a.
-
-    Args:
-        a: the outer rotation, xyzw.
-        b: the inner rotation, xyzw.
-
-    Returns:
-        The rotation xyzw whose matrix is that of a times that of b.
-    """
+    """The rotation (xyzw) by b, then a: its matrix is that of a times that of b."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -77,22 +69,13 @@ def product(a: Numbers, b: Numbers) -> Quaternion:
 
 
 def conjugate(rotation: Numbers) -> Quaternion:
-    """The rotation back.
-
-    Args:
-        rotation: unit quaternion xyzw.
-    """
+    """The inverse rotation."""
     x, y, z, w = rotation
     return -x, -y, -z, w
 
 
 def rotate(rotation: Numbers, vector: Numbers) -> Vector:
-    """A vector after a rotation.
-
-    Args:
-        rotation: unit quaternion xyzw.
-        vector: xyz.
-    """
+    """A vector after a rotation."""
     x, y, z, w = rotation
     a, b, c = vector
     tx = 2.0 * (y * c - z * b)
@@ -106,67 +89,36 @@ def rotate(rotation: Numbers, vector: Numbers) -> Vector:
 
 
 def multiply(a_T_b: PoseLike, b_T_c: PoseLike) -> Pose:
-    """The pose of c in a.
-
-    Args:
-        a_T_b: pose of b in a.
-        b_T_c: pose of c in b.
-    """
-    (x, y, z), turn = a_T_b
-    at, inner = b_T_c
-    dx, dy, dz = rotate(turn, at)
-    return (x + dx, y + dy, z + dz), product(turn, inner)
+    """The pose of c in a."""
+    (x, y, z), outer = a_T_b
+    position, inner = b_T_c
+    dx, dy, dz = rotate(outer, position)
+    return (x + dx, y + dy, z + dz), product(outer, inner)
 
 
 def invert(a_T_b: PoseLike) -> Pose:
-    """The pose of a in b.
-
-    Args:
-        a_T_b: pose of b in a.
-    """
-    at, turn = a_T_b
-    back = conjugate(turn)
-    x, y, z = rotate(back, at)
-    return (-x, -y, -z), back
+    """The pose of a in b."""
+    position, orientation = a_T_b
+    inverse = conjugate(orientation)
+    x, y, z = rotate(inverse, position)
+    return (-x, -y, -z), inverse
 
 
 def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
-    """A point of frame b as seen from a.
-
-    Args:
-        a_T_b: pose of b in a.
-        point: xyz in b, in m.
-    """
-    (x, y, z), turn = a_T_b
-    dx, dy, dz = rotate(turn, point)
+    """A point of frame b (xyz in m) in frame a."""
+    (x, y, z), orientation = a_T_b
+    dx, dy, dz = rotate(orientation, point)
     return x + dx, y + dy, z + dz
 
 
 def angle(a: Numbers, b: Numbers) -> float:
-    """By how much two rotations differ.
-
-    Args:
-        a: unit quaternion xyzw.
-        b: unit quaternion xyzw.
-
-    Returns:
-        Angle in rad, 0..pi; exact also where it is tiny.
-    """
+    """The angle between two rotations in rad, 0..pi; exact also where it is tiny."""
     x, y, z, w = product(conjugate(a), b)
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """The rotation that URDF writes as roll, pitch, yaw: about the fixed axes x, then y, then z.
-
-    Args:
-        roll: about x, in rad.
-        pitch: about y, in rad.
-        yaw: about z, in rad.
-
-    Returns:
-        Unit quaternion xyzw.
-    """
+    """The rotation of URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
     sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
     sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
     sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
@@ -179,14 +131,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
-    """The rotation as a matrix.
-
-    Args:
-        rotation: unit quaternion xyzw.
-
-    Returns:
-        3 x 3, its columns are the turned axes.
-    """
+    """The rotation as a 3 x 3 matrix, whose columns are the rotated axes."""
     matrix: NDArray[np.float64] = to_matrices(np.array([rotation]))[0]
     return matrix
 
@@ -206,14 +151,7 @@ def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
-    """The pose as a homogeneous matrix.
-
-    Args:
-        a_T_b: pose of b in a.
-
-    Returns:
-        4 x 4.
-    """
+    """The pose as a homogeneous 4 x 4 matrix."""
     matrix = np.eye(4)
     matrix[:3, :3] = to_matrix(a_T_b[1])
     matrix[:3, 3] = a_T_b[0]
@@ -221,14 +159,7 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
 
 
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
-    """A rotation matrix as a quaternion.
-
-    Args:
-        matrix: 3 x 3 rotation matrix.
-
-    Returns:
-        Unit quaternion xyzw with w >= 0.
-    """
+    """A 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
     (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
     # Four times the outer product of the quaternion with itself: its row with the largest diagonal is q up to a
     # factor, and dividing by it is stable for every rotation.
@@ -245,15 +176,12 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 
 
 def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
-    """How an optical frame (z forward, x right, y down) has to stand to look at a point.
+    """The orientation of an optical frame (z forward, x right, y down) that looks at a point.
 
     Args:
         eye: origin of the frame, xyz in m.
         target: the point to look at, xyz in m.
-        up: what is up in the picture; where it is parallel to the view, some perpendicular is taken.
-
-    Returns:
-        Unit quaternion xyzw.
+        up: direction that is up in the picture; where it is parallel to the view, any perpendicular is.
 
     Raises:
         ValueError: eye and target coincide.

@@ -1,10 +1,10 @@
-"""The tree of a URDF: links, joints with their limits, and where every link is for given joint values.
+"""The tree of a URDF: links, joints with their limits, and forward kinematics.
 
-Pure arithmetic on the description, without any physics engine: inverse kinematics, transforms for viewers and the
-replay of recordings all read poses from here. Lengths are metres, angles radians, velocities per second; poses are
-``(position, quaternion xyzw)`` of the link's frame in the frame of the root link.
+Pure arithmetic without any physics engine, for inverse kinematics, viewers' transforms and recordings. Lengths are
+metres, angles radians, velocities per second; poses are ``(position, quaternion xyzw)`` of the link's frame in the
+frame of the root link.
 
-A joint without a given value stands at 0. Every joint keeps its own value, as in PyBullet: ``mimic`` says nothing here.
+A joint without a given value is at 0. Every joint has a value of its own, as in PyBullet: ``mimic`` is ignored.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Urdf:
-    """A robot's or thing's tree of links.
+    """The tree of links of a robot or object.
 
     Attributes:
         name: name of the robot.
@@ -45,12 +45,6 @@ class Urdf:
     @classmethod
     def parse(cls, text: str | bytes) -> Urdf:
         """Reads a URDF document.
-
-        Args:
-            text: the XML.
-
-        Returns:
-            Its tree.
 
         Raises:
             UrdfError: it isn't XML, or not one tree of named links with joints of known types.
@@ -84,17 +78,14 @@ class Urdf:
             ordered.append(link)
             pending.extend(reversed(children.get(link, [])))
         if len(ordered) < len(links):
-            lost = [link for link in links if link not in set(ordered)]
-            raise UrdfError(name, f"its joints form a cycle: {', '.join(lost)} don't hang on {ordered[0]}")
+            cycle = [link for link in links if link not in set(ordered)]
+            raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} don't hang on {ordered[0]}")
         by_name = {joint.name: joint for joint in joints}
         movable = tuple(joint.name for joint in joints if joint.movable)
         return cls(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
 
     def joint(self, name: str) -> Joint:
         """A joint by its name.
-
-        Args:
-            name: its name.
 
         Raises:
             UrdfError: there is no such joint.
@@ -105,13 +96,7 @@ class Urdf:
             raise UrdfError(self.name, f"it has no joint {name!r}; {_near(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> Joint | None:
-        """The joint that holds a link.
-
-        Args:
-            link: name of the link.
-
-        Returns:
-            The joint, or None for the root.
+        """The joint whose child is a link; None for the root.
 
         Raises:
             UrdfError: there is no such link.
@@ -122,17 +107,10 @@ class Urdf:
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
-        """The joints that lead from one link out to another, fixed ones too.
-
-        Args:
-            base_link: where it starts: the tip itself or one of its ancestors.
-            tip_link: where it ends.
-
-        Returns:
-            The joints from base to tip.
+        """The joints from a link to one of its descendants, fixed ones too.
 
         Raises:
-            UrdfError: a link doesn't exist, or the tip doesn't hang on the base.
+            UrdfError: a link doesn't exist, or the tip is no descendant of the base.
         """
         self.parent_joint(base_link)
         found: list[Joint] = []
@@ -146,14 +124,11 @@ class Urdf:
         return tuple(reversed(found))
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
-        """Where a link is.
+        """Pose of a link in the root link.
 
         Args:
-            positions: joint values in rad or m by name; joints that aren't named stand at 0.
+            positions: joint values in rad or m by name; by default 0.
             link: name of the link.
-
-        Returns:
-            Position in m and orientation xyzw in the root link.
 
         Raises:
             UrdfError: there is no such link.

@@ -1,28 +1,27 @@
 """Writes records into an MCAP file that survives the death of its process.
 
 What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
-after its first record, and at once when a failure or the start of the run was recorded. Chunks are handed to the
-operating system unbuffered; from there on only the machine itself could lose them.
+after its first record, and at once after a failure and the start or end of the run. Chunks are handed to the operating
+system unbuffered; from there on only the machine itself could lose them.
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import io
-import os
 import platform
-import stat
 import sys
 import threading
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
-from recorder.mcap.writer import MAGIC, McapWriter
+from recorder.mcap.output_file import HINT, open_output, reason
+from recorder.mcap.writer import McapWriter
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
@@ -36,32 +35,31 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
-_HINT: Final = "free space or choose another path, and run again"
-_MOST_RECORDS: Final = 50
-_LONGEST: Final = 0.05  # s
-_Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and which one of that name; "" and 0 where shared
-#: A message that isn't in a chunk yet: its channel, the number of its record, when that was, its bytes; and of a task's
-#: the record, whose line is made with all others.
-_Taken: TypeAlias = "tuple[_Key, int, int, bytes, Task | None]"
+_MAX_RECORDS: Final = 50  # of a chunk
+_MAX_BYTES: Final = 1 << 20  # of a chunk
+_FLUSH_PERIOD: Final = 0.05  # s
+_Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and its lifetime; "" and 0 where shared
+#: A buffered message: its channel, the record's number and time, its bytes; and a task's record, whose line is made
+#: later with all others.
+_Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Task | None]"
 _LINES: Final = ("/log", "", 0)
+_TRANSFORMS: Final = ("/tf", "", 0)
 _TASKS: Final = (TOPICS[Task], "", 0)
-#: What must not get lost: a failure, as here; the start of the run, without which no file opens, and its end.
-_BADLY_ENDED: Final = frozenset({Task.FAILED, Task.CANCELLED})
-_CHUNK: Final = 1 << 20  # bytes; larger chunks are closed by size
-_OF_WORLDS: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
-_MOST_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
+_FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
+_PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
+_MAX_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
 _PACKAGES: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
 
 
 def versions() -> dict[str, str]:
     """Versions of what a recording depends on, the platform and the arguments of the process."""
-    told = {}
+    found = {}
     for package in _PACKAGES:
         try:
-            told[package] = version(package)
+            found[package] = version(package)
         except PackageNotFoundError:
-            told[package] = "not installed"
-    return told | {
+            found[package] = "not installed"
+    return found | {
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
@@ -74,64 +72,61 @@ class McapSink:
 
     Args:
         path: the file; an MCAP file that is there is replaced, anything else is not.
-        metadata: what to say of the run.
-        at_the_end: tells what to say of it then.
+        metadata: of the run.
+        final_metadata: gives more when the file ends.
 
     Raises:
         RecordingError: it can't be written.
     """
 
     def __init__(
-        self, path: Path, metadata: Mapping[str, str], at_the_end: Callable[[], Mapping[str, str]] = dict
+        self, path: Path, metadata: Mapping[str, str], final_metadata: Callable[[], Mapping[str, str]] = dict
     ) -> None:
         self.path = path
-        self._at_the_end = at_the_end
-        raw = _open(path)
+        self._final_metadata = final_metadata
+        raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
-        self._taken: list[_Taken] = []  # since the last chunk was closed; tuples, as there is one for each message
-        self._size = 0
-        self._pending = 0
+        self._buffer: list[_Buffered] = []  # since the last chunk was closed
+        self._size = 0  # bytes in the buffer
+        self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
         self._failed: OSError | None = None
         self._closed = False
         self._schemas: dict[str, int] = {}
-        self._channels: dict[_Key, int] = {}  # by topic, and world and life where each has its own
-        self._lifetimes: dict[str, int] = {}  # by name of the world: how many of that name there were
+        self._channels: dict[_Key, int] = {}
+        self._lifetimes: dict[str, int] = {}  # number of worlds of a name so far
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
-        # a daemon, so that a plan which never closes its recording can end; what is pending then is flushed by close()
-        self._timer = threading.Thread(target=self._flush_in_time, name=f"flush {path.name}", daemon=True)
+        # a daemon, so that a plan which never closes its recording can end
+        self._timer = threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True)
         try:
             self._begin(metadata)
         except BaseException:
-            self._let_go()
+            self._close_file()
             raise
         self._timer.start()
 
     def _begin(self, metadata: Mapping[str, str]) -> None:
         with self._guarded():
-            made_with = versions()
-            self._writer = McapWriter(self._file, f"pycram {made_with['pycram']}")
-            for kind, topic in TOPICS.items():
-                self._schemas[topic] = self._schema(kind)
-                if topic not in _OF_WORLDS:
+            found = versions()
+            self._writer = McapWriter(self._file, f"pycram {found['pycram']}")
+            messages: dict[str, type[Message]] = {topic: kind for kind, topic in TOPICS.items()}
+            messages |= {"/tf": FrameTransforms, "/log": Log}
+            for topic, message in messages.items():
+                name, definition = message.DESCRIPTOR.full_name, _descriptors(message)
+                self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
+                if topic not in _PER_WORLD:
                     self._register(topic)
-            for topic, message in self._frames.channels():
-                self._schemas[topic] = self._schema(message)
-                self._register(topic)
-            self._writer.add_metadata("pycram", made_with | dict(metadata))
+            self._writer.add_metadata("pycram", found | dict(metadata))
             self._writer.flush()
 
-    def _schema(self, message: type[Message]) -> int:
-        return self._writer.add_schema(message.DESCRIPTOR.full_name, "protobuf", _descriptors(message))
-
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
-        """Adds a channel; one that is for a world says so: then the index tells which chunks have something of it."""
-        told = {"world": world, "life": str(lifetime)} if lifetime else {}
-        channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], told)
+        """Adds a channel; where it names its world, the file's index says which chunks concern that world."""
+        metadata = {"world": world, "life": str(lifetime)} if lifetime else {}
+        channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], metadata)
         self._channels[topic, world, lifetime] = channel
         return channel
 
@@ -143,57 +138,57 @@ class McapSink:
             self._now = now
             self._size += len(payload)
             if isinstance(record, Task):
-                self._taken.append((_TASKS, seq, now, payload, record))
-                vital = record.status in _BADLY_ENDED
+                self._buffer.append((_TASKS, seq, now, payload, record))
+                at_once = record.status in _FAILURES
             else:
-                of_world = topic in _OF_WORLDS
-                key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
-                self._taken.append((key, seq, now, payload, None))
-                self._take_companions(record)
-                vital = isinstance(record, Run)
+                per_world = topic in _PER_WORLD
+                key = (topic, record.world, self._lifetime(record)) if per_world else (topic, "", 0)
+                self._buffer.append((key, seq, now, payload, None))
+                self._add_foxglove(record)
+                at_once = isinstance(record, Run)  # no file opens without the start of the run
             self._count += 1
             self._pending += 1
-            if vital or self._pending >= _MOST_RECORDS or self._size > _CHUNK:
+            if at_once or self._pending >= _MAX_RECORDS or self._size > _MAX_BYTES:
                 with self._guarded():
                     self._flush()
             elif self._pending == 1:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Which world of its name it is about, from 1: a name can be taken again when its world has ended."""
+        """Number of its world among those of the same name, from 1: a name is free again when its world has ended."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
         return lifetime
 
-    def _take_companions(self, record: Record) -> None:
-        """Takes what other people's tools are told of a record."""
-        for topic, message in self._frames.transforms(record):
+    def _add_foxglove(self, record: Record) -> None:
+        """Buffers the messages of a record for other people's tools."""
+        for message in self._frames.transforms(record):
             payload = message.SerializeToString()
-            self._taken.append(((topic, "", 0), record.seq, self._now, payload, None))
+            self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
             self._size += len(payload)
         line = Lines().of(record, self._now)
         if line is not None:
-            self._taken.append((_LINES, record.seq, self._now, line, None))
+            self._buffer.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
-        """Packs what was taken, and hands it to the operating system: all at once, which is faster than one by one."""
-        taken, self._taken = self._taken, []
+        """Packs the buffer, and hands it to the operating system: all at once, which is faster than one by one."""
+        buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
-        self._writer.add_messages([*self._messages(taken)])
+        self._writer.add_messages([*self._messages(buffered)])
         self._writer.flush()
 
-    def _messages(self, taken: list[_Taken]) -> Iterator[tuple[int, int, int, bytes]]:
-        """What was taken as the file has it, each line after its task."""
-        lines, channels, of_lines = Lines(), self._channels, self._channels[_LINES]
-        for key, seq, time_ns, payload, task in taken:
+    def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
+        """Buffered messages as the file has them, each line after its task."""
+        lines, channels, log = Lines(), self._channels, self._channels[_LINES]
+        for key, seq, time_ns, payload, task in buffered:
             yield channels.get(key) or self._channel(key), seq, time_ns, payload
             if task is not None and (line := lines.of(task, time_ns)) is not None:
-                yield of_lines, seq, time_ns, line
+                yield log, seq, time_ns, line
 
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)
-        if channel is None and len(self._channels) >= _MOST_CHANNELS:
+        if channel is None and len(self._channels) >= _MAX_CHANNELS:
             key = (key[0], "", 0)  # all further worlds share one
             channel = self._channels.get(key)
         return self._register(*key) if channel is None else channel
@@ -205,7 +200,7 @@ class McapSink:
             self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
             self._flush()
             if asset.name.endswith(".urdf"):
-                self._frames.learn(asset.sha256, asset.content)
+                self._frames.add_urdf(asset.sha256, asset.content)
 
     def close(self) -> None:
         """Ends the file; see :class:`recorder.tracing.journal.Sink`."""
@@ -220,12 +215,12 @@ class McapSink:
             try:
                 with self._guarded():
                     self._flush()
-                    self._writer.add_metadata("pycram.end", {"records": str(self._count), **self._at_the_end()})
+                    self._writer.add_metadata("pycram.end", {"records": str(self._count), **self._final_metadata()})
                     self._writer.finish()
             finally:
-                self._let_go()
+                self._close_file()
 
-    def _let_go(self) -> None:
+    def _close_file(self) -> None:
         """Closes the file; what a full disk didn't take is dropped rather than tried again."""
         raw = self._file.raw
         with contextlib.suppress(OSError, ValueError):
@@ -233,40 +228,36 @@ class McapSink:
         raw.close()
 
     def abandon(self) -> None:
-        """Lets go of the file without writing: for a forked child, whose parent goes on with it."""
+        """Stops writing, for a forked child: the file is its parent's."""
         self._closed = True
         self._failed = OSError("this recording belongs to the parent process")
 
-    def _flush_in_time(self) -> None:
-        """The timer's thread: flushes what is older than it may get."""
+    def _flush_periodically(self) -> None:
+        """The timer's thread: flushes records within the period."""
         while not self._closed:
             self._wake.wait()
             self._wake.clear()
-            if self._ended.wait(_LONGEST):
+            if self._ended.wait(_FLUSH_PERIOD):
                 return
             with self._lock:
                 if self._pending and self._failed is None and not self._closed:
-                    with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() say so
+                    with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() raise it
                         self._flush()
 
     def _check(self) -> None:
-        """Refuses to go on where something was lost."""
+        """Raises if something was lost before."""
         if self._failed is not None:
-            raise RecordingError(self.path, str(self._failed), _HINT)
+            raise RecordingError(self.path, str(self._failed), HINT)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Tells what went wrong with the file, now and ever after."""
+        """Raises what went wrong with the file, now and at each later use."""
         self._check()
         try:
             yield
         except (OSError, ValueError) as error:
             self._failed = error if isinstance(error, OSError) else OSError(str(error))
-            raise RecordingError(self.path, _told(self._failed), _HINT) from error
-
-
-def _told(error: OSError) -> str:
-    return error.strerror or str(error)
+            raise RecordingError(self.path, reason(self._failed), HINT) from error
 
 
 def _descriptors(message: type[Message]) -> bytes:
@@ -283,39 +274,3 @@ def _descriptors(message: type[Message]) -> bytes:
 
     add(message.DESCRIPTOR.file)
     return found.SerializeToString()
-
-
-def _replace(path: Path, file: io.FileIO) -> None:
-    """Empties an older recording; refuses anything else that has content."""
-    if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        start = file.read(len(MAGIC)) or b""
-        if start and start != MAGIC:
-            raise RecordingError(path, "there is a file that is no recording", "move it away or choose another path")
-        file.seek(0)
-        file.truncate()
-
-
-def _open(path: Path) -> io.FileIO:
-    """Opens the file for writing, if it is ours to write.
-
-    Raises:
-        RecordingError: it isn't, or can't be written.
-    """
-    try:
-        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666), "r+")
-    except OSError as error:
-        hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
-        raise RecordingError(path, _told(error), hint) from error
-    try:
-        try:
-            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise RecordingError(path, "another recording is writing it", "choose another path") from error
-        except OSError as error:  # a file system without locks
-            if error.errno not in (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK):
-                raise RecordingError(path, _told(error), _HINT) from error
-        _replace(path, file)
-    except BaseException:
-        file.close()
-        raise
-    return file

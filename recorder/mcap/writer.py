@@ -1,11 +1,11 @@
 """Writes the MCAP container: chunks of messages with their indexes, attachments, metadata, and the summary at the end.
 
-The records of the container are those of the ``mcap`` package; only messages are packed here, each in one step. The
-package's own writer takes an object and a dozen calls for each message, three times as long as this one, and a record
-of ours is two or three messages.
+The container's records are those of the ``mcap`` package; only messages are packed here, each in one step. The
+package's own writer takes an object and a dozen calls for each message, three times as long, and one of our records
+makes two or three messages.
 
-Only what a recording needs is there: every message is in a chunk, every chunk is compressed with Zstandard and has a
-CRC and message indexes, the summary indexes all, and all bytes before it have a CRC too.
+Every message is in a chunk, every chunk is compressed with Zstandard and has a CRC and message indexes, the summary
+indexes all, and all bytes before it have a CRC too.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ _FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC cov
 
 
 class McapWriter:
-    """One MCAP file in the making. Not for several threads at once.
+    """Writes one MCAP file; for one thread at a time.
 
     Args:
-        file: where it goes; at its start.
-        library: who writes it.
+        file: at its start.
+        library: name of the writing software.
     """
 
     def __init__(self, file: BinaryIO, library: str) -> None:
@@ -74,38 +74,14 @@ class McapWriter:
         self._write(MAGIC)
         self._write(_packed(Header(profile="", library=library)))
 
-    @property
-    def pending(self) -> int:
-        """Bytes in the chunk that isn't written yet."""
-        return self._chunk_size
-
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Adds a schema.
-
-        Args:
-            name: of the message type.
-            encoding: how it is defined ("protobuf").
-            data: its definition.
-
-        Returns:
-            Its id.
-        """
+        """Adds the definition of a message type, and returns its id."""
         self._schemas.append(Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data))
         self._append(_packed(self._schemas[-1]))
         return len(self._schemas)
 
     def add_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str] | None = None) -> int:
-        """Adds a channel.
-
-        Args:
-            topic: its topic.
-            encoding: of its messages ("protobuf").
-            schema: id of their type.
-            metadata: what to say of it.
-
-        Returns:
-            Its id.
-        """
+        """Adds a channel for messages of one type (schema id), and returns its id."""
         self._channels.append(
             Channel(
                 id=len(self._channels) + 1,
@@ -122,8 +98,8 @@ class McapWriter:
         """Adds messages to the chunk.
 
         Args:
-            messages: of each the id of its channel; its number, of which the lowest 32 bits are kept; when it was, in
-                ns since the Unix epoch, not before the message before; and its bytes.
+            messages: of each the id of its channel; its number, of which the lowest 32 bits are kept; its time in ns
+                since the Unix epoch, which never decreases; and its bytes.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:
@@ -137,14 +113,7 @@ class McapWriter:
         self._chunk_size = size
 
     def add_attachment(self, time_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Adds a file; it is written at once, behind the chunk.
-
-        Args:
-            time_ns: when it was added.
-            name: its name.
-            media_type: what it is.
-            data: its content.
-        """
+        """Writes a file at once, behind the chunk; the time is in ns since the Unix epoch."""
         self.flush()
         file = Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
         at, packed = self._at, _packed(file)
@@ -162,19 +131,14 @@ class McapWriter:
         )
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Adds words about the file; they are written at once, behind the chunk.
-
-        Args:
-            name: what they are about.
-            data: the words by key.
-        """
+        """Writes named texts about the file at once, behind the chunk."""
         self.flush()
         at, packed = self._at, _packed(Metadata(name=name, metadata=dict(data)))
         self._write(packed)
         self._metadata.append(MetadataIndex(offset=at, length=len(packed), name=name))
 
     def flush(self) -> None:
-        """Ends the chunk, and hands all to the operating system."""
+        """Ends the chunk, and passes all to the operating system."""
         if self._chunk:
             self._end_chunk()
         self._file.flush()
@@ -247,15 +211,15 @@ class McapWriter:
         self._file.flush()
 
     def _statistics(self) -> Statistics:
-        talking = [index for index in self._chunks if index.message_index_offsets]
+        filled = [index for index in self._chunks if index.message_index_offsets]
         return Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
             chunk_count=len(self._chunks),
             message_count=sum(self._counts.values()),
-            message_end_time=talking[-1].message_end_time if talking else 0,
-            message_start_time=talking[0].message_start_time if talking else 0,
+            message_end_time=filled[-1].message_end_time if filled else 0,
+            message_start_time=filled[0].message_start_time if filled else 0,
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )

@@ -1,8 +1,9 @@
 """The records: their definition (``log.proto``), their Python names, frames and text. A record is one step."""
 
-from recorder.records.messages import (
-    STEPS_PER_SECOND,
-    TOPICS,
+from collections.abc import Mapping
+from typing import Final, TypeAlias
+
+from recorder.records.log_pb2 import (
     Argument,
     Asset,
     AttachBody,
@@ -23,7 +24,6 @@ from recorder.records.messages import (
     OpenWorld,
     Picture,
     Query,
-    Record,
     RemoveBody,
     Reset,
     Run,
@@ -35,13 +35,8 @@ from recorder.records.messages import (
     Simulate,
     SourceLine,
     Task,
-    arguments,
-    failure,
-    format_error,
-    format_failure,
-    message,
-    to_json,
 )
+from recorder.records.values import arguments, failure, format_error, format_failure, to_json
 
 __all__ = [
     "STEPS_PER_SECOND",
@@ -82,6 +77,21 @@ __all__ = [
     "failure",
     "format_error",
     "format_failure",
-    "message",
     "to_json",
 ]
+
+Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
+
+TOPICS: Mapping[type[Record], str] = {
+    Run: "/run",
+    Task: "/task",
+    Mutation: "/mutation",
+    Event: "/event",
+    Fluent: "/fluent",
+    Query: "/query",
+    Keyframe: "/keyframe",
+}
+"""The MCAP topic of each record type; one type each."""
+
+STEPS_PER_SECOND: Final = 240
+"""Of simulated time, which a record's ``sim_step`` counts; every world is simulated at this pace."""

@@ -9,13 +9,7 @@ from hashlib import sha256
 
 @dataclass(frozen=True)
 class AssetFile:
-    """One file, known by its content.
-
-    Attributes:
-        name: the name that it has in the recording (no folders).
-        content: its bytes.
-        media_type: what it is.
-    """
+    """One file, identified by its content; its name has no folders."""
 
     name: str
     content: bytes

@@ -14,10 +14,7 @@ DEFINITION = Path("recorder/records/log.proto")
 
 
 def compile_proto(output: Path) -> None:
-    """Writes ``recorder/records/log_pb2.py`` and ``log_pb2.pyi`` below a folder.
-
-    Args:
-        output: folder that exists.
+    """Writes ``recorder/records/log_pb2.py`` and ``log_pb2.pyi`` below an existing folder.
 
     Raises:
         RuntimeError: the compiler refused the definition.

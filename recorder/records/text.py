@@ -1,6 +1,6 @@
-"""What happened in one line each, for people who look at a recording with other tools (``foxglove.Log`` on /log).
+"""One line of text for each record, also for other people's tools (``foxglove.Log`` on /log).
 
-Lists of records are copied (``[:]``) to go through them: protobuf's own iterators take three times as long.
+Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _NS: Final = 1_000_000_000
 _MS: Final = 1e6
 _ASKED, _STARTED, _SUCCEEDED, _CANCELLED = Task.ASKED, Task.STARTED, Task.SUCCEEDED, Task.CANCELLED  # looked up once
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
-_THREE: Final = "[%.3f, %.3f, %.3f]"  # of most values, and faster than what fits any number of them
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
 
 
 class Lines:
-    """Lines for records, one after the other: in one message that is filled anew each time, which takes half as long.
+    """Makes the lines of some records in one message, which takes half as long as one message each.
 
-    For few of them, as the message keeps the room that all its texts have taken.
+    For few of them, as the message keeps the memory of all its texts.
     """
 
     def __init__(self) -> None:
@@ -35,14 +35,11 @@ class Lines:
         self._moment = self._line.timestamp
 
     def of(self, record: Record, time_ns: int) -> bytes | None:
-        """The line for a record, serialized.
+        """The line of a record, serialized; None if it has none.
 
         Args:
             record: any.
-            time_ns: when it was, in ns since the Unix epoch.
-
-        Returns:
-            None where there is nothing to say; see :func:`has_line`.
+            time_ns: its time, in ns since the Unix epoch.
         """
         if not has_line(record):
             return None
@@ -54,22 +51,14 @@ class Lines:
 
 
 def has_line(record: Record) -> bool:
-    """Whether there is something to say: not of keyframes, nor of tasks that are only asked for.
-
-    Args:
-        record: any.
-    """
+    """Whether a record has a line: keyframes have none, nor tasks that are only asked for."""
     if type(record) is Task:  # isinstance takes five times as long where it is none
         return record.phase != _ASKED
     return type(record) is not Keyframe
 
 
 def text_of(record: Record) -> tuple[str, Log.Level.ValueType]:
-    """The same as plain text, with its level.
-
-    Args:
-        record: any.
-    """
+    """A record as text, with its level."""
     return _TEXTS[type(record)](record)
 
 
@@ -109,16 +98,12 @@ def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
 
 
 def mutation_text(record: Mutation) -> str:
-    """What a mutation did, in a few words.
-
-    Args:
-        record: the mutation.
-    """
-    which = str(record.WhichOneof("command") or "change")
-    command = getattr(record, which, None)
-    tell = _DETAILS.get(which)
-    text = which.replace("_", " ") + (f" {tell(command)}" if tell else "")
-    if which == "simulate":
+    """What a mutation did, in a few words."""
+    name = str(record.WhichOneof("command") or "change")
+    command = getattr(record, name, None)
+    details = _DETAILS.get(name)
+    text = name.replace("_", " ") + (f" {details(command)}" if details else "")
+    if name == "simulate":
         return text
     body = getattr(command, "body", "")
     along = [name for state in record.effect.bodies[:] if (name := state.body) != body]
@@ -126,21 +111,21 @@ def mutation_text(record: Mutation) -> str:
 
 
 def _numbers(values: Sequence[float]) -> str:
-    told = (*values[:],)
-    return _THREE % told if len(told) == 3 else f"[{', '.join([f'{value:.3f}' for value in told])}]"
+    numbers = (*values[:],)
+    return _THREE % numbers if len(numbers) == 3 else f"[{', '.join([f'{number:.3f}' for number in numbers])}]"
 
 
 def _joints(command: MoveJoints) -> str:
-    one = len(command.joints) == 1
-    told = f"{command.joints[0]} {command.positions[0]:.3f}" if one else f"{len(command.joints)} joints"
-    return f"{command.body} {told}"
+    count = len(command.joints)
+    details = f"{command.joints[0]} {command.positions[0]:.3f}" if count == 1 else f"{count} joints"
+    return f"{command.body} {details}"
 
 
 def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
-    told, after = f"fluent {record.name}", record.after_json
+    name, after = f"fluent {record.name}", record.after_json
     if record.before_json == after:
-        return f"{told} pulsed at {after}" if after else f"{told} pulsed", _DEBUG
-    return f"{told}: {record.before_json} -> {after}", _DEBUG
+        return f"{name} pulsed at {after}" if after else f"{name} pulsed", _DEBUG
+    return f"{name}: {record.before_json} -> {after}", _DEBUG
 
 
 _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueType]]]] = {
@@ -153,7 +138,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
 }
 
-_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; what isn't here has none
+_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none
     "open_world": lambda command: str(command.mode),
     "load_body": lambda command: f"{command.body} {_numbers(command.position)}",
     "remove_body": lambda command: command.body,
@@ -173,18 +158,10 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 
 
 def values(arguments: Sequence[Argument]) -> str:
-    """Named values in a line; objects go by their names.
-
-    Args:
-        arguments: as records carry them.
-    """
+    """Recorded values in a line, objects by their names."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 
 def by_name(text: str) -> str:
-    """A recorded value with objects by their names.
-
-    Args:
-        text: JSON.
-    """
+    """A recorded value (JSON) with objects by their names."""
     return _OBJECT.sub(r"\1", text) if '{"object":' in text else text

@@ -1,6 +1,6 @@
-"""A task of the tree: what it is, what it is part of, how far it is or how it ended, as its records tell.
+"""A node of the task tree: a task's kind, name, status, times and failure, from its records.
 
-Children stand in the order in which they were asked for, which is that of their ids.
+Children are in the order in which they were asked for, which is that of their ids.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ BY_ID: Final = attrgetter("id")
 
 
 class State(IntEnum):
-    """How far a task is, or how it ended; the numbers are those of the records."""
+    """Status of a task; the numbers are those of the records."""
 
     CREATED = Task.CREATED
     RUNNING = Task.RUNNING
@@ -43,7 +43,7 @@ class State(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A moment in both times.
+    """A moment in wall time and simulated time.
 
     Attributes:
         wall_ns: nanoseconds since the Unix epoch.
@@ -70,14 +70,14 @@ class Node:
     """A task.
 
     Attributes:
-        started: the record of its start; of a task that never started, that of its being asked for; of a task of
-            which both are lost, that of its end.
+        started: the record of its start; if it never started, that of its being asked for; if both are lost, that of
+            its end.
         parent: the task that it is part of; None for an outermost one.
-        asked: the record of its being asked for; None of what starts at once.
+        asked: the record of its being asked for; None if it started at once.
         finished: the record of its end; None if it has not ended.
-        forgotten: how many of its parts the tree of a long-running plan has let go.
+        forgotten: number of its children that the tree of a long-running plan has dropped.
         size: bytes of its own records, where the tree has a limit for these.
-        parts: tasks that are part of it, by their ids.
+        parts: its children, by their ids.
     """
 
     started: Task
@@ -95,7 +95,7 @@ class Node:
 
     @property
     def kind(self) -> str:
-        """What sort of task: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ..."""
+        """Such as motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ..."""
         return self.started.kind
 
     @property
@@ -105,12 +105,12 @@ class Node:
 
     @property
     def attempt(self) -> int:
-        """Which attempt it is, from 1; 0 if it is none."""
+        """Number of the attempt, from 1; 0 if it is none."""
         return self.started.attempt
 
     @property
     def parameters(self) -> Mapping[str, Any]:
-        """What it was given, by name, as the records tell it."""
+        """What it was given, by name, as recorded."""
         return {argument.name: json.loads(argument.json) for argument in self.started.parameters}
 
     @property
@@ -121,7 +121,7 @@ class Node:
 
     @property
     def status(self) -> State:
-        """How far it is, or how it ended; RUNNING if the recording ends before."""
+        """Its status; RUNNING if the recording ends before it does."""
         if self.finished is not None:
             return State(self.finished.status)
         return State.CREATED if self.started.phase == Task.ASKED else State.RUNNING
@@ -133,7 +133,7 @@ class Node:
 
     @property
     def is_origin(self) -> bool:
-        """Whether a failure began in it: it failed, and none of its parts did."""
+        """Whether a failure began in it: it failed, and none of its children did."""
         return self.failed and not any(child.failed for child in self.children)
 
     @property
@@ -169,17 +169,17 @@ class Node:
 
     @property
     def children(self) -> list[Node]:
-        """Tasks that are part of it, in the order in which they were asked for."""
+        """Its direct children, in the order in which they were asked for."""
         return sorted(self.parts.values(), key=BY_ID)
 
     @property
     def attempts(self) -> list[Node]:
-        """Its parts that are attempts at the same thing."""
+        """Its children that are attempts."""
         return [child for child in self.children if child.attempt]
 
     @property
     def dealt_with(self) -> bool:
-        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        """Whether a task around it ended without failing: then its failure decided nothing."""
         return is_dealt_with(node.finished for node in self.around())
 
     @property
@@ -195,7 +195,7 @@ class Node:
             node = node.parent
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """This task and all below it with their depth from 0, each before its parts; as deep as plans nest."""
+        """This task and all below it with their depth from 0, each before its children."""
         stack = [(0, self)]
         while stack:
             depth, node = stack.pop()
@@ -203,14 +203,12 @@ class Node:
             stack += [(depth + 1, child) for child in reversed(node.children)]
 
     def same(self, other: Node) -> bool:
-        """Whether another tree tells the same of this task and of all below it, record for record."""
-        mine, others = list(self.walk()), list(other.walk())
-        return len(mine) == len(others) and all(
-            depth == level
-            and (node.asked, node.started, node.finished) == (twin.asked, twin.started, twin.finished)
-            and node.forgotten == twin.forgotten
-            for (depth, node), (level, twin) in zip(mine, others, strict=True)
+        """Whether another node and all below it have the same records."""
+        mine, others = (
+            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
+            for tree in (self, other)
         )
+        return mine == others
 
     def __repr__(self) -> str:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"
@@ -228,18 +226,20 @@ _Failing = TypeVar("_Failing", bound=Failing)
 
 
 def is_dealt_with(ends: Iterable[Task | None]) -> bool:
-    """Whether a failure decided nothing, by how it and the tasks around it ended.
-
-    Args:
-        ends: the records of their ends; None of what has not ended.
-    """
+    """Whether a failure decided nothing, from the ends of its task and those around it; None if not ended."""
     return any(end is not None and end.status != Task.FAILED for end in ends)
 
 
 def decisive(origins: Sequence[_Failing]) -> _Failing | None:
-    """The failure that tells how a plan fares: the last that nothing around it dealt with, else the last.
+    """The task whose failure decides a plan: the last that nothing around it dealt with, else the last.
 
     Args:
         origins: the tasks in which failures began, in the order of their ends.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
+
+
+def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
+    """Trees with their depth from 0, each task before its children."""
+    for root in roots:
+        yield from root.walk()

@@ -1,22 +1,23 @@
-"""The task tree as a picture: for Graphviz, and as an SVG that shows beside the tree when each task ran.
+"""The task tree as a graph for Graphviz, and as an SVG that shows beside the tree when each task ran.
 
-The SVG's lines are those of the text. Right of them is the time by the clock; what ran side by side lies one above the
-other. Hovering over a task shows all of it.
+The SVG's lines are those of the text. Right of them is wall time; what ran side by side lies one above the other.
+Hovering over a task shows all of it.
 """
 
 from __future__ import annotations
 
+from functools import partial
+from html import escape as escape_quotes
 from typing import TYPE_CHECKING, Final
-from xml.sax.saxutils import escape, quoteattr
 
 from recorder.records import format_failure
-from recorder.tasks import State
+from recorder.tasks.node import State, walk
 from recorder.tasks.text import label, rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from recorder.tasks import Node, Tree
+    from recorder.tasks.node import Node
     from recorder.tasks.text import Row
 
 COLORS: Final = {
@@ -32,19 +33,16 @@ _NAMES: Final = 520  # width of the names' column
 _BARS: Final = 560  # width of the times' column
 _TOP: Final = 44
 _LETTER: Final = 6.6  # width of a letter at the names' size
+_escape = partial(escape_quotes, quote=False)
 
 
-def dot(tree: Tree) -> str:
-    """The tree for Graphviz: ``dot -Tsvg``.
-
-    Args:
-        tree: the tree.
-    """
-    way = {node.id for node in tree.failure_path()}
+def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
+    """The tree for Graphviz: ``dot -Tsvg``; see :func:`recorder.tasks.text.rows`."""
+    failing = {node.id for node in failure_path}
     out = ["digraph tasks {", '  node [shape=box, style="rounded,filled", fontname="sans-serif", fontsize=10];']
-    for _, node in tree.walk():
+    for _, node in walk(roots):
         text = f"{label(node)}\n{_outcome(node)}"
-        width = 3 if node.id in way else 1
+        width = 3 if node.id in failing else 1
         out.append(
             f"  t{node.id} [label={_quoted(text)}, color={_quoted(COLORS[node.status])}, penwidth={width}, "
             'fillcolor="white"];'
@@ -54,18 +52,12 @@ def dot(tree: Tree) -> str:
     return "\n".join([*out, "}"]) + "\n"
 
 
-def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
-    """The tree and its times as an SVG document.
-
-    Args:
-        tree: the tree.
-        depth: only so many levels.
-        whole: whether to show one by one what repeats itself.
-    """
-    shown = list(rows(tree, depth, whole=whole))
-    moments = [node.created.wall_ns for _, node in tree.walk()]
-    moments += [node.end.wall_ns for _, node in tree.walk() if node.end is not None]
-    begin, end = (min(moments), max(moments)) if moments else (0, 1)
+def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False) -> str:
+    """The tree and its times as an SVG document; see :func:`recorder.tasks.text.rows`."""
+    shown = list(rows(roots, failure_path, depth, whole=whole))
+    times = [node.created.wall_ns for _, node in walk(roots)]
+    times += [node.end.wall_ns for _, node in walk(roots) if node.end is not None]
+    begin, end = (min(times), max(times)) if times else (0, 1)
     height = _TOP + _ROW * len(shown) + 12
     size = f'width="{_NAMES + _BARS + 30}" height="{height}"'
     parts = [
@@ -95,26 +87,26 @@ def _drawn(row: Row, top: int, begin: int, length: int) -> Iterator[str]:
     node = row.node
     if node is None:
         color = "#b02a24" if ": " in row.text else "#777"
-        yield f'<text x="{x}" y="{top + 14}" fill="{color}" font-style="italic">{escape(text)}</text>'
+        yield f'<text x="{x}" y="{top + 14}" fill="{color}" font-style="italic">{_escape(text)}</text>'
         return
     color = COLORS[node.status]
-    yield f"<g><title>{escape(_told(node))}</title>"
+    yield f"<g><title>{_escape(_details(node))}</title>"
     if row.failing:
         yield f'<rect x="0" y="{top}" width="100%" height="{_ROW}" fill="#fdeceb"/>'
     yield f'<circle cx="{x + 4}" cy="{top + 10}" r="4" fill="{color}"/>'
     weight = ' font-weight="bold"' if row.failing else ""
-    yield f'<text x="{x + 14}" y="{top + 14}" fill="#222"{weight}>{escape(text)}</text>'
+    yield f'<text x="{x + 14}" y="{top + 14}" fill="#222"{weight}>{_escape(text)}</text>'
     start = node.start or node.created
     stop = node.end.wall_ns if node.end is not None else begin + length
     left = _NAMES + _BARS * (start.wall_ns - begin) / length
     wide = max(1.5, _BARS * (stop - start.wall_ns) / length)
-    yield f'<rect x="{left:.1f}" y="{top + 4}" width="{wide:.1f}" height="{_ROW - 8}" rx="2" fill={quoteattr(color)}/>'
+    yield f'<rect x="{left:.1f}" y="{top + 4}" width="{wide:.1f}" height="{_ROW - 8}" rx="2" fill="{color}"/>'
     yield "</g>"
 
 
-def _told(node: Node) -> str:
-    told = [label(node), _outcome(node), *(f"{name} = {value}" for name, value in node.parameters.items())]
-    return "\n".join([*told, node.source] if node.source else told)
+def _details(node: Node) -> str:
+    details = [label(node), _outcome(node), *(f"{name} = {value}" for name, value in node.parameters.items())]
+    return "\n".join([*details, node.source] if node.source else details)
 
 
 def _outcome(node: Node) -> str:

@@ -1,4 +1,4 @@
-"""The task tree for people and machines: as lines of text, as facts for JSON.
+"""The task tree as lines of text, and as data for JSON.
 
 ``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` has not ended, ``.`` has not begun; ``>`` leads to the failure.
 """
@@ -6,16 +6,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.records.text import values
-from recorder.tasks import Node, State
+from recorder.tasks.node import Node, State, walk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from recorder.tasks import Tree
+    from collections.abc import Iterator, Sequence
 
 _MARKS: Final = {
     State.SUCCEEDED: "+",
@@ -24,10 +23,10 @@ _MARKS: Final = {
     State.RUNNING: "?",
     State.CREATED: ".",
 }
-_ALIKE: Final = 6  # so many siblings alike are told one by one
-_WIDTH: Final = 100  # characters of parameters
-_TELLING_KINDS: Final = ("motion", "attempt", "failure-handling")  # whose parameters aren't told elsewhere
-_PLAIN_KINDS: Final = ("motion", "process-module", "attempt", "failure-handling")  # their names say what they are
+_MAX_ALIKE: Final = 6  # siblings that are shown one by one
+_MAX_WIDTH: Final = 100  # characters of parameters
+_WITH_PARAMETERS: Final = ("motion", "attempt", "failure-handling")  # whose parameters aren't shown elsewhere
+_WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names say what they are
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +36,8 @@ class Row:
     Attributes:
         depth: from 0.
         node: the task; None for a remark.
-        text: what to say.
-        failing: whether it is on the way down to the failure.
+        text: without indentation and marks.
+        failing: whether it is on the path down to the failure.
     """
 
     depth: int
@@ -47,71 +46,57 @@ class Row:
     failing: bool = False
 
 
-def rows(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterator[Row]:
-    """The tree's tasks, each before its parts; rows of siblings alike that went well are folded.
+def rows(
+    roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False
+) -> Iterator[Row]:
+    """All tasks, each before its children; siblings alike that succeeded are folded.
 
     Args:
-        tree: the tree.
-        depth: only so many levels.
-        whole: whether to tell one by one what repeats itself.
+        roots: the outermost tasks.
+        failure_path: from the outermost task down to the failure.
+        depth: number of levels.
+        whole: whether to show siblings that are alike one by one.
     """
-    failing = tree.failure_path()
-    way = {node.id for node in failing}
-    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_folded(list(tree.roots), whole=whole))]
+    failing = {node.id for node in failure_path}
+    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_folded(roots, whole=whole))]
     while stack:
         level, item = stack.pop()
         if isinstance(item, str):
             yield Row(level, None, item)
             continue
-        yield Row(level, item, label(item), item.id in way)
+        yield Row(level, item, label(item), item.id in failing)
         if item.is_origin and item.failure is not None:
             yield from (Row(level + 2, None, text) for text in format_failure(item.failure).splitlines())
         if item.forgotten:
             stack.append((level + 1, f"... {item.forgotten} more, forgotten"))
-        parts = item.children
-        if depth is not None and level + 1 >= depth:
-            if parts:
-                stack.append((level + 1, f"... {sum(1 for _ in item.walk()) - 1} below"))
-        else:
-            stack += [(level + 1, part) for part in reversed(_folded(parts, whole=whole))]
+        if depth is None or level + 1 < depth:
+            stack += [(level + 1, child) for child in reversed(_folded(item.children, whole=whole))]
+        elif item.parts:
+            stack.append((level + 1, f"... {sum(1 for _ in item.walk()) - 1} below"))
 
 
-def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-    """The tree as lines of text.
-
-    Args:
-        tree: the tree.
-        depth: only so many levels.
-        whole: whether to tell one by one what repeats itself.
-    """
-    for row in rows(tree, depth, whole=whole):
+def lines(
+    roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False
+) -> Iterator[str]:
+    """The tree as lines of text; see :func:`rows`."""
+    for row in rows(roots, failure_path, depth, whole=whole):
         mark = f"{_MARKS[row.node.status]} " if row.node is not None else ""
         extent = f"  [{_extent(row.node)}]" if row.node is not None else ""
         yield f"{'> ' if row.failing else '  '}{'  ' * row.depth}{mark}{row.text}{extent}"
 
 
 def label(node: Node) -> str:
-    """Name, parameters and kind of a task in a line.
-
-    Args:
-        node: the task.
-    """
+    """Name, parameters and kind of a task in a line."""
     parameters = values(node.started.parameters)
-    if len(parameters) > _WIDTH:
-        parameters = parameters[: _WIDTH - 3] + "..."
-    # a process module is told what its motion was, a timeout says it in its name
-    shown = f"({parameters})" if parameters and node.kind in _TELLING_KINDS else ""
-    return f"{node.name}{shown}{'' if node.kind in _PLAIN_KINDS else ' ' + node.kind}"
+    if len(parameters) > _MAX_WIDTH:
+        parameters = parameters[: _MAX_WIDTH - 3] + "..."
+    shown = f"({parameters})" if parameters and node.kind in _WITH_PARAMETERS else ""
+    return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}"
 
 
-def facts(tree: Tree, most: int | None = None) -> list[dict[str, object]]:
-    """All tasks for machines, each before its parts.
-
-    Args:
-        tree: the tree.
-        most: only so many levels.
-    """
-    way = {node.id for node in tree.failure_path()}
+def facts(roots: Sequence[Node], failure_path: Sequence[Node], max_depth: int | None = None) -> list[dict[str, object]]:
+    """All tasks as data for JSON, each before its children; see :func:`rows`."""
+    failing = {node.id for node in failure_path}
     return [
         {
             "id": node.id,
@@ -128,11 +113,11 @@ def facts(tree: Tree, most: int | None = None) -> list[dict[str, object]]:
             "seconds": node.seconds,
             "parameters": dict(node.parameters),
             "failure": format_failure(node.failure) if node.failure is not None else "",
-            "on_failure_path": node.id in way,
+            "on_failure_path": node.id in failing,
             "source": node.source,
         }
-        for depth, node in tree.walk()
-        if most is None or depth < most
+        for depth, node in walk(roots)
+        if max_depth is None or depth < max_depth
     ]
 
 
@@ -146,23 +131,14 @@ def _extent(node: Node) -> str:
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"
 
 
-def _folded(nodes: list[Node], *, whole: bool) -> list[Node | str]:
-    """Siblings, with one line for those of a longer row that went well and differ in their parameters only."""
+def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
+    """Siblings, with one line for those of a longer run that succeeded and differ in their parameters only."""
     shown: list[Node | str] = []
-    at = 0
-    while at < len(nodes):
-        end = at
-        while end < len(nodes) and _looks(nodes[end]) == _looks(nodes[at]):
-            end += 1
-        if not whole and end - at > _ALIKE and nodes[at].status is State.SUCCEEDED:
-            took = sum(node.seconds or 0.0 for node in nodes[at + 2 : end - 1]) * 1e3
-            name = nodes[at].name
-            shown += [*nodes[at : at + 2], f"... {end - at - 3} more {name} succeeded  [{took:.1f} ms]", nodes[end - 1]]
+    for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
+        alike = list(run)
+        if not whole and len(alike) > _MAX_ALIKE and status is State.SUCCEEDED:
+            took = sum(node.seconds or 0.0 for node in alike[2:-1]) * 1e3
+            shown += [*alike[:2], f"... {len(alike) - 3} more {name} succeeded  [{took:.1f} ms]", alike[-1]]
         else:
-            shown += nodes[at:end]
-        at = end
+            shown += alike
     return shown
-
-
-def _looks(node: Node) -> tuple[object, ...]:
-    return node.kind, node.name, node.status

@@ -1,7 +1,7 @@
-"""The tree of tasks: what was part of what, how each ended, and the way down to the one that failed.
+"""The tree of tasks: what was part of what, how each ended, and the path down to the one that failed.
 
 A tree is the fold of task records, and nothing else: a running plan folds its records as they are made, a reader those
-of a log, with this same class. So a plan sees of itself what the log will tell.
+of a log, with this same class. So a plan sees of itself what the log will say.
 """
 
 from __future__ import annotations
@@ -13,37 +13,34 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from recorder.records import Task
-from recorder.tasks.node import BY_ID, Failing, Moment, Node, State, decisive, is_dealt_with
+from recorder.tasks import picture, text
+from recorder.tasks.node import BY_ID, Node, State, decisive, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-
-__all__ = ["Failing", "Moment", "Node", "State", "Tree", "decisive", "is_dealt_with"]
 
 _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class Tree:
-    """All tasks of a plan or recording. Equal to another one that tells the same, record for record.
+    """All tasks of a plan or recording. Trees of the same records are equal.
 
-    Any thread may look at it, with all its methods, while others add to it.
+    Any thread may use all its methods while others add to it.
+
+    Args:
+        limit: number of tasks; beyond it those that ended first are forgotten, each before what it is part of. None to
+            keep all.
+        size: bytes of records; likewise.
 
     Attributes:
         nodes: by id.
-        began: id of the task in which the plan's failure began, where somebody knows more than the tasks tell; 0 if it
-            began in none; None to go by the tasks.
+        began: id of the task in which the plan's failure began, where more is known than the tasks say; 0 if it began
+            in none; None to go by the tasks.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows
 
     def __init__(self, limit: int | None = None, size: int | None = None) -> None:
-        """Makes an empty tree.
-
-        Args:
-            limit: of so many tasks; beyond it those that ended first are forgotten, each before what it is part of.
-                None to keep all.
-            size: of so many bytes of records; likewise.
-        """
         self.began: int | None = None
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
@@ -60,14 +57,11 @@ class Tree:
         return tuple(sorted(self._roots.values(), key=BY_ID))
 
     def apply(self, record: Task, size: int = 0) -> Node:
-        """Takes what a record tells.
+        """Adds a record, which is kept, and returns its task.
 
         Args:
-            record: the next one; kept.
+            record: the next one.
             size: its bytes, where they are known already.
-
-        Returns:
-            The task that it is about.
         """
         number, phase = record.task, record.phase
         if self._weighs and not size:
@@ -90,7 +84,7 @@ class Tree:
             return node
 
     def forget(self) -> None:
-        """Lets go of all that has ended and isn't part of a task that still runs."""
+        """Drops all that has ended and isn't part of a task that still runs."""
         with self._lock:
             self._roots = {number: node for number, node in self._roots.items() if node.finished is None}
             self.nodes = {node.id: node for root in self._roots.values() for _, node in root.walk()}
@@ -109,18 +103,11 @@ class Tree:
             node.parent.forgotten += 1
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """All tasks with their depth from 0, each before its parts; as deep as plans nest."""
-        for root in self.roots:
-            yield from root.walk()
+        """All tasks with their depth from 0, each before its children."""
+        return walk(self.roots)
 
     def find(self, *, kind: str | None = None, name: str | None = None, status: State | None = None) -> list[Node]:
-        """The tasks that are as asked, each before its parts.
-
-        Args:
-            kind: of this kind; None for any.
-            name: of this name; None for any.
-            status: that are so far or ended so; None for any.
-        """
+        """The tasks of a kind, name and status (None for any), each before its children."""
         return [
             node
             for _, node in self.walk()
@@ -137,39 +124,43 @@ class Tree:
             began = decisive([node for node in ended if node.is_origin])
         return list(began.around())[::-1] if began is not None else []
 
-    def text(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """As lines of text; see :mod:`recorder.tasks.text`.
+    def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
+        """Lines of text; see :mod:`recorder.tasks.text`.
 
         Args:
-            depth: only so many levels.
-            whole: whether to tell one by one what repeats itself.
+            depth: number of levels.
+            whole: whether to show siblings that are alike one by one.
         """
-        from recorder.tasks.text import lines  # noqa: PLC0415  for looking at, not for running
+        return text.lines(self.roots, self.failure_path(), depth, whole=whole)
 
-        return "\n".join(lines(self, depth, whole=whole))
+    def text(self, depth: int | None = None, *, whole: bool = False) -> str:
+        """The same in one string."""
+        return "\n".join(self.lines(depth, whole=whole))
+
+    def facts(self, depth: int | None = None) -> list[dict[str, object]]:
+        """All tasks as data for JSON, each before its children.
+
+        Args:
+            depth: number of levels.
+        """
+        return text.facts(self.roots, self.failure_path(), depth)
 
     def to_json(self) -> str:
-        """As a JSON list of all tasks, each before its parts."""
-        from recorder.tasks.text import facts  # noqa: PLC0415  for looking at, not for running
-
-        return json.dumps(facts(self), ensure_ascii=False)
+        """The same as JSON."""
+        return json.dumps(self.facts(), ensure_ascii=False)
 
     def to_dot(self) -> str:
-        """As a graph for Graphviz."""
-        from recorder.tasks.picture import dot  # noqa: PLC0415  for looking at, not for running
-
-        return dot(self)
+        """A graph for Graphviz."""
+        return picture.dot(self.roots, self.failure_path())
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """As a picture, with the times beside the tree; any browser shows it.
+        """A picture of the tree with its times, as an SVG document.
 
         Args:
-            depth: only so many levels.
-            whole: whether to show one by one what repeats itself.
+            depth: number of levels.
+            whole: whether to show siblings that are alike one by one.
         """
-        from recorder.tasks.picture import svg  # noqa: PLC0415  for looking at, not for running
-
-        return svg(self, depth, whole=whole)
+        return picture.svg(self.roots, self.failure_path(), depth, whole=whole)
 
     def __str__(self) -> str:
         return self.text()
@@ -178,7 +169,7 @@ class Tree:
         if not isinstance(other, Tree):
             return NotImplemented
         mine, others = self.roots, other.roots
-        return len(mine) == len(others) and all(one.same(twin) for one, twin in zip(mine, others, strict=True))
+        return len(mine) == len(others) and all(a.same(b) for a, b in zip(mine, others, strict=True))
 
     def __len__(self) -> int:
         return len(self.nodes)

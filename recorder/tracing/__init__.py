@@ -1,1 +1,1 @@
-"""What a running program publishes: the journal of records, spans of tasks, call sites, and how Ctrl-C is deferred."""
+"""What a running program records: the journal, spans of tasks, call stacks; and how Ctrl-C is deferred meanwhile."""

@@ -1,7 +1,7 @@
-"""The way through the plan's code to a task: the lines that called one another, outermost first.
+"""Call stacks of tasks: the plan's lines that called one another, outermost first.
 
-A thread that runs part of a task has its own stack: its way goes on from where that task was asked for. So each way
-begins where the plan does, whoever goes it.
+A thread that runs part of a task has a stack of its own: its call stack continues that of the code which asked for the
+task. So each call stack begins where the plan does, in whatever thread it ends.
 """
 
 from __future__ import annotations
@@ -22,151 +22,133 @@ from recorder.tracing import journal
 if TYPE_CHECKING:
     from types import FrameType
 
-Place: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
+CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 
-#: Of a longer way, the lines in its middle are left out.
-MOST: Final = 32
-#: Frames of these packages are the machinery; the plan's lines are outside of them.
+#: A longer call stack is truncated in the middle.
+MAX_LINES: Final = 32
+#: Frames of these packages are left out: the plan's lines are outside of them.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "contextlib", "threading", "concurrent", "contextvars"})
-#: So many ways are remembered as they were told.
-_KNOWN: Final = 4096
-#: The frames of these can be left in the middle, and come back from elsewhere.
-_LEFT_AND_RESUMED: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
-#: Modules that run a plan as a program: who calls them is no part of it.
+#: Modules that run a plan as a program: their callers are left out, too.
 _RUNNERS: Final = frozenset({"pycram.cli", "replay.restore.session"})
 #: Python's own files, installed packages and their commands: they may call plans, but are none.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
+_MAX_CACHED: Final = 4096  # call stacks
+_RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
-    """A way; there is one for each task, so it is the cheapest sort of object.
+    """The plan's lines that led to a task; there is one for each task, so it is the cheapest type of object.
 
     Attributes:
-        lines: of the plan, outermost first; one that calls itself again and again stands once. Where nothing is
-            recorded only the innermost, which costs less to find.
-        before: those of them that ran in other threads, which this one goes on from.
-        thread: identifies the thread that came this way.
-        callers: all lines but the innermost, as records tell them.
-        recording: number of the recording that it was looked for in; 0 where nothing was recorded.
+        lines: outermost first; those of a recursion stand once. Where nothing is recorded only the innermost.
+        inherited: those of them that another thread's call stack ends with, which this one continues.
+        thread: identifies the thread that it ends in.
+        callers: all lines but the innermost, as records hold them.
+        recording: number of the recording that it was made for; 0 where nothing was recorded.
     """
 
-    lines: tuple[Place, ...]
-    before: tuple[Place, ...]
+    lines: tuple[CallSite, ...]
+    inherited: tuple[CallSite, ...]
     thread: int
     callers: tuple[SourceLine, ...] = ()
     recording: int = 0
 
     @property
-    def line(self) -> Place:
+    def line(self) -> CallSite:
         """The innermost line; ("", 0) if none is known."""
         return self.lines[-1] if self.lines else ("", 0)
 
-    def turned(self, number: int) -> CallStack | None:
-        """The way to another line of the code at its end, which runs still; None if it must be walked again.
-
-        Args:
-            number: of the line.
-        """
-        lines, before, thread, callers, recording = self
+    def at_line(self, number: int) -> CallStack | None:
+        """The same call stack with another line of its innermost function; None if the stack must be walked again."""
+        lines, inherited, thread, callers, recording = self
         file, latest = lines[-1]
-        if recording != journal.openings() or lines[-2:-1] == ((file, number),):  # which would stand once
+        if recording != journal.recording_number() or lines[-2:-1] == ((file, number),):  # which would stand once
             return None
-        return (
-            self if number == latest else CallStack((*lines[:-1], (file, number)), before, thread, callers, recording)
-        )
+        if number == latest:
+            return self
+        return CallStack((*lines[:-1], (file, number)), inherited, thread, callers, recording)
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
-    """The way to some code.
+    """Finds the call stack of some code.
 
     Args:
-        frame: the code, or what it has called.
-        outer: the way to the task which this is part of.
+        frame: of the code, or of what it has called.
+        outer: call stack of the task which this is part of.
 
     Returns:
-        The way; and the code at its end, if a way to what begins there later, as long as that runs, is this one but for
-        the last line: see :meth:`CallStack.turned`. Else None.
+        The call stack; and the plan's innermost frame, if :meth:`CallStack.at_line` gives the call stacks of its other
+        lines as long as it runs, else None.
     """
     frame, line = _innermost(frame)
-    recording = journal.openings() if journal.recording() else 0
+    recording = journal.recording_number() if journal.recording() else 0
     thread = threads.ident()
-    before: tuple[Place, ...] = ()
+    inherited: tuple[CallSite, ...] = ()
     if outer is not None:
-        before = outer.before if outer.thread == thread else outer.lines
+        inherited = outer.inherited if outer.thread == thread else outer.lines
     innermost = (line,) if line is not None else ()
     if not recording:
-        return CallStack(innermost or before[-1:], before[-1:], thread), None
-    here = _outwards(frame.f_back) if frame is not None else ()
-    around = (*before, *(here[1:] if here[:1] == before[-1:] else here))
-    once = around[-1:] == innermost  # a lambda begins where it was asked for
-    lines = around if once else (*around, *innermost)
-    if len(lines) > MOST:
-        lines = (*lines[: MOST // 2], *lines[-MOST // 2 :])
-    stays = frame is not None and not once and not is_resumable(frame)
-    return CallStack(lines, before, thread, _told.callers(lines), recording), frame if stays else None
+        return CallStack(innermost or inherited[-1:], inherited[-1:], thread), None
+    own = _lines_from(frame.f_back) if frame is not None else ()
+    around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
+    repeated = around[-1:] == innermost  # a lambda begins where it was asked for
+    lines = around if repeated else (*around, *innermost)
+    if len(lines) > MAX_LINES:
+        lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
+    stays = frame is not None and not repeated and not is_resumable(frame)
+    return CallStack(lines, inherited, thread, _callers.of(lines), recording), frame if stays else None
 
 
 def is_resumable(frame: FrameType) -> bool:
-    """Whether code can be left in the middle and gone on with from elsewhere, as generators can.
-
-    Args:
-        frame: the code.
-    """
-    return bool(frame.f_code.co_flags & _LEFT_AND_RESUMED)
+    """Whether it is the frame of a generator or coroutine, which others may resume."""
+    return bool(frame.f_code.co_flags & _RESUMABLE)
 
 
-def call_site() -> Place:
+def call_site() -> CallSite:
     """The innermost line of the plan that led here; ("", 0) if there is none."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  as inspect.currentframe() has it
 
 
-def _innermost(frame: FrameType | None) -> tuple[FrameType | None, Place | None]:
-    """The plan's next frame from a frame on outwards, and its line; without any, None and a foreign one's."""
+def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
+    """The plan's innermost frame and its line; without any, None and the line of the innermost foreign frame."""
     frame, foreign = plan_frame(frame)
-    return frame, _place(frame or foreign)
+    found = frame or foreign
+    return frame, (found.f_code.co_filename, found.f_lineno) if found is not None else None
 
 
-def _outwards(frame: FrameType | None) -> tuple[Place, ...]:
-    """The plan's lines from a frame on, outermost first."""
-    found: list[Place] = []
+def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
+    """The plan's lines up to a frame, outermost first."""
+    found: list[CallSite] = []
     while (frame := plan_frame(frame)[0]) is not None:
-        place = frame.f_code.co_filename, frame.f_lineno
-        if not found or place != found[-1]:
-            found.append(place)
+        line = frame.f_code.co_filename, frame.f_lineno
+        if not found or line != found[-1]:
+            found.append(line)
         frame = frame.f_back
     found.reverse()
     return tuple(found)
 
 
-def _place(frame: FrameType | None) -> Place | None:
-    return (frame.f_code.co_filename, frame.f_lineno) if frame is not None else None
-
-
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """The plan's next frame from a frame on outwards; and the first foreign one up to there.
-
-    Args:
-        frame: where to begin; not left out itself.
-    """
+    """The plan's innermost frame from this one on outwards; and the first foreign one up to there."""
     foreign = None
-    known, plan, elsewhere, runner = _kinds.get, _Kind.PLAN, _Kind.FOREIGN, _Kind.RUNNER  # there are many frames
+    known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # for speed
     while frame is not None:
         file = frame.f_code.co_filename
-        kind = known(file) or _kind(file, str(frame.f_globals.get("__name__", "")))
-        if kind is plan:
+        origin = known(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
+        if origin is plan:
             return frame, foreign
-        if kind is elsewhere:
+        if origin is elsewhere:
             foreign = foreign or frame
-        elif kind is runner:
+        elif origin is runner:
             break
         frame = frame.f_back
     return None, foreign
 
 
-class _Kind(Enum):
-    """Whose a frame is."""
+class _Origin(Enum):
+    """Whose code a frame runs."""
 
     PLAN = auto()
     MACHINERY = auto()
@@ -174,47 +156,47 @@ class _Kind(Enum):
     RUNNER = auto()
 
 
-_kinds: Final[dict[str, _Kind]] = {}  # by file
+_origins: Final[dict[str, _Origin]] = {}  # by file
 
 
-def _kind(file: str, module: str) -> _Kind:
+def _origin(file: str, module: str) -> _Origin:
     if module in _RUNNERS:
-        kind = _Kind.RUNNER
+        origin = _Origin.RUNNER
     elif module.partition(".")[0] in _MACHINERY and Path(file).parent.name != "demos":
-        kind = _Kind.MACHINERY
+        origin = _Origin.MACHINERY
     else:
-        kind = _Kind.FOREIGN if _FOREIGN.search(file) else _Kind.PLAN
+        origin = _Origin.FOREIGN if _FOREIGN.search(file) else _Origin.PLAN
     if file.startswith("<frozen") or not file.startswith("<"):  # many modules share "<string>" and the like
-        _kinds[file] = kind
-    return kind
+        _origins[file] = origin
+    return origin
 
 
-class _Told:
-    """What recordings are told of ways: the lines, and once each file that they are in."""
+class _Callers:
+    """Callers as records hold them, cached; attaches each file of a plan once to a recording."""
 
     def __init__(self) -> None:
-        self._callers: dict[tuple[Place, ...], tuple[SourceLine, ...]] = {}
+        self._cache: dict[tuple[CallSite, ...], tuple[SourceLine, ...]] = {}
         self._attached: set[str] = set()
-        self._openings = 0
+        self._recording = 0
 
-    def callers(self, lines: tuple[Place, ...]) -> tuple[SourceLine, ...]:
-        """All lines of a way but the innermost; the same again for the same way."""
-        if self._openings != journal.openings():  # a new recording has none of them
-            self._openings = journal.openings()
+    def of(self, lines: tuple[CallSite, ...]) -> tuple[SourceLine, ...]:
+        """All lines of a call stack but the innermost."""
+        if self._recording != journal.recording_number():
+            self._recording = journal.recording_number()
             self._attached.clear()
-            self._callers.clear()
-        told = self._callers.get(lines)
-        if told is None:
+            self._cache.clear()
+        callers = self._cache.get(lines)
+        if callers is None:
             for file in sorted({file for file, _ in lines} - self._attached):
                 self._attached.add(file)
                 with suppress(OSError):  # typed at a prompt, or gone
                     journal.attach([AssetFile(Path(file).name, Path(file).read_bytes(), "text/x-python")])
             innermost = lines[-1][0] if lines else ""
-            told = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
-            if len(self._callers) >= _KNOWN:
-                self._callers.clear()
-            self._callers[lines] = told
-        return told
+            callers = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
+            if len(self._cache) >= _MAX_CACHED:
+                self._cache.clear()
+            self._cache[lines] = callers
+        return callers
 
 
-_told: Final = _Told()
+_callers: Final = _Callers()

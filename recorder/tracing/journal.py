@@ -1,4 +1,4 @@
-"""The journal: numbers records, keeps them in order, hands them to sinks.
+"""The journal: numbers records, keeps them in order, passes them to sinks.
 
 Lock order: a world's lock, then a journal's, never the other way round; a journal calls no user code and no world
 while it holds its lock. Whoever emits holds the lock of the world that changed, so the order in the log is the order
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Sink(Protocol):
     """Where records go. Called under the journal's lock, in order; must not call back or keep the record object.
 
-    That of a task may be kept, since nothing changes in it any more but the number and time that another journal gives.
+    A task's record may be kept: nothing changes in it any more but the number and time that another journal gives.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -46,7 +46,7 @@ class Sink(Protocol):
 
 
 class Source(Protocol):
-    """A world as the journal sees it: something that can tell its whole state."""
+    """A world as the journal sees it."""
 
     name: str
     sim_step: int
@@ -56,15 +56,14 @@ class Source(Protocol):
 
 
 class Journal:
-    """One numbering of records, fanned out to sinks."""
+    """One numbering of records, for several sinks.
+
+    Args:
+        sinks: where records go.
+        clock_ns: nanoseconds since the Unix epoch.
+    """
 
     def __init__(self, sinks: Sequence[Sink], clock_ns: Callable[[], int] = time.time_ns) -> None:
-        """Starts numbering at 0.
-
-        Args:
-            sinks: where records go.
-            clock_ns: nanoseconds since the Unix epoch.
-        """
         self._sinks = tuple(sinks)
         self._clock_ns = clock_ns
         self._lock = threading.Lock()
@@ -75,24 +74,16 @@ class Journal:
 
     @property
     def length(self) -> int:
-        """How many records there are; the next one's seq."""
+        """Number of records; the next one's seq."""
         return self._next
 
     def add_sink(self, sink: Sink) -> None:
-        """Adds a sink; it gets the records from here on.
-
-        Args:
-            sink: where they go too; closed with the others.
-        """
+        """Adds a sink; it gets the records from here on, and is closed with the others."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
-    def expect(self, worlds: Iterable[str]) -> None:
-        """Says which worlds are going to tell their state: what changes them before is part of that, no record.
-
-        Args:
-            worlds: their names.
-        """
+    def expect_keyframes(self, worlds: Iterable[str]) -> None:
+        """Skips mutations of these worlds until their keyframes, which include them."""
         with self._lock:
             self._expected.update(worlds)
 
@@ -103,7 +94,7 @@ class Journal:
             record: without seq and wall time.
 
         Returns:
-            Its size in bytes; 0 if it isn't kept, as it is part of what a world tells later.
+            Its size in bytes; 0 if it is skipped, see :meth:`expect_keyframes`.
 
         Raises:
             RecordingError: a sink can't keep it.
@@ -126,9 +117,6 @@ class Journal:
     def attach(self, assets: Iterable[AssetFile]) -> None:
         """Keeps files, each content once.
 
-        Args:
-            assets: the files.
-
         Raises:
             RecordingError: a sink can't keep one.
         """
@@ -146,7 +134,7 @@ class Journal:
                 closing.callback(sink.close)
 
 
-class Running(Protocol):
+class RunningTask(Protocol):
     """A task as the journal sees it."""
 
     @property
@@ -155,60 +143,57 @@ class Running(Protocol):
 
 
 #: The task that runs in this context, None for none; set by :mod:`recorder.tracing.span`.
-running: ContextVar[Running | None] = ContextVar("pycram_task", default=None)
+current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
 
 
 def task_id() -> int:
     """Id of the task that runs in this context, 0 for none."""
-    task = running.get()
+    task = current_task.get()
     return task.id if task is not None else 0
 
 
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
+_opened = 0  # journals so far
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
-_openings = itertools.count()
-_current: weakref.ref[Source] | None = None
-_known: weakref.WeakSet[Source] = weakref.WeakSet()
-_opened = 0
-_forward: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_forward", default=None)
-_unrecorded: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_aside", default=None)
+_registered: weakref.WeakSet[Source] = weakref.WeakSet()  # the same; see _find_latest
+_numbers = itertools.count()  # of sources
+_latest: weakref.ref[Source] | None = None
+_chosen: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_world", default=None)
+_isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
 def _listening() -> tuple[Journal, ...]:
-    """The journals that get what happens in this context."""
-    own = _unrecorded.get()
+    """The journals that record this context."""
+    own = _isolated.get()
     return _open if own is None else own
 
 
 def recording() -> bool:
-    """Whether any journal listens; without one nothing is read back or built."""
+    """Whether any journal records this context; without one nothing is read back or built."""
     return bool(_listening())
 
 
 def is_unrecorded() -> bool:
-    """Whether what happens in this context is none of a plan's doing; see :func:`unrecorded`."""
-    return _unrecorded.get() is not None
+    """Whether this context is isolated from the plan's recordings; see :func:`unrecorded`."""
+    return _isolated.get() is not None
 
 
 @contextmanager
 def unrecorded(*journals: Journal) -> Iterator[None]:
-    """What its block does is told to these journals and no others; without any it is on no record.
+    """Isolates its block from the plan's recordings; only these journals record it.
 
-    Worlds that are opened in it are unknown outside until they are introduced.
-
-    Args:
-        journals: who listens.
+    Worlds that are opened in it are unknown outside until they are announced.
     """
-    token = _unrecorded.set(journals)
+    token = _isolated.set(journals)
     try:
         yield
     finally:
-        _unrecorded.reset(token)
+        _isolated.reset(token)
 
 
 def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
-    """Appends a record to every open journal.
+    """Completes a record's envelope and publishes it.
 
     Args:
         record: without its envelope.
@@ -223,17 +208,17 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
     record.thread = threads.name()
-    tell(record)
+    publish(record)
 
 
-def tell(record: Record) -> int:
-    """Appends a record that has its envelope, but for number and wall time, to every open journal.
+def publish(record: Record) -> int:
+    """Appends a record to every open journal.
 
     Args:
-        record: the record.
+        record: with its envelope but for seq and wall time.
 
     Returns:
-        Its size in bytes; 0 if nobody listens.
+        Its size in bytes; 0 if there is no journal.
 
     Raises:
         RecordingError: a sink can't keep it.
@@ -245,94 +230,71 @@ def tell(record: Record) -> int:
 
 
 def attach(assets: Iterable[AssetFile]) -> None:
-    """Keeps files in every open journal.
-
-    Args:
-        assets: the files.
-    """
+    """Keeps files in every open journal."""
     files = list(assets)
     for journal in _listening():
         journal.attach(files)
 
 
 def register(source: Source) -> None:
-    """Makes a world known, for as long as it lives, to journals that open later.
-
-    Args:
-        source: the world; held weakly.
-    """
-    if _unrecorded.get() is None:
+    """Makes a world known, for as long as it lives, to journals that open later."""
+    if _isolated.get() is None:
         with _registry:
-            _sources[next(_openings)] = source
-            _find_current()
+            _sources[next(_numbers)] = source
+            _find_latest()
 
 
 def announce(source: Source) -> None:
-    """Makes a world known that was opened aside: journals that are open get its state now, others when they open.
-
-    Args:
-        source: the world; held weakly.
-    """
+    """Makes a world known that was opened unrecorded: open journals get its state now, others when they open."""
     register(source)
     for journal in _listening():
         source.record_keyframe(journal)
 
 
 def make_current(source: Source) -> None:
-    """Makes a registered world the current one: in this context, and wherever no other was put forward.
-
-    Args:
-        source: the world.
-    """
+    """Makes a registered world current: in this context, and in all that have chosen no other one."""
     with _registry:
         before = [number for number, other in _sources.items() if other is source]
-        if before:  # one that was opened aside stays unknown
-            _sources[next(_openings)] = source
-            _forward.set(weakref.ref(source))
+        if before:  # one that was opened unrecorded stays unknown
+            _sources[next(_numbers)] = source
+            _chosen.set(weakref.ref(source))
         for number in before:
             del _sources[number]
-        _find_current()
+        _find_latest()
 
 
 def unregister(source: Source) -> None:
-    """Forgets a world that has ended.
-
-    Args:
-        source: the world.
-    """
+    """Forgets a world that has ended."""
     with _registry:
         for number in [number for number, other in _sources.items() if other is source]:
             del _sources[number]
-        _find_current()
+        _find_latest()
 
 
-def _find_current() -> None:
-    """Notes which sources there are, and the last: looking for it at each task would cost more than all else."""
-    global _current, _known  # noqa: PLW0603  see open_journal
-    _known = weakref.WeakSet(_sources.values())
+def _find_latest() -> None:
+    """Notes the sources and the latest of them: finding it for each task would cost more than all else."""
+    global _latest, _registered  # noqa: PLW0603  see open_journal
+    _registered = weakref.WeakSet(_sources.values())
     last = next(reversed(list(_sources.values())), None)
-    _current = weakref.ref(last) if last is not None else None
+    _latest = weakref.ref(last) if last is not None else None
 
 
-def now() -> tuple[str, int]:
-    """The world that is current in this context and its simulated steps; "", 0 if none is."""
-    chosen = _forward.get()
+def current_world() -> tuple[str, int]:
+    """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
+    chosen = _chosen.get()
     source = chosen() if chosen is not None else None
-    if source is None or source not in _known:
-        source = _current() if _current is not None else None
+    if source is None or source not in _registered:
+        source = _latest() if _latest is not None else None
     return (source.name, source.sim_step) if source is not None else ("", 0)
 
 
-def openings() -> int:
-    """How many journals have been opened so far."""
+def recording_number() -> int:
+    """Number of the latest recording of this process, from 1; 0 before the first."""
     return _opened
 
 
 def open_journal(journal: Journal) -> None:
-    """From now on everything is appended to this journal; worlds that exist already give a keyframe first.
-
-    Args:
-        journal: the journal.
+    """Begins recording to a journal; worlds that exist already give a keyframe first.
 
     Raises:
         RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
@@ -341,7 +303,7 @@ def open_journal(journal: Journal) -> None:
     with _registry:
         _opened += 1
         sources = list(_sources.values())
-        journal.expect(source.name for source in sources)
+        journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
     try:
         for source in sources:
@@ -352,25 +314,17 @@ def open_journal(journal: Journal) -> None:
 
 
 def close_journal(journal: Journal) -> None:
-    """Ends a journal and closes its sinks.
-
-    Args:
-        journal: the journal.
+    """Ends recording to a journal, and closes its sinks.
 
     Raises:
         RecordingError: a sink could not keep all it had taken.
     """
-    global _open  # noqa: PLW0603  see open_journal
     with _registry:
-        _open = tuple(other for other in _open if other is not journal)
+        forget_journal(journal)
     journal.close()
 
 
 def forget_journal(journal: Journal) -> None:
-    """Ends recording to a journal without touching its sinks.
-
-    Args:
-        journal: the journal.
-    """
+    """Ends recording to a journal without touching its sinks."""
     global _open  # noqa: PLW0603  see open_journal
     _open = tuple(other for other in _open if other is not journal)

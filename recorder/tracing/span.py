@@ -4,8 +4,8 @@ A span is opened around each designator execution, process module, language bloc
 is carried by the context, so that records made inside know their cause. A plain thread starts with an empty context:
 whoever starts a thread for a task runs it with ``contextvars.copy_context().run``.
 
-Every span makes its records, whether anybody records or not: they are what the tree of the running plan
-(:func:`tree`) is folded from. Without a recording they hold no results and no tracebacks.
+Every span makes its records, whether there is a recording or not: the tree of the running plan (:func:`tree`) is folded
+from them. Without a recording they hold no results and no tracebacks.
 """
 
 from __future__ import annotations
@@ -30,38 +30,38 @@ if TYPE_CHECKING:
     from types import FrameType, TracebackType
     from typing import Self
 
-#: A plan may run for days: its tree keeps the latest tasks, so many of them and so many bytes of records.
-KEPT: Final = 20_000
-KEPT_BYTES: Final = 100_000_000
+#: A plan may run for days: its tree keeps the latest tasks, up to this number and these bytes of records.
+MAX_TASKS: Final = 20_000
+MAX_BYTES: Final = 100_000_000
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
-_current: Final = cast("ContextVar[Span | None]", journal.running)
+_current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
-    """The task was told to stop because the block around it is decided.
+    """The task was cancelled, because the block around it is decided.
 
     Not an Exception, so that a plan's ``except Exception`` doesn't swallow it.
     """
 
 
-class _Plan:
+class _RunningPlan:
     """The tasks of this process: of the latest recording, or since the start where nothing is recorded."""
 
     def __init__(self) -> None:
-        self.tree = Tree(KEPT, KEPT_BYTES)
-        self._openings = 0
+        self.tree = Tree(MAX_TASKS, MAX_BYTES)
+        self._recording = 0
 
-    def begin(self) -> None:
-        """Lets go of what came before the latest recording."""
-        if self._openings != journal.openings():
-            self._openings = journal.openings()
+    def begin_task(self) -> None:
+        """Forgets the tasks before the latest recording."""
+        if self._recording != journal.recording_number():
+            self._recording = journal.recording_number()
             self.tree.forget()
 
 
-_plan = _Plan()
+_plan = _RunningPlan()
 
 
 def tree() -> Tree:
@@ -75,15 +75,15 @@ def tree() -> Tree:
 
 @dataclass(slots=True)
 class Span:
-    """A task in the making: its block is the task, from its start to its end, however that comes.
+    """A task while it runs; as a context manager, the task is the block.
 
     Attributes:
         kind: motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
         name: what people call it.
         parent: id of the task that it is part of, 0 for none.
         parameters: as given.
-        attempt: which attempt it is, from 1; 0 if it is none.
-        source: the way through the plan's code to where it was asked for; None to look for it when it starts.
+        attempt: number of the attempt, from 1; 0 if it is none.
+        source: call stack of the code that asked for it; None to find it at the start.
         id: unique in this process, from 1.
         solution: as resolved; set while it runs.
         result: what it returned; set while it runs.
@@ -100,37 +100,37 @@ class Span:
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
     error: BaseException | None = None
-    _start: int = 0
+    _start_ns: int = 0
     _ended: bool = False
-    _body: FrameType | None = field(default=None, init=False, repr=False)  # the code that began it, as long as it runs
+    _frame: FrameType | None = field(default=None, init=False, repr=False)  # of the plan, that entered it
     _token: Token[Span | None] = field(init=False, repr=False)
 
     def ask(self) -> None:
-        """Says that it is going to run, for what is asked for in one thread and runs in another."""
-        self._say(Task.ASKED, Task.CREATED)
+        """Records that it is asked for, where it starts later or in another thread."""
+        self._emit_begin(Task.ASKED, Task.CREATED)
 
     def start(self) -> None:
-        """Says that it begins."""
-        self._start = time.perf_counter_ns()
-        self._say(_STARTED, _RUNNING)
+        """Records its start."""
+        self._start_ns = time.perf_counter_ns()
+        self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Says that it ended; nothing happens if that was said before.
+        """Records its end, once.
 
         Args:
             error: what it failed with, or was cancelled by; None if it succeeded.
         """
         if self._ended:
             return
-        ended = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
-        record = self._record(_FINISHED, ended)
-        record.duration_ns = time.perf_counter_ns() - self._start if self._start else 0
+        status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
+        record = self._record(_FINISHED, status)
+        record.duration_ns = time.perf_counter_ns() - self._start_ns if self._start_ns else 0
         recorded = journal.recording()
         if recorded:
             if self.solution:
                 record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result) if self.result is not None else "null"
-        if error is not None and ended == _FAILED:
+        if error is not None and status == _FAILED:
             record.failure.CopyFrom(failure(error, trace=recorded))
         with Uninterrupted():  # its end is in the log and in the tree, or in neither
             self._ended = True
@@ -143,7 +143,8 @@ class Span:
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Runs its block as part of this task, which begins and ends elsewhere."""
-        self._way()
+        if self.source is None:
+            self.source = current_call_stack()
         token = _current.set(self)
         try:
             yield
@@ -151,11 +152,11 @@ class Span:
             _current.reset(token)
 
     def __enter__(self) -> Self:
-        """Begins, as the current task of this context."""
+        """Starts, as the current task of this context."""
         if self.source is None:
             outer = _current.get()
-            frame = sys._getframe(1)  # noqa: SLF001  see way_here()
-            self.source, self._body = walk(frame, outer.source if outer is not None else None)
+            frame = sys._getframe(1)  # noqa: SLF001  see current_call_stack()
+            self.source, self._frame = walk(frame, outer.source if outer is not None else None)
         self._token = _current.set(self)
         try:
             self.start()
@@ -169,30 +170,26 @@ class Span:
     ) -> None:
         try:
             self.finish(self.error if error is None else error)
-        except KeyboardInterrupt as stopped:  # perhaps before its record
-            self.finish(stopped)
+        except KeyboardInterrupt as interrupt:  # perhaps before its record
+            self.finish(interrupt)
             raise
         finally:
-            self._body = None
+            self._frame = None
             _current.reset(self._token)
 
-    def _way(self) -> CallStack:
-        """The way to where it was asked for; looked for before it is itself the current task."""
+    def _emit_begin(self, phase: Task.Phase, status: Task.Status) -> None:
+        record = self._record(phase, status)
         if self.source is None:
             self.source = current_call_stack()
-        return self.source
-
-    def _say(self, phase: Task.Phase, status: Task.Status) -> None:
-        record, way = self._record(phase, status), self._way()
-        record.source_file, record.source_line = way.line
-        record.callers.extend(way.callers)
+        record.source_file, record.source_line = self.source.line
+        record.callers.extend(self.source.callers)
         if self.parameters:
             record.parameters.extend(arguments(self.parameters))
         self._emit(record)
 
     def _record(self, phase: Task.Phase, status: Task.Status) -> Task:
-        """What every record of it says."""
-        world, sim_step = journal.now()
+        """The fields that all its records share."""
+        world, sim_step = journal.current_world()
         return Task(
             world=world,
             sim_step=sim_step,
@@ -207,11 +204,12 @@ class Span:
         )
 
     def _emit(self, record: Task) -> None:
+        """Writes a record to the open journals and into the tree."""
         if not self.parent and record.phase != _FINISHED:
-            _plan.begin()
+            _plan.begin_task()
         size = 0
         try:
-            size = journal.tell(record)
+            size = journal.publish(record)
         finally:
             if not size and not record.wall_time_ns:  # no journal numbered it
                 record.wall_time_ns = time.time_ns()
@@ -224,26 +222,20 @@ def current() -> Span | None:
 
 
 def current_call_stack() -> CallStack:
-    """The way through the plan's code to the caller."""
-    here = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
+    """The call stack of the caller."""
+    frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
     task = _current.get()
     if task is None:
-        return walk(here)[0]
-    outer, body, way = task.source, task._body, None  # noqa: SLF001  same module
-    if outer is not None and body is not None and plan_frame(here)[0] is body:
-        way = outer.turned(body.f_lineno)
-    return way or walk(here, outer)[0]
+        return walk(frame)[0]
+    outer, entered, found = task.source, task._frame, None  # noqa: SLF001  same module
+    if outer is not None and entered is not None and plan_frame(frame)[0] is entered:
+        found = outer.at_line(entered.f_lineno)
+    return found or walk(frame, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
-    """A task for a ``with`` statement: on record when its block begins and, however that ends, when it ends.
+    """A task for a ``with`` statement: recorded when its block begins and, however that ends, when it ends.
 
-    Args:
-        kind: kind of the node.
-        name: name of the node.
-        parameters: what it was given.
-
-    Returns:
-        The span; set ``solution`` and ``result`` on it.
+    Set ``solution`` and ``result`` on it.
     """
     return Span(kind, name, parameters=parameters or {})

@@ -1,4 +1,4 @@
-"""Threads of a plan's own that die of a failure: Python prints it and goes on, so only a record tells it afterwards."""
+"""Threads of a plan's own that die of an error: Python prints it and goes on, so only a record keeps it."""
 
 from __future__ import annotations
 
@@ -15,29 +15,31 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def uncaught_noted(log: Journal, title: str) -> Iterator[None]:
-    """While its block runs, failures that end threads are on record; then whoever was told before is told.
+def recording_uncaught(journal: Journal, title: str) -> Iterator[None]:
+    """Records the errors that end threads while its block runs; the hook that was set before is called too.
 
     Args:
-        log: where the records go.
+        journal: where the records go.
         title: of the plan.
     """
     before = threading.excepthook
     ended = False
 
-    def note(told: threading.ExceptHookArgs) -> None:
+    def hook(args: threading.ExceptHookArgs) -> None:
         try:
-            if not ended and told.exc_value is not None and not isinstance(told.exc_value, SystemExit):
-                name = (told.thread or threading.current_thread()).name
-                with suppress(OSError):  # the next record says so
-                    log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failure(told.exc_value)))
+            if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
+                name = (args.thread or threading.current_thread()).name
+                with suppress(OSError):  # the next record raises it
+                    journal.append(
+                        Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failure(args.exc_value))
+                    )
         finally:
-            before(told)
+            before(args)
 
-    threading.excepthook = note
+    threading.excepthook = hook
     try:
         yield
     finally:
         ended = True
-        if threading.excepthook is note:  # else it stays in the chain of who came later
+        if threading.excepthook is hook:  # else it stays in the chain of who came later
             threading.excepthook = before

@@ -1,7 +1,7 @@
-"""What waits for a viewer, bounded in number and bytes.
+"""Queue of items for a viewer, bounded in number and bytes.
 
-When it is full, the oldest of what later records make up for goes first: where bodies were moved to and what was
-simulated (the next keyframe says where they are), events and fluents. Models, tasks and what is in a world at all are
+When it is full, the oldest transient items are dropped first, those that later records make up for: motions of bodies
+and simulations (the next keyframe has the poses), events and fluents. Models, tasks and the contents of worlds are
 dropped only when nothing else is left.
 """
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
 Item: TypeAlias = tuple[str, bytes] | AssetFile
 """A record's topic and payload, or a file."""
 
-_PASSING: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
-_OVERHEAD: Final = 200  # bytes that Python needs for an item, about
+_TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
+_OVERHEAD: Final = 200  # bytes of an item in Python, about
 
 
 class Backlog:
     """A queue that never makes its writer wait.
 
     Args:
-        most_items: bound on the number of items.
-        most_bytes: bound on their bytes.
+        max_items: bound on the number of items.
+        max_bytes: bound on their bytes.
 
     Attributes:
-        dropped: how many records there was no room for.
+        dropped: number of records that were dropped.
     """
 
-    def __init__(self, most_items: int = 20_000, most_bytes: int = 128 << 20) -> None:
-        self._most_items = most_items
-        self._most_bytes = most_bytes
+    def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
+        self._max_items = max_items
+        self._max_bytes = max_bytes
         self._items: OrderedDict[int, Item] = OrderedDict()
-        self._passing: deque[int] = deque()  # keys of the items that go first, oldest first
+        self._transient: deque[int] = deque()  # keys of the items that are dropped first, oldest first
         self._bytes = 0
         self._count = 0
         self._changed = threading.Condition()
@@ -51,85 +51,76 @@ class Backlog:
 
     @property
     def size(self) -> int:
-        """How many bytes wait."""
+        """Bytes of all items."""
         return self._bytes
 
-    def put(self, item: Item, *, passing: bool) -> None:
-        """Takes an item, and drops others if there are too many; nothing is taken any more after the end.
-
-        Args:
-            item: the item.
-            passing: whether later ones make up for it.
-        """
+    def put(self, item: Item, *, transient: bool) -> None:
+        """Appends an item, and drops others if there are too many; does nothing after the end."""
         with self._changed:
             if self._closed:
                 return
-            if passing:
-                self._passing.append(self._count)
+            if transient:
+                self._transient.append(self._count)
             self._items[self._count] = item
             self._count += 1
             self._bytes += _cost(item)
-            while self._items and (len(self._items) > self._most_items or self._bytes > self._most_bytes):
-                lost = self._pop(self._passing[0] if self._passing else next(iter(self._items)))
+            while self._items and (len(self._items) > self._max_items or self._bytes > self._max_bytes):
+                lost = self._pop(self._transient[0] if self._transient else next(iter(self._items)))
                 self.dropped += isinstance(lost, tuple)
             self._changed.notify()
 
-    def take(self, most_items: int, most_bytes: int) -> list[Item]:
-        """Waits for items.
+    def take(self, max_items: int, max_bytes: int) -> list[Item]:
+        """Waits for items, and removes the oldest ones.
 
         Args:
-            most_items: at most so many.
-            most_bytes: no more when they are so many bytes.
+            max_items: bound on their number.
+            max_bytes: no more when they have that many bytes.
 
         Returns:
-            The oldest, in order; none when the backlog has ended and all have been taken.
+            Items in order; none when the backlog has ended and all have been taken.
         """
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
             size = 0
-            while self._items and len(taken) < most_items and size < most_bytes:
+            while self._items and len(taken) < max_items and size < max_bytes:
                 taken.append(self._pop(next(iter(self._items))))
                 size += _cost(taken[-1])
         return taken
 
-    def rest(self) -> list[Item]:
-        """Takes everything at once and ends it."""
+    def take_rest(self) -> list[Item]:
+        """Ends it, and removes all items at once."""
         with self._changed:
             taken = list(self._items.values())
             self.clear()
         return taken
 
     def close(self) -> None:
-        """Ends it: what is there can still be taken."""
+        """Ends it; items can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     def clear(self) -> None:
-        """Ends it and drops everything."""
+        """Ends it, and drops all items."""
         with self._changed:
             self._items.clear()
-            self._passing.clear()
+            self._transient.clear()
             self._bytes = 0
             self.close()
 
     def _pop(self, key: int) -> Item:
         item = self._items.pop(key)
-        if self._passing and self._passing[0] == key:
-            self._passing.popleft()
+        if self._transient and self._transient[0] == key:
+            self._transient.popleft()
         self._bytes -= _cost(item)
         return item
 
 
-def is_passing(record: Record) -> bool:
-    """Whether later records make up for one.
-
-    Args:
-        record: any.
-    """
+def is_transient(record: Record) -> bool:
+    """Whether later records make up for this one."""
     if isinstance(record, Mutation):
-        return record.WhichOneof("command") in _PASSING
+        return record.WhichOneof("command") in _TRANSIENT
     return isinstance(record, Event | Fluent)
 
 

@@ -1,4 +1,4 @@
-"""The viewer's layout: the scene and the tasks over time to the left, to the right what is known of them."""
+"""The viewer's layout: scene and tasks over time to the left; to the right task tree, query, log, curves and tables."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ import rerun.blueprint as rrb
 from rerun import new_entity_path
 
 from recorder.records.frames import ROOT
-from recorder.viewer.log_lines import LOG
+from recorder.viewer.marks import FAILURES, LOG
 from recorder.viewer.plots import HEIGHTS, JOINTS
 from recorder.viewer.query_view import PAGE, PICTURE, QUERIES
 from recorder.viewer.scene import COLLISION
 from recorder.viewer.tables import KINDS, RECORDS
-from recorder.viewer.targets import FAILURES
 from recorder.viewer.task_graph import GRAPH
 from recorder.viewer.timeline import LANES
 
@@ -24,29 +23,24 @@ if TYPE_CHECKING:
 
 ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # what the first one is called by default
-_FROM: Final = (-2.6, -2.6, 2.3)  # m, from where a world's middle is looked at
+_EYE: Final = (-2.6, -2.6, 2.3)  # m, from a world's centre
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
     """The layout for a recording.
 
     Args:
-        worlds: middles of its worlds, as far as they are known.
-        front: name of the one in front; by default the first.
+        worlds: centres of its worlds in m, as far as they are known.
+        front: name of the world whose tab is open; by default the first.
     """
-    left, right = _see("", worlds, front), _read("", worlds)
+    left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
 def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
-    """The layout for recordings that are to be compared.
-
-    Args:
-        recordings: middles of worlds, by the root of each recording's entities.
-        fronts: names of the worlds in front, by root too.
-    """
+    """The layout for recordings that are compared; as :func:`blueprint`, by the root of each recording's entities."""
     columns = [
-        rrb.Vertical(_see(root, worlds, fronts[root]), _read(root, worlds), row_shares=[3, 2], name=root)
+        rrb.Vertical(_scenes(root, worlds, fronts[root]), _details(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()
     ]
     return _whole(rrb.Horizontal(*columns))
@@ -61,18 +55,18 @@ def _whole(views: rrb.Container) -> rrb.Blueprint:
     )
 
 
-def _see(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
-    """The scenes and the tasks over time."""
-    named = sorted((worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != front)  # its tab is in sight
-    scenes = [_scene(root, world, middle) for world, middle in named]
-    lanes = rrb.StateTimelineView(origin=f"{_below(root)}/{LANES}", name="Tasks over time")
-    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=0), lanes, row_shares=[5, 2])
+def _scenes(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
+    """The scenes, and the tasks over time."""
+    named = sorted((worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != front)
+    scenes = [_scene(root, world, centre) for world, centre in named]
+    timeline = rrb.StateTimelineView(origin=f"{_path(root)}/{LANES}", name="Tasks over time")
+    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=0), timeline, row_shares=[5, 2])
 
 
-def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
-    """The task tree and queries, and below them what is told in lines, curves and tables."""
-    top = _below(root)
-    log = [f"{top}/{LOG}/**", *(f"{_below(root, world)}/{FAILURES}" for world in worlds)]
+def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
+    """The task tree and queries, and below them log, curves and tables."""
+    top = _path(root)
+    log = [f"{top}/{LOG}/**", *(f"{_path(root, world)}/{FAILURES}" for world in worlds)]
     return rrb.Vertical(
         rrb.Tabs(
             rrb.GraphView(origin=f"{top}/tasks/{GRAPH}", name="Task tree"),
@@ -92,20 +86,20 @@ def _read(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
     )
 
 
-def _scene(root: str, world: str, middle: Vector) -> rrb.Spatial3DView:
-    path = _below(root, world)
-    x, y, z = (place + way for place, way in zip(middle, _FROM, strict=True))
+def _scene(root: str, world: str, centre: Vector) -> rrb.Spatial3DView:
+    path = _path(root, world)
+    x, y, z = (middle + offset for middle, offset in zip(centre, _EYE, strict=True))
     return rrb.Spatial3DView(
         origin="/",
         contents=[f"{path}/**"],
         name=f"{root} {world}".strip(),
-        eye_controls=rrb.EyeControls3D(position=(x, y, z), look_target=middle),
+        eye_controls=rrb.EyeControls3D(position=(x, y, z), look_target=centre),
         spatial_information=rrb.SpatialInformation(target_frame=f"{root}/{ROOT}" if root else ROOT),
         overrides={f"{path}/{COLLISION}": rrb.EntityBehavior(visible=False)},
     )
 
 
-def _below(*parts: str) -> str:
-    """What the paths of entities below these begin with; worlds and recordings can be called anything."""
+def _path(*parts: str) -> str:
+    """The path of an entity; worlds and recordings can be called anything."""
     named = [part for part in parts if part]
     return new_entity_path(named) if named else ""

@@ -1,13 +1,13 @@
-"""Rows of an entity's components, gathered and sent as columns: one call for many moments.
+"""Rows of an entity's components, buffered and sent as columns: one call for many rows.
 
 Every row stands on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
-Rows of one moment replace one another in the order in which they were added.
+Rows of one time point replace one another in the order in which they were added.
 """
 
 from __future__ import annotations
 
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import rerun as rr
@@ -17,16 +17,11 @@ from recorder.records import STEPS_PER_SECOND
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    Maker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
-
-_STEP_NS: Final = 1_000_000_000 / STEPS_PER_SECOND  # of a simulated step
-_STEP: Final = "step"
-_SIM: Final = "sim"
-_WALL: Final = "wall"
+    ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
 
-class Moment(NamedTuple):
-    """When something is so.
+class TimePoint(NamedTuple):
+    """A point on the three time lines.
 
     Attributes:
         step: the record's number.
@@ -39,154 +34,103 @@ class Moment(NamedTuple):
     wall: int
 
 
-def simulated(step: int) -> int:
-    """Simulated time in ns.
-
-    Args:
-        step: a record's ``sim_step``.
-    """
-    return round(step * _STEP_NS)
+def sim_ns(sim_step: int) -> int:
+    """Simulated time in ns."""
+    return round(sim_step * 1e9 / STEPS_PER_SECOND)
 
 
 class Series:
-    """Rows of one kind that wait to be sent.
+    """Buffered rows of one entity that become the same columns."""
 
-    Args:
-        maker: makes columns of them.
-    """
+    __slots__ = ("maker", "rows", "times")
 
-    __slots__ = ("maker", "moments", "rows")
-
-    def __init__(self, maker: Maker) -> None:
+    def __init__(self, maker: ColumnMaker) -> None:
         self.maker = maker
-        self.moments: list[Moment] = []
+        self.times: list[TimePoint] = []
         self.rows: list[tuple[Any, ...]] = []
 
-    def add(self, moment: Moment, row: tuple[Any, ...]) -> None:
-        """Adds a row.
-
-        Args:
-            moment: when.
-            row: what the maker takes.
-        """
-        self.moments.append(moment)
+    def add(self, time: TimePoint, row: tuple[Any, ...]) -> None:
+        """Adds a row, as the maker takes it."""
+        self.times.append(time)
         self.rows.append(row)
 
-    def take(self) -> tuple[list[Moment], list[tuple[Any, ...]]]:
-        """Takes all moments and rows away."""
-        taken = self.moments, self.rows
-        self.moments, self.rows = [], []
+    def take(self) -> tuple[list[TimePoint], list[tuple[Any, ...]]]:
+        """Empties the buffer and returns what was in it."""
+        taken = self.times, self.rows
+        self.times, self.rows = [], []
         return taken
 
 
 class Columns:
-    """What is to be sent; for one thread.
+    """Buffers of all entities of a stream; for one thread.
 
     Args:
-        stream: where it goes.
+        stream: where rows are sent.
         root: the entity that all others are below; "" for none.
     """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream
         self._root = [root] if root else []
-        self._series: dict[str, dict[Maker, Series]] = {}
-        self._standing: set[str] = set()
+        self._series: dict[str, dict[ColumnMaker, Series]] = {}
+        self._in_frames: set[str] = set()
 
     def path(self, *parts: str) -> str:
-        """The path of an entity.
-
-        Args:
-            parts: its name and those of the ones above it, from the top; anything may stand in them.
-        """
+        """Path of an entity from the names of its ancestors and its own, which may hold any characters."""
         return rr.new_entity_path([*self._root, *parts])
 
-    def series(self, path: str, maker: Maker) -> Series:
-        """Where rows of what comes often are added; always the same for the same.
-
-        Args:
-            path: of the entity.
-            maker: makes columns of its rows.
-        """
+    def series(self, path: str, maker: ColumnMaker) -> Series:
+        """The buffer for rows that come often; always the same object for the same entity and maker."""
         makers = self._series.setdefault(path, {})
         if maker not in makers:
             makers[maker] = Series(maker)
         return makers[maker]
 
-    def add(self, path: str, maker: Maker, moment: Moment, *row: Any) -> None:
-        """Adds a row of what comes often.
+    def add(self, path: str, maker: ColumnMaker, time: TimePoint, *row: Any) -> None:
+        """Buffers a row."""
+        self.series(path, maker).add(time, row)
 
-        Args:
-            path: of the entity.
-            maker: makes columns of its rows.
-            moment: when.
-            row: what the maker takes.
-        """
-        self.series(path, maker).add(moment, row)
-
-    def put(self, path: str, moment: Moment, *archetypes: rr.AsComponents) -> None:
-        """Adds a row of what comes seldom.
-
-        Args:
-            path: of the entity.
-            moment: when.
-            archetypes: what it is from then on.
-        """
+    def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
+        """Sends one row at once: what the entity is from that time on."""
         self._flush(path)  # rows of one entity keep their order
-        self._send(path, [moment], _single(archetypes))
+        self._send(path, [time], _single_row(archetypes))
 
-    def clear(self, path: str, moment: Moment) -> None:
-        """Takes away what an entity shows; what is below it stays.
+    def clear(self, path: str, time: TimePoint) -> None:
+        """Removes what an entity shows from that time on; entities below it stay."""
+        self.send(path, time, rr.Clear(recursive=False))
 
-        Args:
-            path: of the entity.
-            moment: from when on.
-        """
-        self.put(path, moment, rr.Clear(recursive=False))
-
-    def fix(self, path: str, archetype: rr.AsComponents) -> None:
-        """Says what an entity is at all times.
-
-        Args:
-            path: of the entity.
-            archetype: what it is.
-        """
+    def send_static(self, path: str, archetype: rr.AsComponents) -> None:
+        """Sends what an entity is at all times."""
         self._stream.log(path, archetype, static=True)
 
-    def stand(self, path: str, frame: str) -> None:
-        """Says in which frame an entity stands, at all times.
-
-        Args:
-            path: of the entity.
-            frame: name of the frame.
-        """
-        if path not in self._standing:
-            self._standing.add(path)
-            self.fix(path, rr.CoordinateFrame(frame))
+    def set_frame(self, path: str, frame: str) -> None:
+        """Places an entity in a coordinate frame, at all times."""
+        if path not in self._in_frames:
+            self._in_frames.add(path)
+            self.send_static(path, rr.CoordinateFrame(frame))
 
     def flush(self) -> None:
-        """Sends what waits."""
+        """Sends all buffered rows."""
         for path in self._series:
             self._flush(path)
 
     def _flush(self, path: str) -> None:
         for series in self._series.get(path, {}).values():
             if series.rows:
-                moments, rows = series.take()
-                self._send(path, moments, series.maker(rows))
+                times, rows = series.take()
+                self._send(path, times, series.maker(rows))
 
-    def _send(self, path: str, moments: Sequence[Moment], columns: Iterable[rr.ComponentColumn]) -> None:
-        times = np.fromiter(chain.from_iterable(moments), np.int64, 3 * len(moments)).reshape(-1, 3)
-        lines = (
-            rr.TimeColumn(_STEP, sequence=times[:, 0]),
-            rr.TimeColumn(_SIM, duration=times[:, 1].astype("timedelta64[ns]")),
-            rr.TimeColumn(_WALL, timestamp=times[:, 2].astype("datetime64[ns]")),
+    def _send(self, path: str, times: Sequence[TimePoint], columns: Iterable[rr.ComponentColumn]) -> None:
+        indexes = np.fromiter(chain.from_iterable(times), np.int64, 3 * len(times)).reshape(-1, 3)
+        time_columns = (
+            rr.TimeColumn("step", sequence=indexes[:, 0]),
+            rr.TimeColumn("sim", duration=indexes[:, 1].astype("timedelta64[ns]")),
+            rr.TimeColumn("wall", timestamp=indexes[:, 2].astype("datetime64[ns]")),
         )
-        self._stream.send_columns(path, lines, columns)
+        self._stream.send_columns(path, time_columns, columns)
 
 
-def _single(archetypes: Iterable[rr.AsComponents]) -> list[rr.ComponentColumn]:
-    """Columns with one row."""
+def _single_row(archetypes: Iterable[rr.AsComponents]) -> list[rr.ComponentColumn]:
     return [
         rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
         for archetype in archetypes

@@ -1,7 +1,6 @@
-"""Who looks at a plan while it runs: a viewer that is started, one that somebody starts, or pages in browsers.
+"""Who shows a plan while it runs: a viewer that is started, one that somebody else starts, or pages in browsers.
 
-Every viewer speaks the same protocol: a server at the other end of a ``rerun+http`` address, to which records are sent,
-or from which viewers fetch them.
+All speak one protocol: a server at a ``rerun+http`` address, to which records are sent, or from which pages fetch them.
 """
 
 from __future__ import annotations
@@ -15,10 +14,11 @@ from urllib.parse import urlsplit
 
 from recorder.errors import RecordingError
 
-PORT: Final = 9876  # where viewers listen unless they are told otherwise
+PORT: Final = 9876  # where viewers listen by default
 PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
 RECORDS_PORT: Final = 9877
-LINGERING: Final = 30.0  # s after the end of a recording for a viewer that is behind
+LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
+POLL_PERIOD: Final = 0.2  # s between two looks for a viewer
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {
@@ -28,7 +28,7 @@ _SCHEMES: Final = {
 }
 _HINT: Final = f"say spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
-_PATIENCE: Final = 1.0  # s; a viewer that lives answers within milliseconds
+_ANSWER_TIMEOUT: Final = 1.0  # s; a viewer that lives answers within milliseconds
 
 
 class ViewerGone(Exception):
@@ -36,7 +36,7 @@ class ViewerGone(Exception):
 
 
 class Kind(Enum):
-    """Who is at the other end."""
+    """Which viewer."""
 
     SPAWN = "spawn"
     CONNECT = "connect"
@@ -44,7 +44,7 @@ class Kind(Enum):
 
 
 class Status(Enum):
-    """What a recording is told of its viewer."""
+    """State of a viewer, as its process reports it to the recording."""
 
     ABSENT = "absent"
     READY = "ready"
@@ -52,11 +52,11 @@ class Status(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """How a plan is to be watched.
+    """Where a plan is shown.
 
     Attributes:
-        kind: by whom.
-        url: address of the viewer, where it is one that somebody else starts.
+        kind: which viewer.
+        url: its address, where somebody else starts it.
     """
 
     kind: Kind
@@ -64,10 +64,7 @@ class Target:
 
     @classmethod
     def parse(cls, text: str) -> Target:
-        """Reads a wish as users write it.
-
-        Args:
-            text: "spawn", "connect", "connect:URL", "serve" or just a URL.
+        """Parses "spawn", "connect", "connect:URL", "serve" or just a URL.
 
         Raises:
             RecordingError: it is none of these, or the URL is no address of a viewer.
@@ -78,34 +75,24 @@ class Target:
             return cls(Kind.CONNECT, address(PORT))
         url = text.removeprefix(f"{Kind.CONNECT.value}:")
         try:
-            place = urlsplit(url)
-            sound = place.scheme in _SCHEMES and place.hostname and place.port != 0
+            parts = urlsplit(url)
+            valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
         except ValueError as error:
             raise RecordingError(text, f"is no address of a viewer ({error}); {_HINT}") from error
-        if not sound or place.path.rstrip("/") != "/proxy":
+        if not valid or parts.path.rstrip("/") != "/proxy":
             raise RecordingError(text, f"is no address of a viewer; {_HINT}")
         return cls(Kind.CONNECT, url)
 
 
 def address(port: int) -> str:
-    """The address of a viewer on this machine.
-
-    Args:
-        port: where it listens.
-    """
+    """Address of a viewer on this machine."""
     return f"rerun+http://{HOST}:{port}/proxy"
 
 
 def answers(url: str) -> bool:
-    """Whether a viewer's server lives at an address: not just a port that is open, and not a stopped process.
-
-    It is asked to take a stream of no messages.
-
-    Args:
-        url: its address.
-    """
-    place = urlsplit(url)
-    connection = _SCHEMES[place.scheme](str(place.hostname), place.port or PORT, timeout=_PATIENCE)
+    """Whether a viewer's server takes an empty stream of messages there; an open port isn't enough."""
+    parts = urlsplit(url)
+    connection = _SCHEMES[parts.scheme](str(parts.hostname), parts.port or PORT, timeout=_ANSWER_TIMEOUT)
     try:
         connection.request("POST", _METHOD, headers={"content-type": "application/grpc-web+proto"})
         reply = connection.getresponse()
@@ -117,15 +104,11 @@ def answers(url: str) -> bool:
 
 
 def free_port(wanted: int) -> int:
-    """The wanted port if nobody listens there on any address of this machine, else one that is free.
-
-    Args:
-        wanted: the port.
-    """
+    """The wanted port if nobody listens there on any address of this machine, else one that is free."""
     for port in (wanted, 0):
         try:
-            with socket.create_server(("", port)) as found:
-                return int(found.getsockname()[1])
+            with socket.create_server(("", port)) as server:
+                return int(server.getsockname()[1])
         except OSError:
             continue
     raise RecordingError(HOST, "no port is free")

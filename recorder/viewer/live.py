@@ -1,13 +1,13 @@
-"""The process between a recording and its viewer: translates records and hands them over.
+"""The process between a recording and its viewer: translates records and sends them on.
 
-Whatever a viewer does to those who talk to it, it does to this process: stall it, fill its memory, hang its exit. The
-recording (:mod:`recorder.viewer.sink`) sends a batch and goes on when the viewer has taken it. At its end it gives all
-that is left, and this process has a while of its own to hand that over, also if it was still loading the viewer's
-library by then. That and translating cost the plan nothing either, but for the core that they run on.
+Whatever a viewer does to its clients, it does to this process: stall it, fill its memory, hang its exit. The recording
+(:mod:`recorder.viewer.sink`) sends a batch and continues when the viewer has taken it. At its end it sends all that is
+left, and this process has some time to deliver that, also if it was still loading the viewer's library by then. That
+and translating cost the plan nothing either, but for the core that they run on.
 
-On the socket between them, this side says ``Status.ABSENT`` perhaps, ``Status.READY`` when there is a viewer, and then
-how many records of each batch the viewer took; one that can't be shown is none of them. The other side sends batch
-after batch, lists of topics with payloads and of files, and an empty one at the end.
+On the socket between them this side sends ``Status.ABSENT`` perhaps, ``Status.READY`` when there is a viewer, and then
+how many records of each batch the viewer took; one that can't be shown is not counted. The other side sends batch after
+batch, lists of topics with payloads and of files, and an empty one at the end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.connection import LINGERING, Kind, Status, Target, ViewerGone, answers
+from recorder.viewer.connection import LINGER_TIMEOUT, POLL_PERIOD, Kind, Status, Target, ViewerGone, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -33,17 +33,16 @@ if TYPE_CHECKING:
     from recorder.viewer.backlog import Item
     from recorder.viewer.translator import Translator
 
-_KINDS: Final = {topic: kind for kind, topic in TOPICS.items()}
-_LOOK_AGAIN: Final = 0.2  # s between two looks for a viewer
+_TYPES: Final = {topic: kind for kind, topic in TOPICS.items()}
 _STDERR: Final = 2
-_PATIENCE: Final = 1.0  # s that one call of the viewer's library may take
+_CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
 
 
 def main(arguments: list[str]) -> None:
     """Serves one recording to its end.
 
     Args:
-        arguments: the socket's descriptor, the wish, the recording's title.
+        arguments: the socket's descriptor, the target, the recording's title.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
@@ -55,14 +54,18 @@ def main(arguments: list[str]) -> None:
         _serve(_Batches(connection), target, arguments[2], absent)
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
-            print(f"recorder: {end}", file=sys.stderr)
+            _print(str(end))
         status = 1
-    except BaseException:  # noqa: BLE001  said, and then it ends
+    except BaseException:  # noqa: BLE001  printed, and then it ends
         traceback.print_exc()
         status = 1
     finally:
         sys.stderr.flush()
         os._exit(status)  # the viewer's library would wait for its viewer, perhaps for ever
+
+
+def _print(text: str) -> None:
+    print(f"recorder: {text}", file=sys.stderr, flush=True)
 
 
 def _end_with_parent(absent: threading.Event) -> None:
@@ -73,12 +76,12 @@ def _end_with_parent(absent: threading.Event) -> None:
     sys.stdin.buffer.read()
     sys.stderr.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
-    absent.wait(LINGERING)
+    absent.wait(LINGER_TIMEOUT)
     os._exit(1)
 
 
 class _Batches:
-    """What the recording sends: read at once, however slow the viewer is."""
+    """Batches of the recording: read at once, however slow the viewer is."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -97,10 +100,10 @@ class _Batches:
     def __iter__(self) -> Iterator[list[Item]]:
         return iter(self._queue.get, [])
 
-    def say(self, word: Status | int) -> None:
-        """Tells of the viewer, or how many records of a batch it has; if the recording still wants to know."""
+    def report(self, status: Status | int) -> None:
+        """Sends the viewer's status, or how many records of a batch it took, if the recording still listens."""
         with contextlib.suppress(OSError):
-            self._connection.send(word)
+            self._connection.send(status)
 
 
 def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
@@ -114,49 +117,47 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     stream.send_recording_name(title)
     if target.kind is Kind.SERVE:
         absent.set()  # pages end with the plan
-        print(f"recorder: live at {serve_page(stream)}", file=sys.stderr, flush=True)
+        _print(f"live at {serve_page(stream)}")
     else:
         url = target.url
         if target.kind is Kind.SPAWN:
             url = open_window()
         elif not answers(url):
             absent.set()
-            batches.say(Status.ABSENT)
-            print(
-                f"recorder: no viewer at {url} yet; it can be started at any time: rerun", file=sys.stderr, flush=True
-            )
-            _await(url)
+            batches.report(Status.ABSENT)
+            _print(f"no viewer at {url} yet; it can be started at any time: rerun")
+            _wait_for(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
     translator = Translator(stream)
-    showing = _Showing(stream, translator)
-    showing.lay_out()
-    batches.say(Status.READY)
+    display = _Display(stream, translator)
+    display.lay_out()
+    batches.report(Status.READY)
     for batch in batches:
-        shown = showing.show(batch)
-        showing.lay_out()
+        shown = display.show(batch)
+        display.lay_out()
         _deliver(stream)
-        batches.say(shown)
+        batches.report(shown)
     translator.finish()
-    showing.lay_out()
+    display.lay_out()
     if target.kind is Kind.SERVE:
-        batches.say(0)
+        batches.report(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all
-    batches.say(0)
+    batches.report(0)
 
 
-class _Showing:
-    """Translates batches; what can't be is left out, and said once."""
+class _Display:
+    """Translates batches; skips what can't be shown, and says so once."""
 
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
         self._translator = translator
-        self._laid_out = -1  # how many worlds
-        self._told = False
+        self._laid_out = -1  # number of worlds
+        self._reported = False
 
     def lay_out(self) -> None:
-        """Lays the view out: at the beginning, and anew when a plan begins to do something in another world."""
+        """Sends the layout: at the beginning, and again when a plan begins to act in another world."""
         from recorder.viewer.blueprint import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
@@ -165,32 +166,28 @@ class _Showing:
             self._stream.send_blueprint(blueprint(worlds, self._translator.front))
 
     def show(self, batch: list[Item]) -> int:
-        """Translates a batch.
-
-        Returns:
-            How many records of it are shown.
-        """
+        """Translates a batch, and returns how many records of it are shown."""
         shown = 0
         for item in batch:
-            with self._leaving_out():
+            with self._skipping_errors():
                 if isinstance(item, tuple):
                     topic, payload = item
-                    self._translator.show(_KINDS[topic].FromString(payload))
+                    self._translator.show(_TYPES[topic].FromString(payload))
                     shown += 1
                 else:
                     self._translator.attach(item)
-        with self._leaving_out():
+        with self._skipping_errors():
             self._translator.flush()
         return shown
 
     @contextlib.contextmanager
-    def _leaving_out(self) -> Iterator[None]:
+    def _skipping_errors(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # noqa: BLE001  users' own values stand in records
-            if not self._told:
-                print(f"recorder: something can't be shown ({error!r}); the file has it", file=sys.stderr, flush=True)
-            self._told = True
+        except Exception as error:  # noqa: BLE001  users' own values are in records
+            if not self._reported:
+                _print(f"something can't be shown ({error!r}); the file has it")
+            self._reported = True
 
 
 def _deliver(stream: rr.RecordingStream) -> None:
@@ -201,7 +198,7 @@ def _deliver(stream: rr.RecordingStream) -> None:
     """
     while True:
         try:
-            stream.flush(timeout_sec=_PATIENCE)
+            stream.flush(timeout_sec=_CALL_TIMEOUT)
         except RuntimeError as error:  # the library has one type for all
             if "timed out" not in str(error):
                 raise ViewerGone("the viewer was closed; the plan goes on without") from error
@@ -209,8 +206,8 @@ def _deliver(stream: rr.RecordingStream) -> None:
             return
 
 
-def _await(url: str) -> None:
+def _wait_for(url: str) -> None:
     """Waits for a viewer that somebody starts."""
     pause = threading.Event()
     while not answers(url):
-        pause.wait(_LOOK_AGAIN)
+        pause.wait(POLL_PERIOD)

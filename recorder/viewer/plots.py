@@ -1,4 +1,4 @@
-"""Curves: the heights of things, and the joints of robots and furniture."""
+"""Curves over time: the heights of bodies, and the joints of robots and furniture."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import rerun as rr
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from recorder.records.frames import Moved
-    from recorder.viewer.columns import Columns, Moment, Series
-    from recorder.viewer.scene import Body
+    from recorder.records.frames import BodyMotion
+    from recorder.viewer.columns import Columns, Series, TimePoint
+    from recorder.viewer.scene import SceneBody
 
 HEIGHTS: Final = "heights"
 JOINTS: Final = "joints"
@@ -19,44 +19,32 @@ _STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until
 
 
 class Plots:
-    """All curves.
-
-    Args:
-        columns: where it goes.
-    """
+    """A curve for each body's height (m) and for each joint (rad or m) that ever changes."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
-        self._last: dict[tuple[str, str, str], tuple[Moment, float]] = {}
+        self._last: dict[tuple[str, str, str], tuple[TimePoint, float]] = {}
         self._series: dict[tuple[str, str, str], Series] = {}
 
-    def show(self, world: str, body: Body, moved: Moved, now: Moment) -> None:
-        """Shows what was told of a body.
-
-        Args:
-            world: name of the world.
-            body: the body.
-            moved: what was told.
-            now: when.
-        """
-        for joint, value in moved.joints.items():
-            self._add((world, moved.body, joint), value, now)
+    def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
+        """Adds the values that a motion changed; the body is at its end already."""
+        for joint, value in motion.joints.items():
+            self._add((world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:
-            self._add((world, moved.body, ""), body.pose[0][2], now)
+            self._add((world, motion.body, ""), body.pose[0][2], now)
 
-    def _add(self, key: tuple[str, str, str], value: float, now: Moment) -> None:
-        """Adds a value that has changed; what never changes has no curve."""
+    def _add(self, key: tuple[str, str, str], value: float, now: TimePoint) -> None:
         last = self._last.get(key)
         if last is not None and last[1] == value:
             return
         self._last[key] = (now, value)
-        if last is None:
+        if last is None:  # a curve begins with the first change
             return
         series = self._series.get(key)
         if series is None:
             world, body, joint = key
             path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
-            self._columns.fix(path, rr.SeriesLines(interpolation_mode=_STEPS))
+            self._columns.send_static(path, rr.SeriesLines(interpolation_mode=_STEPS))
             series = self._series[key] = self._columns.series(path, _scalars)
             series.add(last[0], (last[1],))
         series.add(now, (value,))

@@ -1,4 +1,4 @@
-"""Reasoning queries: the last one with its answer and evidence as a page, and what it saw as a picture."""
+"""Reasoning queries: the last one with its answer and evidence as a page, and what its camera saw as a picture."""
 
 from __future__ import annotations
 
@@ -17,21 +17,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from recorder.records import Picture, Query
-    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.columns import Columns, TimePoint
 
 QUERIES: Final = "queries"
 PAGE: Final = "page"
 PICTURE: Final = "picture"
-_MOST_BODIES: Final = 60_000  # that have a colour; the viewer's classes are 16 bits
-_GOLDEN: Final = 0.618034  # steps of hue that keep neighbours apart
+_MAX_CLASSES: Final = 60_000  # the viewer's classes are 16 bits
+_GOLDEN_RATIO: Final = 0.618034  # steps of hue that keep neighbours apart
 
 
-class Questions:
-    """All queries.
-
-    Args:
-        columns: where they go.
-    """
+class QueryView:
+    """Page and picture of the last query."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -39,29 +35,30 @@ class Questions:
         self._picture = columns.path(QUERIES, PICTURE)
         self._classes: dict[str, int] = {}  # by body; the same in all pictures
 
-    def show(self, record: Query, now: Moment) -> None:
+    def show(self, record: Query, now: TimePoint) -> None:
         """Shows a query."""
         self._columns.add(self._page, _pages, now, _page(record))
         if record.HasField("picture"):
-            self._paint(record.picture, now)
+            self._show_picture(record.picture, now)
 
-    def _paint(self, picture: Picture, now: Moment) -> None:
-        numbers = [0, *(self._class(body) for body in picture.bodies)]
+    def _show_picture(self, picture: Picture, now: TimePoint) -> None:
+        classes = [0, *(self._class(body) for body in picture.bodies)]
         pixels = np.frombuffer(zlib.decompress(picture.pixels), dtype=np.uint8)
-        image = np.array(numbers, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
-        self._columns.put(self._picture, now, rr.SegmentationImage(image))
+        image = np.array(classes, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
+        self._columns.send(self._picture, now, rr.SegmentationImage(image))
 
     def _class(self, body: str) -> int:
         number = self._classes.get(body)
         if number is None:
-            number = self._classes[body] = min(len(self._classes) + 1, _MOST_BODIES)
-            told = [rr.AnnotationInfo(id=one, label=name, color=_color(one)) for name, one in self._classes.items()]
-            self._columns.fix(self._picture, rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *told]))
+            number = self._classes[body] = min(len(self._classes) + 1, _MAX_CLASSES)
+            classes = [rr.AnnotationInfo(id=id_, label=name, color=_color(id_)) for name, id_ in self._classes.items()]
+            context = rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes])
+            self._columns.send_static(self._picture, context)
         return number
 
 
 def _color(number: int) -> tuple[int, int, int]:
-    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN % 1.0, 0.65, 0.95)
+    red, green, blue = colorsys.hsv_to_rgb(number * _GOLDEN_RATIO % 1.0, 0.65, 0.95)
     return round(red * 255), round(green * 255), round(blue * 255)
 
 
@@ -71,20 +68,19 @@ def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
 
 
 def _page(record: Query) -> str:
-    failed = f"raised {format_failure(record.failure)}" if record.HasField("failure") else ""
+    raised = f"raised {format_failure(record.failure)}" if record.HasField("failure") else ""
     lines = [
         f"## {record.name}({values(record.arguments)})",
-        f"**{failed or by_name(record.answer_json)}**",
+        f"**{raised or by_name(record.answer_json)}**",
         "",
         f"asked at step {record.seq} of {record.world}, took {record.duration_ns / 1e6:.1f} ms",
         "",
         "| evidence | |",
         "|---|---|",
-        *[f"| {_cell(one.name)} | {_cell(by_name(one.json))} |" for one in record.evidence[:]],
+        *[f"| {_cell(fact.name)} | {_cell(by_name(fact.json))} |" for fact in record.evidence[:]],
     ]
     return "\n".join(lines)
 
 
 def _cell(text: str) -> str:
-    """A text within a table's row."""
     return text.replace("|", "\\|")

@@ -1,8 +1,8 @@
-"""Bodies in the viewer's 3D scene: their shapes where they are, as the records say it.
+"""Bodies in the viewer's 3D scene: their shapes at the poses that records give.
 
 A link's entity holds its transform, between frames named as on ``/tf``; entities below it hold shapes and name their
 frame. What isn't there yet, or no more, has no shapes; but its frames are there at any time, as the viewer complains of
-entities that have no way to the root.
+entities without a path to the root.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from recorder import geometry
 from recorder.geometry.shapes import read_shapes
 from recorder.records import Keyframe
 from recorder.records.frames import ROOT, frame_name
-from recorder.viewer.shapes import drawn
+from recorder.viewer.drawing import draw
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,33 +29,33 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
     from recorder.records.asset import AssetFile
-    from recorder.records.frames import Frame, FrameTree, Moved
-    from recorder.viewer.columns import Columns, Moment, Series
+    from recorder.records.frames import BodyMotion, Frame, FrameTree
+    from recorder.viewer.columns import Columns, Series, TimePoint
 
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
 _ROLES: Final = {BODIES: "visual", COLLISION: "collision"}
-_UNSEEN: Final = (0.9, 0.2, 0.9, 0.5)  # of collision shapes
+_COLLISION_COLOR: Final = (0.9, 0.2, 0.9, 0.5)
 
 
 @dataclass(slots=True)
 class _Link:
-    """Where a link was last, and where its poses are gathered."""
+    """A link's latest pose, and the buffer of its poses."""
 
-    moves: Series
+    transforms: Series
     pose: Pose | None = None
 
 
 @dataclass(slots=True)
-class Body:
-    """A body that is there.
+class SceneBody:
+    """A body in the scene.
 
     Attributes:
         loaded: how it was loaded.
-        joints: values in rad or m by name.
+        joints: positions in rad or m by name.
         pose: of its base in the world.
-        shapes: paths of the entities of its shapes.
-        links: those that were told of, by name; "" is its base.
+        shapes: paths of its shapes' entities.
+        links: those that records gave poses for, by name; "" is its base.
     """
 
     loaded: LoadBody
@@ -66,11 +66,11 @@ class Body:
 
 
 class Scene:
-    """All worlds' bodies.
+    """The bodies of all worlds.
 
     Args:
-        columns: where it goes.
-        frames: what is known of bodies' links.
+        columns: where rows go.
+        frames: models and frames of the bodies.
         prefix: before the names of all frames.
 
     Attributes:
@@ -84,9 +84,9 @@ class Scene:
         self._prefix = prefix
         self._frames = frames
         self._files: dict[str, bytes] = {}
-        self._moves: dict[tuple[str, str], Series] = {}  # of links' entities, by world and frame; of all that ever were
-        self._begin: Moment | None = None
-        self.bodies: dict[str, dict[str, Body]] = {}
+        self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of bodies that are gone
+        self._first: TimePoint | None = None
+        self.bodies: dict[str, dict[str, SceneBody]] = {}
         self.robots: dict[str, str] = {}
         self.absent: dict[str, None] = {}
 
@@ -95,26 +95,14 @@ class Scene:
         self._files[asset.sha256] = asset.content
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
-        """The name of a frame in the viewer.
-
-        Args:
-            world: name of the world.
-            body: name of a body; "" for the root.
-            link: name of a link; "" for the body's base.
-        """
+        """Name of a frame in the viewer: of the world's root, a body's base or one of its links."""
         model = self._frames.model(world, body)
         if model is not None and link == model.root:
             link = ""
         return self._prefix + (frame_name(world, body, link) if body else ROOT)
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
-        """Where a body or link is now; None if there is no such thing.
-
-        Args:
-            world: name of the world.
-            body: name of the body.
-            link: name of the link; "" for the base.
-        """
+        """Current pose of a body's base or link in the world; None if there is no such thing."""
         found = self.bodies.get(world, {}).get(body)
         if found is None or not link:
             return found.pose if found is not None else None
@@ -123,28 +111,24 @@ class Scene:
             return None
         return geometry.multiply(found.pose, model.forward_kinematics(found.joints, link))
 
-    def middle(self, world: str) -> Vector:
-        """Where things and robots are on average, m; the origin if there are none.
-
-        Args:
-            world: name of the world.
-        """
+    def centre(self, world: str) -> Vector:
+        """Mean position of objects and robots in m; the origin if there are none."""
         bodies = self.bodies.get(world, {}).values()
-        places = [body.pose[0] for body in bodies if body.loaded.robot_description or not body.loaded.fixed_base]
-        x, y, z = (sum(place[axis] for place in places) / max(len(places), 1) for axis in range(3))
+        positions = [body.pose[0] for body in bodies if body.loaded.robot_description or not body.loaded.fixed_base]
+        x, y, z = (sum(position[axis] for position in positions) / max(len(positions), 1) for axis in range(3))
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Where the joints that lead to a link would be.
+        """Positions of the joints that lead to a link, if some of them stood elsewhere.
 
         Args:
             world: name of the world.
             body: name of the body.
             link: name of the link.
-            joints: values of some joints in rad or m; the others are as they are.
+            joints: positions of some joints in rad or m; the others are as they are.
 
         Returns:
-            Points in the world in m, from the first of these joints out to the link; empty if nothing is known of it.
+            Points in the world in m, from the first of these joints out to the link; empty without a model.
         """
         found, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         if found is None or model is None or link not in model.links:
@@ -157,71 +141,58 @@ class Scene:
                 points.append(pose[0])
         return points
 
-    def begin(self, record: Mutation | Keyframe, now: Moment) -> None:
-        """Shows what a record brought or took away, before what it moved is told.
-
-        Args:
-            record: the record.
-            now: when.
-        """
-        if self._begin is None:
-            self._begin = now
-        there = self.bodies.get(record.world)
-        if there is None:
-            there = self.bodies[record.world] = {}
-            self._columns.stand(self._columns.path(record.world), self.frame(record.world))
-        for name in _gone(record, there):
-            self._remove(there.pop(name), now)
-        for loaded in _came(record, there):
-            there[loaded.body] = self._load(record.world, loaded, now)
+    def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
+        """Shows which bodies a record added or removed; what it moved comes after that."""
+        if self._first is None:
+            self._first = now
+        bodies = self.bodies.get(record.world)
+        if bodies is None:
+            bodies = self.bodies[record.world] = {}
+            self._columns.set_frame(self._columns.path(record.world), self.frame(record.world))
+        for name in _removed(record, bodies):
+            for path in bodies.pop(name).shapes:
+                self._columns.clear(path, now)
+        for loaded in _added(record, bodies):
+            bodies[loaded.body] = self._load(record.world, loaded, now)
         if isinstance(record, Keyframe):
             self.robots[record.world] = record.robot
         elif record.HasField("set_robot"):
             self.robots[record.world] = record.set_robot.body
-        elif record.HasField("set_color"):
-            self._paint(record.world, record.set_color.body, tuple(record.set_color.color), now)
+        elif record.HasField("set_color") and record.set_color.body in bodies:
+            self._draw(record.world, bodies[record.set_color.body], tuple(record.set_color.color), now)
 
-    def move(self, world: str, moved: Moved, now: Moment) -> Body | None:
-        """Shows what was told of a body.
-
-        Args:
-            world: name of the world.
-            moved: what was told.
-            now: when.
-
-        Returns:
-            The body; None if it isn't there.
-        """
-        body = self.bodies[world].get(moved.body)
+    def move(self, world: str, motion: BodyMotion, now: TimePoint) -> SceneBody | None:
+        """Moves a body, and returns it; None if it isn't there."""
+        body = self.bodies[world].get(motion.body)
         if body is None:
             return None
-        for frame, pose in moved.frames:
+        for frame, pose in motion.frames:
             name = frame.link
             link = body.links.get(name)
             if link is None:
-                link = body.links[name] = _Link(self._moves_of(world, frame, pose))
+                link = body.links[name] = _Link(self._transforms_of(world, frame, pose))
             if link.pose != pose:
                 link.pose = pose
-                link.moves.add(now, pose)
+                link.transforms.add(now, pose)
             if not name:
                 body.pose = pose
-        if moved.joints:
-            body.joints.update(moved.joints)
+        if motion.joints:
+            body.joints.update(motion.joints)
         return body
 
-    def _moves_of(self, world: str, frame: Frame, pose: Pose) -> Series:
-        """Where a frame's poses are gathered; the first one holds from the beginning on."""
-        moves = self._moves.get((world, frame.child))
-        if moves is None:
+    def _transforms_of(self, world: str, frame: Frame, pose: Pose) -> Series:
+        """The buffer of a frame's poses; the first one holds from the beginning on."""
+        transforms = self._transforms.get((world, frame.child))
+        if transforms is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
             maker = partial(_transforms, self._prefix + frame.parent, self._prefix + frame.child)
-            moves = self._moves[world, frame.child] = self._columns.series(path, maker)
-            if self._begin is not None:
-                moves.add(self._begin, pose)
-        return moves
+            transforms = self._transforms[world, frame.child] = self._columns.series(path, maker)
+            if self._first is not None:
+                transforms.add(self._first, pose)
+        return transforms
 
-    def _load(self, world: str, loaded: LoadBody, now: Moment) -> Body:
-        body = Body(loaded)
+    def _load(self, world: str, loaded: LoadBody, now: TimePoint) -> SceneBody:
+        body = SceneBody(loaded)
         if loaded.position:
             x, y, z = loaded.position
             i, j, k, w = loaded.orientation or geometry.IDENTITY[1]
@@ -233,55 +204,45 @@ class Scene:
         self._draw(world, body, tuple(loaded.color), now)
         return body
 
-    def _draw(self, world: str, body: Body, color: tuple[float, ...], now: Moment) -> None:
+    def _draw(self, world: str, body: SceneBody, color: tuple[float, ...], now: TimePoint) -> None:
         loaded = body.loaded
         model = self._files.get(loaded.assets[0].sha256) if loaded.assets else None
         if model is None:
             return
-        for place, role in _ROLES.items():
-            paint: Any = _UNSEEN if place == COLLISION else (color or None)
+        for entity, role in _ROLES.items():
+            paint: Any = _COLLISION_COLOR if entity == COLLISION else (color or None)
             for link, shapes in read_shapes(model, role).items():
                 frame = self.frame(world, loaded.body, link)
-                for name, archetypes in drawn(shapes, self._mesh, paint):
-                    path = self._columns.path(world, place, loaded.body, link, name)
-                    self._columns.stand(path, frame)
-                    self._columns.put(path, now, *archetypes)
+                for name, archetypes in draw(shapes, self._mesh, paint):
+                    path = self._columns.path(world, entity, loaded.body, link, name)
+                    self._columns.set_frame(path, frame)
+                    self._columns.send(path, now, *archetypes)
                     body.shapes.add(path)
 
     def _mesh(self, name: str) -> bytes | None:
         """The content of a mesh; models in recordings name it ``<sha256>/<file>``."""
         return self._files.get(name.partition("/")[0])
 
-    def _paint(self, world: str, name: str, color: tuple[float, ...], now: Moment) -> None:
-        body = self.bodies[world].get(name)
-        if body is not None:
-            self._draw(world, body, color, now)
 
-    def _remove(self, body: Body, now: Moment) -> None:
-        for path in body.shapes:
-            self._columns.clear(path, now)
-
-
-def _gone(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[str]:
-    """Names of bodies that are no more, or are others than before."""
+def _removed(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> list[str]:
+    """Names of bodies that are no more, or have another model than before."""
     if isinstance(record, Keyframe):
-        kept = {loaded.body for loaded in record.loaded if _same(there.get(loaded.body), loaded)}
-        return [name for name in there if name not in kept]
+        kept = {loaded.body for loaded in record.loaded if _is_same(bodies.get(loaded.body), loaded)}
+        return [name for name in bodies if name not in kept]
     command = record.WhichOneof("command")
     if command == "open_world":  # what a world had when it was closed is shown on: there is nothing more to see
-        return list(there)
-    lost = {*record.effect.removed, record.load_body.body} if command == "load_body" else record.effect.removed
-    return [name for name in lost if name in there]
+        return list(bodies)
+    removed = {*record.effect.removed, record.load_body.body} if command == "load_body" else record.effect.removed
+    return [name for name in removed if name in bodies]
 
 
-def _came(record: Mutation | Keyframe, there: Mapping[str, Body]) -> list[LoadBody]:
-    """What was loaded and isn't there yet."""
+def _added(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> list[LoadBody]:
     if isinstance(record, Keyframe):
-        return [loaded for loaded in record.loaded if loaded.body not in there]
+        return [loaded for loaded in record.loaded if loaded.body not in bodies]
     return [record.load_body] if record.WhichOneof("command") == "load_body" else []
 
 
-def _same(body: Body | None, loaded: LoadBody) -> bool:
+def _is_same(body: SceneBody | None, loaded: LoadBody) -> bool:
     return body is not None and [asset.sha256 for asset in body.loaded.assets] == [
         asset.sha256 for asset in loaded.assets
     ]

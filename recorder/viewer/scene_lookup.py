@@ -1,4 +1,4 @@
-"""Places in the scene that records speak of: targets, things, cameras; values are those that records carry."""
+"""Positions that records speak of (targets, bodies, cameras), from the values that they carry."""
 
 from __future__ import annotations
 
@@ -12,61 +12,40 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Vector
     from recorder.records import Argument, LoadBody
-    from recorder.viewer.scene import Body, Scene
+    from recorder.viewer.scene import Scene, SceneBody
 
 Values: TypeAlias = "dict[str, Any]"
 
 
-def values_of(arguments: Sequence[Argument]) -> Values:
-    """Named values as plain data.
-
-    Args:
-        arguments: as records carry them.
-    """
+def parsed(arguments: Sequence[Argument]) -> Values:
+    """Recorded values as plain data, by name."""
     return {argument.name: json.loads(argument.json) for argument in arguments[:]}
 
 
 def name_of(value: object) -> str:
-    """The name of an object that a value is, or the value itself if it is a text; else "".
-
-    Args:
-        value: as it stands in a record.
-    """
-    told = value.get("object") if isinstance(value, dict) else value
-    return told if isinstance(told, str) else ""
+    """The name of the object that a recorded value is, or the value itself if it is a text; else ""."""
+    name = value.get("object") if isinstance(value, dict) else value
+    return name if isinstance(name, str) else ""
 
 
-def numbers(value: object, count: int) -> tuple[float, ...] | None:
-    """So many finite numbers, if a value is that.
-
-    Args:
-        value: as it stands in a record.
-        count: how many.
-    """
-    if not isinstance(value, list | tuple) or len(value) != count:
+def vector(value: object, length: int) -> tuple[float, ...] | None:
+    """A recorded value as that many finite numbers; None if it isn't that."""
+    if not isinstance(value, list | tuple) or len(value) != length:
         return None
-    sound = all(isinstance(one, int | float) and math.isfinite(one) for one in value)
-    return tuple(float(one) for one in value) if sound else None
+    finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
+    return tuple(map(float, value)) if finite else None
 
 
 def position(value: object) -> Vector | None:
-    """A position, or that of a pose, if a value is one.
-
-    Args:
-        value: as it stands in a record.
-    """
+    """The position, or that of the pose, that a recorded value is; None if it is neither."""
     if isinstance(value, list) and len(value) == 2:
         value = value[0]
-    found = numbers(value, 3)
+    found = vector(value, 3)
     return (found[0], found[1], found[2]) if found is not None else None
 
 
 def camera_of(robot: LoadBody) -> Mapping[str, Any]:
-    """What a robot's description says of its camera; empty if it says nothing.
-
-    Args:
-        robot: how it was loaded.
-    """
+    """What a robot's description says of its camera; empty if it says nothing."""
     try:
         camera = tomllib.loads(robot.robot_description).get("camera", {})
     except ValueError:
@@ -74,18 +53,12 @@ def camera_of(robot: LoadBody) -> Mapping[str, Any]:
     return camera if isinstance(camera, dict) else {}
 
 
-def target(scene: Scene, world: str, values: Values) -> Vector | None:
-    """Where values want something: at a position, else where an object is; None if they don't say.
-
-    Args:
-        scene: whose bodies they speak of.
-        world: name of the world.
-        values: by name.
-    """
+def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
+    """Where values want something: at a position, else where an object is; None if they don't say."""
     for value in values.values():
-        place = position(value)
-        if place is not None:
-            return place
+        found = position(value)
+        if found is not None:
+            return found
     for value in values.values():
         body = scene.bodies.get(world, {}).get(name_of(value))
         if body is not None and not body.loaded.robot_description:
@@ -93,31 +66,25 @@ def target(scene: Scene, world: str, values: Values) -> Vector | None:
     return None
 
 
-def robot(scene: Scene, world: str, name: str = "") -> tuple[str, Body] | None:
-    """A world's robot; None if it has none.
-
-    Args:
-        scene: whose bodies are looked at.
-        world: name of the world.
-        name: of the robot; by default the one that plans control, or any.
-    """
-    there = scene.bodies.get(world, {})
+def robot(scene: Scene, world: str, name: str = "") -> tuple[str, SceneBody] | None:
+    """The robot of that name, else the one that plans control, else any; None if the world has none."""
+    bodies = scene.bodies.get(world, {})
     for wanted in (name, scene.robots.get(world, "")):
-        if wanted in there:
-            return wanted, there[wanted]
-    return next(((name, body) for name, body in there.items() if body.loaded.robot_description), None)
+        if wanted in bodies:
+            return wanted, bodies[wanted]
+    return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
 
 
-def eye(scene: Scene, world: str, camera: object = None, whose: str = "") -> Vector | None:
+def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
     """Where a camera is; None if that isn't known.
 
     Args:
-        scene: whose robot it is.
+        scene: whose robot it is on.
         world: name of the world.
-        camera: a position, a pose, or the name of a frame; the robot's camera by default.
-        whose: name of the robot; by default the world's.
+        camera: a position, a pose, or the name of a frame; by default the robot's camera.
+        robot_name: by default the world's robot.
     """
-    found = robot(scene, world, whose)
+    found = robot(scene, world, robot_name)
     if isinstance(camera, list) or found is None:
         return position(camera)
     name, body = found

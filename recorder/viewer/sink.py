@@ -1,10 +1,10 @@
 """Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
 
-Records are put into a bounded backlog. A thread hands them, batch by batch, to a process of its own
-(:mod:`recorder.viewer.live`) that translates them, and goes on when the viewer has taken a batch. When the recording
-ends, the viewer gets a moment to take what is left; then that process is given the rest, and a while of its own to hand
-it over. What the viewer has not got is counted and said: the file has it all, and says how many records there was no
-room for.
+Records go into a bounded backlog. A thread sends them, batch by batch, to a process of its own
+(:mod:`recorder.viewer.live`) that translates them, and sends the next when the viewer has taken a batch. When the
+recording ends, the viewer gets a moment to take what is left; then that process gets the rest, and some time to deliver
+it. Records that the viewer did not get are counted and reported: the file has them all, and the number of those that
+were dropped.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from multiprocessing import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.viewer.backlog import Backlog, is_passing
-from recorder.viewer.connection import LINGERING, Kind, Status, Target
+from recorder.viewer.backlog import Backlog, is_transient
+from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Status, Target
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -30,35 +30,32 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
-_AT_THE_END: Final = 1.8  # s for the viewer to take what is left
-_TO_START: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s; what a plan that is shorter waits
-_HANDING: Final = 0.5  # s for the process to read the rest
-_RHYTHM: Final = 0.2  # s between batches: many small ones cost more than they show
-_MOST_ITEMS: Final = 500
-_MOST_BYTES: Final = 4 << 20
+_END_TIMEOUT: Final = 1.8  # s for the viewer to take what is left
+_START_TIMEOUTS: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s, for plans that are shorter
+_HAND_OVER_TIMEOUT: Final = 0.5  # s for the process to read the rest
+_BATCH_PERIOD: Final = 0.2  # s: many small batches cost more than they show
+_MAX_ITEMS: Final = 500  # of a batch
+_MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
-_NICE: Final = 10  # the plan goes first where cores are few, also while that process loads the viewer's library
+_NICENESS: Final = 10  # the plan goes first where cores are few, also while the viewer's library is loaded
 _CODE: Final = f"""
 import os, sys
-os.nice({_NICE})
+os.nice({_NICENESS})
 sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
 from recorder.viewer.live import main
 main(sys.argv[1:])
 """
 
 
-_lingering: Final[list[subprocess.Popen[bytes]]] = []  # that hand over the rest
+_lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that deliver the rest
 
 
 class RerunSink:
     """A sink that is a viewer.
 
     Args:
-        live: who is to show it: "spawn", "connect", "connect:URL", "serve" or a URL.
+        live: which viewer: "spawn", "connect", "connect:URL", "serve" or a URL.
         title: name of the recording.
-
-    Attributes:
-        missed: how many records the viewer didn't get; known at the end.
 
     Raises:
         RecordingError: ``live`` is none of these.
@@ -73,25 +70,24 @@ class RerunSink:
         self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
         self._sending = threading.Lock()
         self._started = time.monotonic()
-        self.missed = 0
         self._connection, theirs = Pipe()
         with theirs:
             self._process = _start(theirs, live, title)
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
 
-    def told(self) -> dict[str, str]:
-        """What the file is told of it when it ends: how many records there was no room for, whatever comes."""
+    def final_metadata(self) -> dict[str, str]:
+        """What the file says of the viewer when it ends."""
         return {"viewer_dropped": str(self._backlog.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.tracing.journal.Sink`."""
         self._records += 1
-        self._backlog.put((topic, payload), passing=is_passing(record))
+        self._backlog.put((topic, payload), transient=is_transient(record))
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
-        self._backlog.put(asset, passing=False)
+        self._backlog.put(asset, transient=False)
 
     def close(self) -> None:
         """Ends; waits a moment for the viewer, but not for ever."""
@@ -99,42 +95,44 @@ class RerunSink:
             return
         self._ended.set()
         self._backlog.close()
-        now = time.monotonic()
-        settled = self._settled.wait(max(_AT_THE_END, self._started + _TO_START[self._target.kind] - now))
+        started = self._started + _START_TIMEOUTS[self._target.kind] - time.monotonic()
+        settled = self._settled.wait(max(_END_TIMEOUT, started))
         behind = not settled and self._hand_over()
-        if self._target.kind is Kind.SERVE and (behind or settled) and self._process.poll() is None:
+        served = self._target.kind is Kind.SERVE
+        if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process)
         elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
         self._thread.join()
         self._connection.close()
-        self.missed = self._records - self._taken
-        if self.missed:
-            served = self._target.kind is Kind.SERVE
-            time_left = "the time that it is served" if served else f"{LINGERING:.0f} s"
-            told = f"the viewer is {self.missed} of {self._records} records behind; it has {time_left} to take them"
-            lost = f"the viewer missed {self.missed} of {self._records} records"
-            print(f"recorder: {told if behind else lost}; the file has them all", file=sys.stderr)
+        missed = self._records - self._taken
+        if missed:
+            count = f"{missed} of {self._records} records"
+            time_left = "the time that it is served" if served else f"{LINGER_TIMEOUT:.0f} s"
+            late = f"the viewer is {count} behind; it has {time_left} to take them"
+            print(
+                f"recorder: {late if behind else f'the viewer missed {count}'}; the file has them all", file=sys.stderr
+            )
 
     def _hand_over(self) -> bool:
-        """Gives the rest to the process, and frees the thread; whether it was taken."""
+        """Gives the rest to the process, and frees the thread; whether the process took it."""
         giving = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
         giving.start()
-        giving.join(_HANDING)
+        giving.join(_HAND_OVER_TIMEOUT)
         if giving.is_alive():  # the process doesn't read any more
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
-        if self._target.kind is Kind.SERVE:  # pages have all the time until this process ends
+        if self._target.kind is Kind.SERVE:  # pages have until this process ends
             return self._process.poll() is None
         if self._process.stdin is not None:
-            self._process.stdin.close()  # from now on its time runs
+            self._process.stdin.close()  # its timeout begins
         _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
         return self._process in _lingering
 
     def _give_rest(self) -> None:
         with self._sending, contextlib.suppress(OSError):
-            self._connection.send(self._backlog.rest())
+            self._connection.send(self._backlog.take_rest())
             self._connection.send([])
 
     def _run(self) -> None:
@@ -145,27 +143,23 @@ class RerunSink:
             self._settled.clear()
             while sent := self._send():
                 self._taken += self._connection.recv()
-                self._ended.wait(max(_RHYTHM, time.monotonic() - sent))  # where cores are few it uses half of one
+                self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few it uses half of one
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended, and has said why; or it has got the rest
+        except (EOFError, OSError):  # the process has ended, and has printed why; or it has got the rest
             self._backlog.clear()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
-        """Waits for a batch and sends it, an empty one at the end.
-
-        Returns:
-            When it began to send something.
-        """
+        """Waits for a batch and sends it, an empty one at the end; returns when it began to send something."""
         with self._sending:  # what is taken out is sent before the rest
-            batch = self._backlog.take(_MOST_ITEMS, _MOST_BYTES)
+            batch = self._backlog.take(_MAX_ITEMS, _MAX_BYTES)
             begun = time.monotonic()
             self._connection.send(batch)
         return begun if batch else None
 
     def wait(self) -> None:
-        """Waits while pages can still be opened: after the end, until somebody ends their server or interrupts."""
+        """Waits while pages can be opened: after the end, until somebody ends their server or interrupts."""
         self._process.wait()
 
 
@@ -175,11 +169,11 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 
 
 def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
-    """Starts the process between; its standard input is closed when this one ends, however it ends."""
+    """Starts the translating process; its standard input is closed when this one ends, however it ends."""
     return subprocess.Popen(  # noqa: S603  our own code
         [sys.executable, "-c", _CODE, _ROOT, str(theirs.fileno()), live, title],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[theirs.fileno()],
-        env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # what matters it says itself; the viewer was asked for
+        env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # it prints what matters; the viewer was asked for
     )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 
     from recorder.records import Record
-    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.columns import Columns, TimePoint
 
 RECORDS: Final = "records"
 _MS: Final = 1e6
@@ -31,8 +31,8 @@ def _status(record: Task) -> str:
     return _word(Task.Status, record.status) if record.status else "running"
 
 
-def _word(words: EnumTypeWrapper, number: int) -> str:
-    return words.Name(number).lower() if number in words.values() else str(number)
+def _word(enum: EnumTypeWrapper, number: int) -> str:
+    return enum.Name(number).lower() if number in enum.values() else str(number)
 
 
 def _source(record: Task | Mutation) -> str:
@@ -49,7 +49,7 @@ def _line(file: str, line: int) -> str:
     return f"{file.rpartition('/')[2]}:{line}"
 
 
-_TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[object, ...]]]]] = {
+_COLUMNS: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[object, ...]]]]] = {
     Task: (
         ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
         lambda record: (
@@ -95,57 +95,47 @@ _TELL: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[
         lambda record: (_word(Run.Phase, record.phase), record.name, record.succeeded, _failure(record)),
     ),
 }
-"""Names of columns, and what they tell of a record; beside those that all have."""
+"""Names of a table's own columns, and their values for a record."""
 
 _COMMON: Final = ("world", "task", "thread", "text")
 _SOURCED: Final = (Mutation, Task)
-"""Types of records that tell the plan's line which made them: changes only where it isn't their task's."""
+"""Types of records with the plan's line that made them: mutations have it only where it isn't their task's."""
 
-KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _TELL)
+KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
 class Tables:
-    """All records but keyframes, which tell nothing new.
-
-    Args:
-        columns: where it goes.
-    """
+    """A table for each type of record but keyframes, which add nothing new."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
-            kind: (columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)), tell)
-            for kind, (_, tell) in _TELL.items()
+            kind: (columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)), cells)
+            for kind, (_, cells) in _COLUMNS.items()
         }
-        self._asked: dict[int, str] = {}  # lines of the plan that asked for the tasks that run
+        self._sources: dict[int, str] = {}  # call sites of the tasks that run
 
-    def show(self, record: Record, text: str, now: Moment) -> None:
-        """Shows a record.
-
-        Args:
-            record: the record.
-            text: what it tells in a line.
-            now: when.
-        """
+    def show(self, record: Record, text: str, now: TimePoint) -> None:
+        """Adds a record with its line of text."""
         table = self._tables.get(type(record))
         if table is None:
             return
-        series, tell = table
-        row = (record.world, record.task, record.thread, text, *tell(record))
+        series, cells = table
+        row = (record.world, record.task, record.thread, text, *cells(record))
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
     def _source(self, record: Mutation | Task) -> str:
-        """The plan's line that made a record, or asked for the task that did."""
-        source = _source(record) or self._asked.get(record.task, "")
+        """Call site of a record, or of its task."""
+        source = _source(record) or self._sources.get(record.task, "")
         if type(record) is Task:
             if record.phase == Task.FINISHED:
-                self._asked.pop(record.task, None)
+                self._sources.pop(record.task, None)
             else:
-                self._asked[record.task] = source
+                self._sources[record.task] = source
         return source
 
 
 def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    names = (*_COMMON, *_TELL[kind][0], *(("source",) if kind in _SOURCED else ()))
+    names = (*_COMMON, *_COLUMNS[kind][0], *(("source",) if kind in _SOURCED else ()))
     components = {name: pa.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

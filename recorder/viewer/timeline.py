@@ -1,7 +1,7 @@
-"""Lanes of tasks over time: what ran when, and how it ended.
+"""Tasks over time: what ran when, and how it ended.
 
 A lane holds the tasks of one depth, one after the other; what runs side by side there has lanes of its own. When a task
-ends, its beginning is told again with its outcome: later rows of a moment replace earlier ones.
+ends, its beginning is sent again with its outcome: later rows of a time point replace earlier ones.
 """
 
 from __future__ import annotations
@@ -18,18 +18,17 @@ from recorder.tasks.picture import COLORS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from recorder.viewer.columns import Columns, Moment
+    from recorder.viewer.columns import Columns, TimePoint
 
 LANES: Final = "level"  # which is what the viewer titles them with
-_MOST_LOOKS: Final = 300  # names of tasks in one lane that have colours; from then on they go by their kinds
-MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
-_NOTHING: Final = ""
+STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
+_MAX_NAMES: Final = 300  # that have colours of their own in a lane; from then on tasks go by their kinds
 
 
 @dataclass(slots=True)
 class _Lane:
     path: str
-    looks: dict[str, tuple[str, State]] = field(default_factory=dict)  # label and status by state
+    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # label and status by the viewer's state
 
 
 @dataclass(slots=True)
@@ -37,53 +36,44 @@ class _Running:
     record: Task
     depth: int
     slot: int
-    since: Moment
+    since: TimePoint
 
 
 class Timeline:
-    """All tasks.
-
-    Args:
-        columns: where it goes.
-    """
+    """Lanes of all tasks."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._running: dict[int, _Running] = {}
-        self._busy: dict[int, dict[int, int]] = {}  # by depth: task by slot
+        self._slots: dict[int, set[int]] = {}  # that are taken, by depth
         self._lanes: dict[tuple[int, int], _Lane] = {}
 
-    def show(self, record: Task, now: Moment) -> None:
+    def show(self, record: Task, now: TimePoint) -> None:
         """Shows a task's start or end."""
         if record.phase == Task.STARTED:
-            self._start(record, now)
+            parent = self._running.get(record.parent)
+            depth = parent.depth + 1 if parent is not None else 1
+            taken = self._slots.setdefault(depth, set())
+            slot = next(slot for slot in range(len(taken) + 1) if slot not in taken)
+            taken.add(slot)
+            running = self._running[record.task] = _Running(record, depth, slot, now)
+            self._label(running, State.RUNNING)
         elif record.phase == Task.FINISHED and record.task in self._running:
-            self._end(self._running.pop(record.task), record, now)
+            running = self._running.pop(record.task)
+            self._label(running, State(record.status))
+            self._columns.add(self._lane(running).path, _states, now, "")
+            self._slots[running.depth].discard(running.slot)
 
-    def _start(self, record: Task, now: Moment) -> None:
-        parent = self._running.get(record.parent)
-        depth = parent.depth + 1 if parent is not None else 1
-        busy = self._busy.setdefault(depth, {})
-        slot = next(slot for slot in range(len(busy) + 1) if slot not in busy)
-        busy[slot] = record.task
-        running = self._running[record.task] = _Running(record, depth, slot, now)
-        self._tell(running, State.RUNNING)
-
-    def _end(self, running: _Running, record: Task, now: Moment) -> None:
-        self._tell(running, State(record.status))
-        self._columns.add(self._lane(running).path, _states, now, _NOTHING)
-        self._busy[running.depth].pop(running.slot, None)
-
-    def _tell(self, running: _Running, status: State) -> None:
-        lane = self._lane(running)
-        record = running.record
-        name = record.name if len(lane.looks) < _MOST_LOOKS else record.kind
+    def _label(self, running: _Running, status: State) -> None:
+        lane, record = self._lane(running), running.record
+        name = record.name if len(lane.labels) < _MAX_NAMES else record.kind
         state = f"{name} {status.word}"
-        if state not in lane.looks:
-            lane.looks[state] = (name + MARKS.get(status, ""), status)
-            labels, shown = zip(*lane.looks.values(), strict=True)
-            colors = [_rgb(one) for one in shown]
-            self._columns.fix(lane.path, rr.StateConfiguration(values=list(lane.looks), labels=labels, colors=colors))
+        if state not in lane.labels:
+            lane.labels[state] = (name + STATUS_MARKS.get(status, ""), status)
+            labels, statuses = zip(*lane.labels.values(), strict=True)
+            colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
+            looks = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
+            self._columns.send_static(lane.path, looks)
         self._columns.add(lane.path, _states, running.since, state)
 
     def _lane(self, running: _Running) -> _Lane:
@@ -92,10 +82,6 @@ class Timeline:
             beside = f".{running.slot + 1}" if running.slot else ""
             self._lanes[key] = _Lane(self._columns.path(LANES, f"{running.depth}{beside}"))
         return self._lanes[key]
-
-
-def _rgb(status: State) -> list[int]:
-    return [*bytes.fromhex(COLORS[status].removeprefix("#"))]
 
 
 def _states(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

@@ -1,11 +1,10 @@
-"""Turns records into what the viewer shows, live and afterwards."""
+"""Translates records into rows for the viewer, live and afterwards."""
 
 from __future__ import annotations
 
-from enum import Flag, auto
 from typing import TYPE_CHECKING, Final
 
-from recorder.viewer.columns import Columns, Moment, simulated
+from recorder.viewer.columns import Columns, TimePoint, sim_ns
 from recorder.viewer.log_view import LogView
 from recorder.viewer.scene_view import SceneView
 
@@ -18,77 +17,60 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
-_BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more room
-
-
-class Half(Flag):
-    """What is shown: two halves that know nothing of each other, of entities of their own."""
-
-    SEEN = auto()
-    TOLD = auto()
+_BATCH: Final = 20_000  # records; sending fewer takes more time, and more take more memory
 
 
 class Translator:
     """Shows records in a viewer. For one thread.
 
     Args:
-        stream: where it goes.
+        stream: where rows are sent.
         root: the entity that all others are below, and the prefix of all frames; "" for none.
-        half: what is shown of them; by default all.
     """
 
-    def __init__(self, stream: rr.RecordingStream, root: str = "", half: Half = Half.SEEN | Half.TOLD) -> None:
+    def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._columns = Columns(stream, root)
-        self._stage = SceneView(self._columns, f"{root}/" if root else "")
-        report = LogView(self._columns)
-        self._shows = [part.show for wanted, part in ((Half.TOLD, report), (Half.SEEN, self._stage)) if wanted in half]
-        self._sim = 0  # ns, of the world that something happened in last
+        self._log_view = LogView(self._columns)
+        self._scene_view = SceneView(self._columns, f"{root}/" if root else "")
+        self._sim_ns = 0  # of the world of the latest record that has one
         self._waiting = 0  # records
 
     @property
     def worlds(self) -> Mapping[str, Vector]:
-        """Middles of the worlds that plans did something in, when they began to."""
-        return self._stage.worlds
+        """Centres in m of the worlds that plans acted in, when they began to."""
+        return self._scene_view.worlds
 
     @property
     def front(self) -> str:
-        """The world where a plan goes on: of those that are still open the first; "" before there is one."""
-        return self._stage.front
+        """The first of these worlds that is still open; "" before there is one."""
+        return self._scene_view.front
 
     @property
     def absent(self) -> Iterable[str]:
         """Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body."""
-        return self._stage.absent
+        return self._scene_view.scene.absent
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a file.
-
-        Args:
-            asset: a model or mesh, before the records that use it, or anything else.
-        """
-        self._stage.attach(asset)
+        """Takes a model or mesh, before the records that use it, or anything else."""
+        self._scene_view.attach(asset)
 
     def show(self, record: Record) -> None:
-        """Takes a record; what it changes is sent in batches, at the latest by :meth:`flush`.
-
-        Args:
-            record: the next one.
-        """
+        """Takes the next record; its rows are sent in batches, at the latest by :meth:`flush`."""
         if record.world:
-            self._sim = simulated(record.sim_step)
-        now = Moment(record.seq, self._sim, record.wall_time_ns)
-        for show in self._shows:
-            show(record, now)
+            self._sim_ns = sim_ns(record.sim_step)
+        now = TimePoint(record.seq, self._sim_ns, record.wall_time_ns)
+        self._log_view.show(record, now)
+        self._scene_view.show(record, now)
         self._waiting += 1
         if self._waiting >= _BATCH:
             self.flush()
 
     def flush(self) -> None:
-        """Sends what was gathered; costs nothing if that is nothing."""
+        """Sends all buffered rows."""
         self._columns.flush()
         self._waiting = 0
 
     def finish(self) -> None:
-        """Ends: names worlds too that nothing was done in, and sends what was gathered."""
-        self._stage.finish()
+        """Ends: adds the worlds that no plan acted in, and sends all buffered rows."""
+        self._scene_view.finish()
         self.flush()

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from recorder.tasks.picture import dot, svg
-from recorder.tasks.text import facts, lines
 from replay.cli.console import print_json, tell
 from replay.explain.step_names import HINT
 from replay.explain.tree import tree
@@ -31,16 +29,16 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Prints the tree."""
     found = tree(log, None if options.at is None else log.step(options.at) + 1)
     if options.json:
-        print_json(facts(found, options.depth))
+        print_json(found.facts(options.depth))
     elif options.dot:
-        tell(dot(found), end="")
+        tell(found.to_dot(), end="")
     elif options.svg:
         letters = sys.stdout.encoding or "ascii"  # a picture has another way to tell those that aren't there
-        picture = svg(found, options.depth, whole=options.all).encode(letters, "xmlcharrefreplace")
+        picture = found.to_svg(options.depth, whole=options.all).encode(letters, "xmlcharrefreplace")
         tell(picture.decode(letters), end="")
     elif not found.roots:
         tell("no tasks")
     else:
-        for line in lines(found, options.depth, whole=options.all):
+        for line in found.lines(options.depth, whole=options.all):
             tell(line)
     return 0

@@ -48,7 +48,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view.rrd import cached, check, convert, show, unrecorded  # noqa: PLC0415  --help needn't wait for the viewer's library
+    from replay.view.rrd import cached, check, convert, show, temporary_file  # noqa: PLC0415  --help needn't wait for the viewer's library
 
     check(options.connect)
     if options.save is not None:
@@ -60,7 +60,7 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
         file = cached(logs[0], step)
     else:
         names = "_".join(log.path.stem for log in logs)
-        file = unrecorded(f"{names}.rrd")
+        file = temporary_file(f"{names}.rrd")
         convert(logs, file, step)
     told: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
@@ -70,7 +70,7 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
     from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
-    from replay.view.rrd import translate  # noqa: PLC0415
+    from replay.view.translation import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:
         page = serve_page(stream)

@@ -1,7 +1,7 @@
 """Recordings in the Rerun viewer: translated into an ``.rrd`` that is kept beside the recording, and opened.
 
 The same code translates as while the plan runs (:mod:`recorder.viewer`): both show the same. An ``.rrd`` is a cache:
-viewers of other versions may not read it, so it is made anew when the recording or the software is newer.
+viewers of other versions may not read it, so it is made again when the recording or the software is newer.
 """
 
 from __future__ import annotations
@@ -14,35 +14,31 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
-from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
 from recorder.viewer.connection import PORT, Kind, Target, ViewerGone, address, answers
-from recorder.viewer.scene_view import acts
 from recorder.viewer.windows import open_window, stream_to_file
 from replay.errors import ReplayError
-from replay.view.translation import translated
+from replay.view.translation import front_world, translate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from recorder.geometry import Vector
     from replay.file.log import Log
 
-_ALONE: Final = ""  # root of what isn't shown beside others
-_TO_LOAD: Final = 20.0  # s for the viewer to load a file
-_LOOK_AGAIN: Final = 0.1  # s
+_LOAD_TIMEOUT: Final = 20.0  # s for the viewer to load a file
+_POLL_PERIOD: Final = 0.1  # s
 _MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that wrote it
 _HEADER: Final = 7
 
 
 def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
-    """Writes recordings as one for the viewer; what is there already is replaced when all is written.
+    """Writes recordings into one ``.rrd`` file; a file that is there is replaced when all is written.
 
     Args:
         logs: one recording, or several that are shown side by side.
@@ -59,8 +55,8 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     os.close(handle)
     try:
-        with stream_to_file(Path(name)) as stream, _without_collecting():
-            translate(logs, stream, at, path.parent)
+        with stream_to_file(Path(name)) as stream, _without_garbage_collection():
+            translate(logs, stream, at)
         Path(name).chmod(0o644)
         Path(name).replace(path)
     except OSError as error:
@@ -70,90 +66,28 @@ def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
 
 
 @contextlib.contextmanager
-def _without_collecting() -> Iterator[None]:
-    """Rests the garbage collector: rows live until they are sent, and it would walk over them in vain."""
-    was = gc.isenabled()
+def _without_garbage_collection() -> Iterator[None]:
+    """Rows live until they are sent: the garbage collector would walk over them in vain."""
+    enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
-        if was:
+        if enabled:
             gc.enable()
 
 
-def translate(
-    logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None, folder: Path | None = None
-) -> None:
-    """Sends recordings to where the viewer gets its data from.
-
-    Args:
-        logs: one recording, or several that are shown side by side.
-        stream: where they go.
-        at: the step that is looked at first; by default the beginning.
-        folder: where there is room for half of it; by default that for temporary files.
-
-    Raises:
-        Damaged: a record makes no sense.
-        OSError: there is no room.
-    """
-    stream.send_recording_name(_title(logs))
-    roots = _roots(logs)
-    fronts = {root: _front(log, at) for root, log in zip(roots, logs, strict=True)}
-    _lay_out(stream, {root: {front: ORIGIN} if front else {} for root, front in fronts.items()}, fronts)
-    worlds = {root: translated(log, stream, root, folder).worlds for root, log in zip(roots, logs, strict=True)}
-    _lay_out(stream, worlds, fronts)
-
-
-def _lay_out(
-    stream: rr.RecordingStream, recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]
-) -> None:
-    if _ALONE in recordings:
-        stream.send_blueprint(blueprint(recordings[_ALONE], fronts[_ALONE]))
-    else:
-        stream.send_blueprint(side_by_side(recordings, fronts))
-
-
-def _front(log: Log, at: int | None = None) -> str:
-    """The world that is looked at: that of a step, or by default the first that the plan does something in; "" if none.
-
-    Steps without a world of their own are of that of the step before.
-    """
-    if at is None:
-        return next((record.world for record in log if acts(record)), "")
-    return next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "") or _front(log)
-
-
-def _title(logs: Sequence[Log]) -> str:
-    """The plan's name, as while it ran; those of the files where plans are compared."""
-    if len(logs) == 1:
-        return logs[0].metadata.get("plan", logs[0].path.name)
-    return " and ".join(log.path.name for log in logs)
-
-
-def _roots(logs: Sequence[Log]) -> list[str]:
-    """Names for recordings that are shown side by side: those of their files, if these are different."""
-    if len(logs) == 1:
-        return [_ALONE]
-    names = [log.path.stem for log in logs]
-    return names if len(set(names)) == len(names) else [f"{number}_{name}" for number, name in enumerate(names, 1)]
-
-
 def cached(log: Log, at: int | None = None) -> Path:
-    """A recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
+    """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
 
-    Args:
-        log: the recording.
-        at: the step that is looked at first; by default the beginning.
-
-    Returns:
-        The file; in the folder for temporary files where beside the recording nothing can be written, and where the
-        step is of another world than the beginning.
+    It is a temporary file where beside the recording nothing can be written, and where the step that is looked at
+    first is of another world than the beginning.
 
     Raises:
         Damaged: a record makes no sense.
     """
-    if at is not None and _front(log, at) != _front(log):
-        file = unrecorded(f"{log.path.name}.rrd")
+    if at is not None and front_world(log, at) != front_world(log):
+        file = temporary_file(f"{log.path.name}.rrd")
         convert([log], file, at)
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
@@ -162,23 +96,20 @@ def cached(log: Log, at: int | None = None) -> Path:
     if newer and _is_of_this_release(beside):
         return beside
     if not os.access(log.path.parent, os.W_OK):
-        beside = unrecorded(beside.name)
+        beside = temporary_file(beside.name)
     missing = log.missing
     convert([log], beside)
-    known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
+    made_ns = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
     if log.missing != missing:
-        known = 0  # that something is damaged was found on the way: it is to be found, and said, each time
-    os.utime(beside, ns=(known, known))
+        made_ns = 0  # damage was found on the way: it is to be found, and reported, each time
+    os.utime(beside, ns=(made_ns, made_ns))
     return beside
 
 
-def unrecorded(name: str) -> Path:
-    """Where a file goes that isn't kept beside its recording: in the user's own folder among those for temporary files.
+def temporary_file(name: str) -> Path:
+    """A file in the user's own folder for temporary files.
 
     Nobody can replace another user's file there, and several users view the same recordings.
-
-    Args:
-        name: of the file.
 
     Raises:
         ReplayError: there can't be such a folder.
@@ -192,48 +123,44 @@ def unrecorded(name: str) -> Path:
 
 
 def _is_of_this_release(file: Path) -> bool:
-    """Whether the viewer's library wrote a file as it is now: one that was put in its place can have older files."""
+    """Whether this release of the viewer's library wrote a file; another one may not read it."""
     with file.open("rb") as opened:
         written = opened.read(_HEADER)[_MAGIC:]
     return [*written] == [int(part) for part in re.findall(r"\d+", rr.__version__)[: _HEADER - _MAGIC]]
 
 
 def _sources() -> Iterator[Path]:
-    """What an ``.rrd`` depends on, beside its recording."""
+    """Code that an ``.rrd`` depends on."""
     yield Path(rr.__file__)
     yield from Path(recorder.viewer.__file__).parent.glob("*.py")
 
 
 def check(url: str | None) -> None:
-    """Makes sure that a viewer is where it is said to be.
-
-    Args:
-        url: its address; None if nothing was said.
+    """Checks the address of a viewer; None is any.
 
     Raises:
-        ReplayError: that isn't an address, or nothing answers there.
+        ReplayError: it isn't an address, or nothing answers there.
     """
     if url is None:
         return
     try:
-        place = Target.parse(f"{Kind.CONNECT.value}:{url}").url
+        viewer = Target.parse(f"{Kind.CONNECT.value}:{url}").url
     except RecordingError as error:
         raise ReplayError(f"{url} is no address of a viewer; one on this machine is {address(PORT)}") from error
-    if not answers(place):
+    if not answers(viewer):
         raise ReplayError(f"no viewer answers at {url}; start one: rerun")
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    """Goes to a step as soon as the viewer has something to go in."""
-    paused: dict[str, Any] = {"play_state": "paused"} if hasattr(client, "open") else {}  # older ones pause anyway
-    pause, until = threading.Event(), time.monotonic() + _TO_LOAD
+    """Sets the viewer's time to a step, as soon as it has loaded something."""
+    pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
-            client.set_time("step", sequence=step, **paused)
+            client.set_time("step", sequence=step, play_state="paused")
         except (RuntimeError, OSError):
             if time.monotonic() > until:
                 raise
-            pause.wait(_LOOK_AGAIN)
+            pause.wait(_POLL_PERIOD)
         else:
             return
 
@@ -244,7 +171,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     Args:
         path: the ``.rrd`` file.
         step: where to begin; by default at the beginning.
-        url: address of the viewer; by default that of one on this machine.
+        url: address of the viewer; by default of one on this machine.
 
     Returns:
         The viewer's address.
@@ -254,14 +181,13 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """
     check(url)
     try:
-        place = url or open_window()
-        client = ViewerClient.connect(place)
-        opening = getattr(client, "open", None) or client.open_url  # by version
-        opening(str(path.resolve()))
+        viewer = url or open_window()
+        client = ViewerClient.connect(viewer)
+        client.open(str(path.resolve()))
         if step is not None:
             _go_to(client, step)
     except ViewerGone as error:
         raise ReplayError(f"{error}; without a screen, say --web or --save FILE") from error
     except (RuntimeError, OSError) as error:
         raise ReplayError(f"{path} can't be shown: {error}") from error
-    return place
+    return viewer

@@ -1,29 +1,26 @@
-"""A recording on its way through the viewer's translator; what nobody could have written is told as damage.
-
-A long recording goes through two at once: this process translates what is seen, and another what is told of it
-(:mod:`replay.view.worker`). Both read all of it, which is the smaller part of the work.
-"""
+"""Translates recordings for the viewer, alone or side by side; records that make no sense are reported as damage."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import zlib
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.asset import AssetFile
-from recorder.viewer.translator import Half, Translator
+from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
+from recorder.viewer.scene_view import acts
+from recorder.viewer.translator import Translator
 from replay.errors import Damaged
-from replay.view.worker import Worker
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Iterator, Mapping, Sequence
 
     import rerun as rr
 
+    from recorder.geometry import Vector
     from replay.file.log import Log
 
-_LONG: Final = 50_000  # records, from which on two processes are quicker than one
+_NO_ROOT: Final = ""  # of a recording that is shown alone
 _NONSENSE: Final = (
     ValueError,
     KeyError,
@@ -31,72 +28,87 @@ _NONSENSE: Final = (
     IndexError,
     ArithmeticError,
     AttributeError,
-    SyntaxError,
+    SyntaxError,  # of models that are no XML
     zlib.error,
 )
-"""What records raise that nobody could have written; models that are no XML are syntax errors."""
+"""Errors of translating records that no recorder has written."""
 
 
-def translated(log: Log, stream: rr.RecordingStream, root: str = "", folder: Path | None = None) -> Translator:
-    """Sends all that is shown of a recording.
+def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
+    """Sends recordings to a viewer.
 
     Args:
-        log: the recording.
-        stream: where it goes.
-        root: the entity that all others are below; "" for none.
-        folder: where there is room for half of it; by default that for temporary files.
-
-    Returns:
-        What translated it: it knows the worlds.
+        logs: one recording, or several that are shown side by side.
+        stream: where rows are sent.
+        at: the step that is looked at first; by default the beginning.
 
     Raises:
         Damaged: a record makes no sense.
-        OSError: there is no room.
     """
-    worker = None
-    if len(log) >= _LONG and os.cpu_count() != 1:
-        with contextlib.suppress(OSError):  # as where a process can't begin another; if there is no room, that is told
-            worker = Worker(log, root, folder)
-    if worker is None:
-        translator = Translator(stream, root)
-        _see(log, translator)
-        return translator
-    with worker:
-        translator = Translator(stream, root, Half.SEEN)
-        _see(log, translator)
-        worker.hand_over(stream)
-    return translator
+    if len(logs) == 1:  # the plan's name, as while it ran
+        stream.send_recording_name(logs[0].metadata.get("plan", logs[0].path.name))
+    else:
+        stream.send_recording_name(" and ".join(log.path.name for log in logs))
+    roots = dict(zip(_roots(logs), logs, strict=True))
+    fronts = {root: front_world(log, at) for root, log in roots.items()}
+    _lay_out(stream, {root: {front: ORIGIN} if front else {} for root, front in fronts.items()}, fronts)
+    _lay_out(stream, {root: _translated(log, stream, root) for root, log in roots.items()}, fronts)
 
 
-def _see(log: Log, translator: Translator) -> None:
+def front_world(log: Log, at: int | None = None) -> str:
+    """The world that is looked at: that of a step, by default the first that the plan acts in; "" if none.
+
+    Steps without a world of their own are of that of the step before.
+    """
+    if at is not None:
+        world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
+        if world:
+            return world
+    return next((record.world for record in log if acts(record)), "")
+
+
+def _roots(logs: Sequence[Log]) -> list[str]:
+    """Root entities of recordings that are shown side by side: names of their files, if these are different."""
+    if len(logs) == 1:
+        return [_NO_ROOT]
+    names = [log.path.stem for log in logs]
+    return names if len(set(names)) == len(names) else [f"{number}_{name}" for number, name in enumerate(names, 1)]
+
+
+def _lay_out(
+    stream: rr.RecordingStream, recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]
+) -> None:
+    if _NO_ROOT in recordings:
+        stream.send_blueprint(blueprint(recordings[_NO_ROOT], fronts[_NO_ROOT]))
+    else:
+        stream.send_blueprint(side_by_side(recordings, fronts))
+
+
+def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
+    """Sends a recording, and returns the centres of its worlds in m."""
+    translator = Translator(stream, root)
     for name in log.assets:
-        try:
-            with contextlib.suppress(Damaged):  # which the recording remembers; what needs it isn't shown
-                translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
-        except _NONSENSE as error:
-            raise Damaged(log.path, f"the attached file {name}", f"it makes no sense: {error}") from error
-    show(log, translator)
-    for name in translator.absent:  # filters of other tools leave attachments out
-        log.assets.damaged.setdefault(name, "it isn't there")
-
-
-def show(log: Log, translator: Translator, stop: int | None = None) -> None:
-    """Gives a translator the records of a recording.
-
-    Args:
-        log: the recording.
-        translator: what shows them.
-        stop: the step before which to end; the end by default.
-
-    Raises:
-        Damaged: a record makes no sense.
-    """
-    for record in log.records(stop=stop):
-        try:
+        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording remembers it
+            translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
+    for record in log.records():
+        try:  # quicker than a context manager for each record
             translator.show(record)
         except _NONSENSE as error:
-            raise Damaged(log.path, f"step {record.seq}", f"it makes no sense: {error}") from error
-    try:
+            raise _nonsense(log, f"step {record.seq}", error) from error
+    with _damage(log, "a record"):  # as a time that is longer than any
         translator.finish()
-    except _NONSENSE as error:  # as a time that is longer than any
-        raise Damaged(log.path, "a record", f"it makes no sense: {error}") from error
+    for name in translator.absent:  # filters of other tools leave attachments out
+        log.assets.damaged.setdefault(name, "it isn't there")
+    return translator.worlds
+
+
+@contextlib.contextmanager
+def _damage(log: Log, where: str) -> Iterator[None]:
+    try:
+        yield
+    except _NONSENSE as error:
+        raise _nonsense(log, where, error) from error
+
+
+def _nonsense(log: Log, where: str, error: Exception) -> Damaged:
+    return Damaged(log.path, where, f"it makes no sense: {error}")

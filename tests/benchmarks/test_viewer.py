@@ -151,7 +151,7 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
 
 
 CONVERTER = """
-import os, pathlib, resource, sys, time
+import os, pathlib, sys, time
 import replay
 from replay.view.rrd import convert
 
@@ -160,15 +160,13 @@ with replay.open(sys.argv[1]) as log:
     convert([log], pathlib.Path(sys.argv[2]))
 wall = time.perf_counter() - start
 print(wall, sum(os.times()[:4]))
-# the peak of this process, and that of the one that it has started; getrusage would tell that of its parent as its own,
-# if it is larger
-own = int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
-print((own + resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss) / 1e6)
+# getrusage would give the peak of the parent, if that is larger
+print(int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1e6)
 """
 
 
 def converted(log: Path, file: Path) -> tuple[float, float, float]:
-    """Seconds by the clock, seconds of the processors, and GB that a conversion takes, in processes of its own."""
+    """Seconds by the clock, seconds of the processors, and GB that a conversion takes, in a process of its own."""
     command = [sys.executable, "-c", CONVERTER, str(log), str(file)]
     told = subprocess.run(command, capture_output=True, text=True, check=True)
     wall, processor, memory = map(float, told.stdout.split())

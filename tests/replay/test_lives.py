@@ -33,7 +33,7 @@ def old_register(sink: McapSink, topic: str, world: str = "", lifetime: int = 0)
 
 def tell_apart(monkeypatch: pytest.MonkeyPatch, how: str) -> None:
     if how == "shared channels":
-        monkeypatch.setattr(mcap_sink, "_MOST_CHANNELS", 0)
+        monkeypatch.setattr(mcap_sink, "_MAX_CHANNELS", 0)
     elif how == "old channels":
         monkeypatch.setattr(McapSink, "_register", old_register)
         monkeypatch.setattr(McapSink, "_lifetime", lambda *_: 0)

@@ -24,7 +24,7 @@ from recorder.records import (
     Task,
 )
 from recorder.records.asset import AssetFile
-from recorder.viewer.backlog import Backlog, is_passing
+from recorder.viewer.backlog import Backlog, is_transient
 
 if TYPE_CHECKING:
     from recorder.viewer.backlog import Item
@@ -39,61 +39,63 @@ def number(item: Item) -> int:
 
 @given(
     puts=st.lists(st.tuples(st.booleans(), st.integers(0, 3000)), max_size=80),
-    most_items=st.integers(1, 30),
-    most_bytes=st.integers(4000, 20_000),
+    max_items=st.integers(1, 30),
+    max_bytes=st.integers(4000, 20_000),
 )
-def test_laws(puts: list[tuple[bool, int]], most_items: int, most_bytes: int) -> None:
-    backlog = Backlog(most_items, most_bytes)
-    for count, (passing, size) in enumerate(puts):
+def test_the_backlog_keeps_its_bounds_and_order_and_drops_transient_items_first(
+    puts: list[tuple[bool, int]], max_items: int, max_bytes: int
+) -> None:
+    backlog = Backlog(max_items, max_bytes)
+    for count, (transient, size) in enumerate(puts):
         before = len(backlog)
-        backlog.put((str(count), bytes(size)), passing=passing)
-        assert len(backlog) <= most_items
-        assert backlog.size <= most_bytes
+        backlog.put((str(count), bytes(size)), transient=transient)
+        assert len(backlog) <= max_items
+        assert backlog.size <= max_bytes
         assert 0 < len(backlog) <= before + 1, "the newest stays"
     backlog.close()
     left = [number(item) for item in backlog.take(ALL, ALL)]
     assert backlog.size == len(backlog) == 0
     assert left == sorted(left), "in order"
-    kept_passing = [count for count in left if puts[count][0]]
+    kept_transient = [count for count in left if puts[count][0]]
     dropped = set(range(len(puts))) - set(left)
     assert backlog.dropped == len(dropped)
-    if kept_passing[:-1]:  # passing ones are still there: what matters was not dropped since the first of them came
-        assert all(puts[count][0] or count < kept_passing[0] for count in dropped)
-        assert all(count < kept_passing[0] for count in dropped if puts[count][0]), "the oldest goes first"
+    if kept_transient[:-1]:  # transient ones are still there: what matters was not dropped since the first of them came
+        assert all(puts[count][0] or count < kept_transient[0] for count in dropped)
+        assert all(count < kept_transient[0] for count in dropped if puts[count][0]), "the oldest goes first"
 
 
-def test_what_is_taken_is_the_oldest_and_not_too_much() -> None:
+def test_take_returns_the_oldest_items_within_its_bounds() -> None:
     backlog = Backlog()
     for count in range(10):
-        backlog.put((str(count), bytes(1000)), passing=count % 2 == 0)
+        backlog.put((str(count), bytes(1000)), transient=count % 2 == 0)
     assert [number(item) for item in backlog.take(3, ALL)] == [0, 1, 2]
     assert [number(item) for item in backlog.take(ALL, 2000)] == [3, 4]
     assert [number(item) for item in backlog.take(ALL, ALL)] == [5, 6, 7, 8, 9]
 
 
-def test_files_count_by_their_size() -> None:
-    backlog = Backlog(most_bytes=10_000)
-    backlog.put(AssetFile("robot.urdf", bytes(9_000)), passing=False)
-    backlog.put(("1", bytes(1_500)), passing=False)
+def test_files_count_with_their_bytes() -> None:
+    backlog = Backlog(max_bytes=10_000)
+    backlog.put(AssetFile("robot.urdf", bytes(9_000)), transient=False)
+    backlog.put(("1", bytes(1_500)), transient=False)
     assert [number(item) for item in backlog.take(ALL, ALL)] == [1]
 
 
-def test_taking_waits_and_ends() -> None:
+def test_take_waits_for_items_and_for_the_end() -> None:
     backlog = Backlog()
     taken: list[list[Item]] = []
     thread = threading.Thread(target=lambda: taken.extend(iter(lambda: backlog.take(ALL, ALL), [])))
     thread.start()
-    backlog.put(("1", b""), passing=True)
+    backlog.put(("1", b""), transient=True)
     backlog.close()
     thread.join(10)
     assert not thread.is_alive()
     assert taken == [[("1", b"")]]
-    backlog.put(("2", b""), passing=True)
+    backlog.put(("2", b""), transient=True)
     assert backlog.take(ALL, ALL) == []
 
 
 @pytest.mark.parametrize(
-    ("record", "passing"),
+    ("record", "transient"),
     [
         (Mutation(move_body=MoveBody()), True),
         (Mutation(move_joints=MoveJoints()), True),
@@ -108,5 +110,5 @@ def test_taking_waits_and_ends() -> None:
         (Keyframe(), False),
     ],
 )
-def test_what_later_records_make_up_for(record, passing: bool) -> None:
-    assert is_passing(record) is passing
+def test_records_that_later_ones_make_up_for_are_transient(record, transient: bool) -> None:
+    assert is_transient(record) is transient

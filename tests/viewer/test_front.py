@@ -45,7 +45,7 @@ def moved(log: replay.Recording, body: str) -> int:
     return next(record.seq for record in log.records(Mutation) if record.move_body.body == body)
 
 
-def test_the_world_in_front_is_the_one_that_is_looked_at(tmp_path: Path, two_worlds: Path) -> None:
+def test_the_first_tab_is_the_world_that_is_looked_at(tmp_path: Path, two_worlds: Path) -> None:
     with replay.open(two_worlds) as log:
         steps = {"kitchen": moved(log, "cup"), "try": moved(log, "milk")}
     file = tmp_path / "log.rrd"
@@ -59,7 +59,7 @@ def test_the_world_in_front_is_the_one_that_is_looked_at(tmp_path: Path, two_wor
     assert in_front(file) == {"kitchen"}, "a step before all worlds"
 
 
-def test_what_is_kept_beside_a_recording_begins_at_its_beginning(two_worlds: Path) -> None:
+def test_a_cached_file_opens_with_the_recording_s_first_world(two_worlds: Path) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
     with replay.open(two_worlds) as log:
@@ -69,7 +69,7 @@ def test_what_is_kept_beside_a_recording_begins_at_its_beginning(two_worlds: Pat
             assert (file == two_worlds.with_name("log.mcap.rrd")) == (world == "kitchen")
 
 
-def test_live_the_world_in_front_is_the_one_that_the_plan_goes_on_in(two_worlds: Path) -> None:
+def test_live_the_first_tab_is_the_world_that_the_plan_acts_in(two_worlds: Path) -> None:
     with BulletWorld(name="later"), recorder.record(two_worlds.with_name("later.mcap")):
         Object("cup", "cup", "cup.stl", [0, 0, 1]).set_position([1, 0, 1])
     translator = Translator(rr.RecordingStream("test"))
@@ -83,7 +83,7 @@ def test_live_the_world_in_front_is_the_one_that_the_plan_goes_on_in(two_worlds:
 
 
 @pytest.mark.slow
-def test_the_viewer_begins_with_the_world_of_the_step(
+def test_the_viewer_opens_with_the_world_of_the_step(
     tmp_path: Path, two_worlds: Path, headless: Headless, until: Callable[..., None]
 ) -> None:
     with replay.open(two_worlds) as log:

@@ -21,7 +21,7 @@ import pytest
 import recorder
 import replay
 from recorder.viewer import sink
-from recorder.viewer.connection import LINGERING, Kind, Target, answers, free_port
+from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Target, answers, free_port
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
@@ -56,14 +56,14 @@ Path("begun").touch()
 
 HURRY = """
 from recorder.viewer import sink
-sink._TO_START = dict.fromkeys(sink.Kind, 0.0)
-sink._AT_THE_END = 0.0
+sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 0.0)
+sink._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
 from recorder.viewer import sink
-sink._TO_START = dict.fromkeys(sink.Kind, 60.0)
+sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 60.0)
 """
 
 
@@ -84,7 +84,7 @@ class Ended:
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
         assert self.code == 0, self.err
-        wait_until(lambda: not marked(self.mark), "no process is left", LINGERING + 10)
+        wait_until(lambda: not marked(self.mark), "no process is left", LINGER_TIMEOUT + 10)
         with replay.open(self.log) as log:
             assert log.complete
             count = len(log)
@@ -177,7 +177,7 @@ def test_a_plan_that_ends_before_the_viewer_s_library_is_loaded_is_shown_whole(
     until(lambda: server.rows() == rows, "what was left is shown")
 
 
-def test_what_can_not_be_shown_is_left_out(
+def test_records_that_can_t_be_shown_are_skipped(
     plan: Callable[..., Plan], serve: Callable[[], Server], until: Callable[..., None]
 ) -> None:
     server = serve()
@@ -196,23 +196,23 @@ def test_what_can_not_be_shown_is_left_out(
     until(lambda: server.rows()["/records/mutation"] == moves, "all else is shown")
 
 
-def test_nobody_ever_comes(plan: Callable[..., Plan], port: int) -> None:
+def test_a_plan_runs_without_a_viewer(plan: Callable[..., Plan], port: int) -> None:
     ended = plan("move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy").end()
     count = ended.check()
     assert ended.missed() == (count, count)
 
 
-def test_a_short_plan_waits_no_longer_than_it_takes_to_see_that_nobody_is_there(
+def test_a_short_plan_waits_only_until_no_viewer_answers(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sink, "_AT_THE_END", 90.0)
+    monkeypatch.setattr(sink, "_END_TIMEOUT", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass
     assert time.monotonic() - begun < 60
 
 
-def test_something_else_has_the_port(plan: Callable[..., Plan]) -> None:
+def test_another_program_has_the_port(plan: Callable[..., Plan]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"rerun+http://127.0.0.1:{silent.getsockname()[1]}/proxy"
         ended = plan("move(100)", url).end()
@@ -258,7 +258,7 @@ def test_a_viewer_is_stopped_while_the_plan_runs(
     ended.check()
 
 
-def test_a_flood_that_a_stopped_viewer_does_not_take_is_counted(
+def test_records_that_a_stopped_viewer_misses_are_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
     server = serve()
@@ -271,7 +271,7 @@ def test_a_flood_that_a_stopped_viewer_does_not_take_is_counted(
         assert 0 < int(log.metadata["pycram.end.viewer_dropped"]) <= missed
 
 
-def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan], headless: Headless, until) -> None:
+def test_a_viewer_that_lives_gets_all_of_many_records(plan: Callable[..., Plan], headless: Headless, until) -> None:
     running = plan("move(5_000); Path('flooded').touch(); wait_for('seen')", f"connect:{headless.url}")
     until((running.folder / "flooded").exists, "the plan has done its part")
     until(lambda: headless.end_of("step") > 5_000, "the viewer catches up", 100)
@@ -319,7 +319,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
 
 @pytest.mark.usefixtures("usual_ports")
 @pytest.mark.parametrize("live", ["serve", "connect"])
-def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], port: int, until, live: str) -> None:
+def test_a_killed_plan_leaves_no_process(plan: Callable[..., Plan], port: int, until, live: str) -> None:
     url = f"connect:rerun+http://127.0.0.1:{port}/proxy"
     running = plan("wait_for('never')", live if live == "serve" else url)
     until((running.folder / "begun").exists, "the plan has begun")
@@ -330,7 +330,7 @@ def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], por
 
 @pytest.mark.needs("Xvfb", "Vulkan driver", "window libraries")
 @pytest.mark.usefixtures("usual_ports")
-def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., Plan], display: str) -> None:
+def test_the_viewer_outlives_the_plan_that_opened_it(plan: Callable[..., Plan], display: str) -> None:
     with socket.create_server(("127.0.0.1", free_port(9876))):  # where it would listen is taken
         running = plan(f"{PATIENT}move(100)", "spawn", DISPLAY=display)
         ended = running.end()
@@ -352,7 +352,7 @@ def test_no_viewer_opens_without_a_screen(plan: Callable[..., Plan]) -> None:
 @pytest.mark.parametrize(
     "wrong", ["", "web", "connect:", "http://127.0.0.1:9876/proxy", "rerun+http://127.0.0.1:99999/proxy"]
 )
-def test_a_viewer_that_makes_no_sense_is_refused_at_once(tmp_path: Path, wrong: str) -> None:
+def test_an_invalid_target_is_refused_at_once(tmp_path: Path, wrong: str) -> None:
     with (
         pytest.raises(recorder.RecordingError, match="say spawn, connect"),
         recorder.record(tmp_path / "x.mcap", live=wrong),
@@ -361,7 +361,9 @@ def test_a_viewer_that_makes_no_sense_is_refused_at_once(tmp_path: Path, wrong: 
     assert not (tmp_path / "x.mcap").exists()
 
 
-def test_the_command_line_refuses_it_too(pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
+def test_the_command_line_refuses_an_invalid_target(
+    pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path
+) -> None:
     process = pycram("demo", "--rerun=web")
     _, said = process.communicate(timeout=60)
     assert process.returncode == 2
@@ -369,7 +371,7 @@ def test_the_command_line_refuses_it_too(pycram: Callable[..., subprocess.Popen[
     assert not list(tmp_path.iterdir())
 
 
-def test_addresses() -> None:
+def test_targets_are_parsed() -> None:
     assert Target.parse("connect") == Target(Kind.CONNECT, "rerun+http://127.0.0.1:9876/proxy")
     assert Target.parse("connect:rerun://robot/proxy") == Target(Kind.CONNECT, "rerun://robot/proxy")
     assert Target.parse("rerun+http://robot:1/proxy") == Target(Kind.CONNECT, "rerun+http://robot:1/proxy")

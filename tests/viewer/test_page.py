@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from recorder.viewer.web_page import Page
+from recorder.viewer.windows import Page
 
 if TYPE_CHECKING:
     import subprocess
@@ -128,7 +128,7 @@ def page(library: int) -> Iterator[Callable[[str], tuple[HTTPResponse, bytes]]]:
     served.server_close()
 
 
-def test_a_page_is_told_to_ask_nobody_else(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
+def test_the_page_may_contact_this_machine_only(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
     answer, content = page("/?url=x")
     assert content == b'<link href="icon.ico" />here'
     rules = dict(rule.split(maxsplit=1) for rule in str(answer.getheader("Content-Security-Policy")).split("; "))
@@ -136,7 +136,7 @@ def test_a_page_is_told_to_ask_nobody_else(page: Callable[[str], tuple[HTTPRespo
     assert rules["default-src"] == "'self' data: blob:"
 
 
-def test_other_files_are_passed_on_as_they_are(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
+def test_other_files_are_passed_on_unchanged(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
     answer, content = page("/viewer.wasm")
     assert content == bytes(range(256)) * 1000
     assert answer.getheader("Content-Length") == "256000"

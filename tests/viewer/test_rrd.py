@@ -15,7 +15,7 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.mcap.sink import McapSink
-from recorder.records import TOPICS, Argument, Failure, Picture, Query, Record, Task
+from recorder.records import TOPICS, Task
 from recorder.records.asset import AssetFile
 from replay.cli.main import main
 from tests.viewer.shown import Shown, in_front, small, view
@@ -50,7 +50,7 @@ def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Pa
 
 
 @pytest.mark.slow
-def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported(tmp_path: Path) -> None:
     log = small(tmp_path / "log.mcap")
     for words in ([], ["--save", "log.rrd"]):
         command = [sys.executable, "-m", "replay", "view", str(log), *words]
@@ -68,9 +68,7 @@ def test_a_disk_that_is_full_is_told(tmp_path: Path) -> None:
     assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
 
 
-def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_off(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_works_where_the_environment_switches_viewers_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RERUN", "off")
     file = tmp_path / "log.rrd"
     assert "/w/bodies/cup" in view(small(tmp_path / "log.mcap"), file).rows
@@ -78,7 +76,9 @@ def test_what_is_asked_for_is_shown_where_the_environment_has_viewers_switched_o
     assert os.environ["RERUN"] == "off"
 
 
-def test_users_who_view_one_recording_do_not_meet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_users_of_one_recording_have_temporary_files_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
     log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
@@ -112,29 +112,10 @@ def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp
         assert "/w/bodies/cup" in Shown(cached(whole)).rows
 
 
-@pytest.mark.parametrize(
-    "record",
-    [
-        Query(name="visible", answer_json="true", picture=Picture(width=1, height=1, pixels=b"no picture")),
-        Task(phase=Task.FINISHED, status=Task.FAILED, failure=Failure(type="F", data=[Argument(name="x", json="{")])),
-        Query(world="w", name="x", answer_json="1", evidence=[Argument(name="points", json="3")]),
-    ],
-    ids=["picture", "failure", "points"],
-)
-def test_nonsense_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], record: Record) -> None:
+def test_an_invalid_model_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
     sink = McapSink(log, {})
-    sink.write(TOPICS[type(record)], record, record.SerializeToString())
-    sink.close()
-    assert main(["view", str(log), "--save", str(file)]) == 3
-    assert "it makes no sense" in capsys.readouterr().err
-    assert not file.exists()
-
-
-def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
-    sink = McapSink(log, {})
-    sink._frames.learn = lambda *_: None  # it would refuse
+    sink._frames.add_urdf = lambda *_: None  # it would refuse
     sink.attach(AssetFile("cup.urdf", b"no model"))
     sink.write("/task", Task(), b"")
     sink.close()
@@ -142,7 +123,7 @@ def test_a_model_that_is_none_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
 
 
-def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
     whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
@@ -174,7 +155,7 @@ def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: 
         (["missing.mcap", "--save", "x.rrd"], "No such file"),
     ],
 )
-def test_what_can_not_be_shown_is_told(
+def test_wrong_usage_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -186,7 +167,7 @@ def test_what_can_not_be_shown_is_told(
     assert not list(tmp_path.glob("*.rrd"))
 
 
-def test_a_cut_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_truncated_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         cup = Object("cup", "cup", "cup.stl", [0, 0, 1])

@@ -65,7 +65,7 @@ def stranger(log: Path) -> Stranger:
     return Stranger(log)
 
 
-def test_every_message_says_all_with_the_definitions_in_the_file(stranger: Stranger) -> None:
+def test_every_message_is_decoded_with_the_file_s_own_definitions(stranger: Stranger) -> None:
     topics = {channel.topic for channel, _, _ in stranger.found}
     assert {"/run", "/task", "/mutation", "/query", "/tf", "/log"} <= topics <= {*RECORDS, "/tf", "/log"}
     for channel, sent, message in stranger.found:
@@ -78,7 +78,7 @@ def test_every_message_says_all_with_the_definitions_in_the_file(stranger: Stran
     assert sorted(steps) == list(range(len(steps))), "each record, once"
 
 
-def test_frames_are_one_tree_that_moves_forward_in_time(stranger: Stranger) -> None:
+def test_frames_form_one_tree_and_times_increase(stranger: Stranger) -> None:
     parents: dict[str, str] = {}
     before = 0.0
     for sent, message in stranger.on("/tf"):
@@ -109,9 +109,7 @@ def test_lines_have_levels_times_and_names(stranger: Stranger, log: Path) -> Non
     assert levels == {"DEBUG", "INFO"} | ({"ERROR"} if log.stem == "fails_to_reach" else set())
 
 
-def test_rerun_makes_columns_of_records_transforms_of_frames_and_lines_of_the_log(
-    log: Path, stranger: Stranger
-) -> None:
+def test_rerun_reads_records_transforms_and_log_lines(log: Path, stranger: Stranger) -> None:
     columns: dict[str, dict[str, pa.DataType]] = {}
     rows: dict[str, int] = {}
     for chunk in McapReader(str(log)).stream():
@@ -139,7 +137,7 @@ def test_rerun_makes_columns_of_records_transforms_of_frames_and_lines_of_the_lo
     assert rows["/log"] == len(stranger.on("/log"))
 
 
-def test_rerun_checks_it_and_finds_no_disorder(log: Path) -> None:
+def test_rerun_s_check_finds_no_disorder(log: Path) -> None:
     command = [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", str(log)]
     checked = subprocess.run(command, capture_output=True, text=True, check=False)
     topics = {row.split()[3]: row.split()[-1] for row in checked.stdout.splitlines() if row.startswith("ok")}
@@ -147,7 +145,7 @@ def test_rerun_checks_it_and_finds_no_disorder(log: Path) -> None:
     assert set(topics.values()) == {"—"}, "no issues"
 
 
-def test_the_viewer_opens_it_and_has_no_complaint(log: Path, headless: Headless, tmp_path: Path, until) -> None:
+def test_the_viewer_opens_the_mcap_file_without_warnings(log: Path, headless: Headless, tmp_path: Path, until) -> None:
     headless.open(log)
     assert [view.view_class for view in headless.state().views] == ["TextLog"]
     assert headless.end_of("message_log_time") > 0

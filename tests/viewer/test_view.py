@@ -50,7 +50,7 @@ def shown(demo: Path) -> Shown:
 
 
 @pytest.mark.slow
-def test_every_link_is_shown_where_it_was(demo: Path, shown: Shown) -> None:
+def test_every_link_has_its_recorded_pose(demo: Path, shown: Shown) -> None:
     with replay.open(demo) as log:
         for step in [*range(12, len(log) - 3, 29), len(log) - 3]:
             state, frames = log.state_at(step), shown.frames(step)
@@ -64,7 +64,7 @@ def test_every_link_is_shown_where_it_was(demo: Path, shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_everything_that_is_on_record_is_told(demo: Path, shown: Shown) -> None:
+def test_every_record_has_its_rows(demo: Path, shown: Shown) -> None:
     counts = shown.counts()
     with replay.open(demo) as log:
         for kind, count in log.counts().items():
@@ -83,7 +83,7 @@ def is_task(record: object) -> bool:
 
 
 @pytest.mark.slow
-def test_live_is_what_is_shown_afterwards(
+def test_live_and_afterwards_show_the_same(
     tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]
 ) -> None:
     server, log, file = serve(), tmp_path / "live.mcap", tmp_path / "afterwards.rrd"
@@ -107,7 +107,7 @@ def without_start(fixed: dict[str, dict[str, object]]) -> dict[tuple[str, str], 
     return {key: value for key, value in told.items() if key[1] != "RecordingInfo:start_time"}
 
 
-def test_what_comes_and_goes(tmp_path: Path) -> None:
+def test_added_and_removed_bodies_appear_and_disappear(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="kitchen") as world:
         world.set_gravity([0, 0, -9.8])
@@ -151,7 +151,7 @@ def fail() -> None:
     raise PlanFailure("too heavy")
 
 
-def test_tasks_have_lanes_that_tell_how_they_ended(tmp_path: Path) -> None:
+def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log, name="lift"), BulletWorld(name="w"):
         failures: list[BaseException] = []
@@ -201,7 +201,7 @@ with BulletWorld(name="w"):
 """
 
 
-def test_tables_tell_the_lines_of_the_plan(tmp_path: Path) -> None:
+def test_tables_have_call_sites_and_callers(tmp_path: Path) -> None:
     log, plan = tmp_path / "log.mcap", tmp_path / "plan.py"
     plan.write_text(PLAN)
     with recorder.record(log, source=plan):
@@ -220,7 +220,7 @@ def test_tables_tell_the_lines_of_the_plan(tmp_path: Path) -> None:
     assert told["running"] == told["succeeded"] == ("plan.py:11", [])
 
 
-def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
+def test_a_failure_that_is_repeated_is_marked_again(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         for _ in range(2):
@@ -232,7 +232,7 @@ def test_a_failure_that_comes_again_is_told_again(tmp_path: Path) -> None:
     assert failed == ["grasp: PlanFailure: too heavy"] * 2
 
 
-def test_the_log_has_failures_of_worlds_however_they_are_called(tmp_path: Path) -> None:
+def test_the_log_shows_failures_of_worlds_of_any_name(tmp_path: Path) -> None:
     log, file = tmp_path / "log.mcap", tmp_path / "log.rrd"
     with recorder.record(log):
         for name in ("my kitchen", "a/b", "$origin"):
@@ -243,7 +243,7 @@ def test_the_log_has_failures_of_worlds_however_they_are_called(tmp_path: Path) 
     assert failures <= looked_for(file)
 
 
-def test_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
+def test_simultaneous_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         left, right = (Span("motion", "moving-tcp", parameters={"target": [y, 0.0, 1.0]}) for y in (1.0, 2.0))
@@ -265,7 +265,7 @@ def test_motions_of_one_name_have_targets_of_their_own(tmp_path: Path) -> None:
     assert len(targets) == 2, "names come again"
 
 
-def test_a_query_shows_what_it_saw_and_found(tmp_path: Path) -> None:
+def test_a_query_has_a_page_a_picture_and_marks(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         cup = Object("cup", "cup", "cup.stl", [2, 0, 1])
@@ -293,7 +293,7 @@ STICK = """<robot name="stick"><link name="foot"/><link name="eye"/><joint name=
 <parent link="foot"/><child link="eye"/><origin xyz="0 0 1" rpy="-1.5708 0 -1.5708"/></joint></robot>"""
 
 
-def test_a_sight_begins_at_the_robot_that_was_asked_about(tmp_path: Path) -> None:
+def test_a_line_of_sight_begins_at_the_camera_of_the_robot_in_the_query(tmp_path: Path) -> None:
     log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
     model.write_text(STICK)
     with recorder.record(log), BulletWorld(name="w") as world:
@@ -311,7 +311,7 @@ def test_a_sight_begins_at_the_robot_that_was_asked_about(tmp_path: Path) -> Non
     assert [place[0] for place in places] == [5, 5, 0]
 
 
-def test_a_failure_is_told_at_the_robot_that_failed(tmp_path: Path) -> None:
+def test_a_failure_without_a_place_is_marked_at_its_robot(tmp_path: Path) -> None:
     log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
     model.write_text(STICK)
     with recorder.record(log), BulletWorld(name="w") as world:
@@ -326,7 +326,7 @@ def test_a_failure_is_told_at_the_robot_that_failed(tmp_path: Path) -> None:
     assert [shown.at("/w/failures", step)["Points3D:positions"][0][0] for step in ends] == [5, 0]
 
 
-def test_names_do_not_break_the_table_of_a_query(tmp_path: Path) -> None:
+def test_names_with_bars_keep_the_table_of_a_query(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         cup = Object("cup", "cup", "cup.stl", [2, 0, 1])
@@ -342,7 +342,7 @@ def context(shown: Shown) -> list[dict]:
     return shown.fixed["/queries/picture"]["AnnotationContext:context"][0]
 
 
-def test_names_that_paths_do_not_allow(tmp_path: Path) -> None:
+def test_names_may_contain_the_characters_of_paths(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="my kitchen/2"):
         Object("cup of/tea", "cup", "cup.stl", [0, 0, 1])
@@ -352,7 +352,7 @@ def test_names_that_paths_do_not_allow(tmp_path: Path) -> None:
     assert len(bodies) == 2 * len({entity.rpartition("/")[2] for entity in bodies})
 
 
-def test_names_that_could_be_mistaken(tmp_path: Path) -> None:
+def test_ambiguous_names_have_entities_of_their_own(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="world_1"):
         Object("world", "cup", "cup.stl", [1, 0, 1])

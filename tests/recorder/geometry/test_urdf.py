@@ -1,4 +1,4 @@
-"""Where links are is arithmetic on the URDF: the same as what the physics engine says, for the real PR2 and kitchen."""
+"""Forward kinematics from the URDF equal the physics engine's, for the PR2 and the kitchen; laws of poses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def bodies() -> Iterator[dict[str, Object]]:
 @pytest.mark.parametrize("name", ["pr2", "kitchen"])
 @settings(max_examples=15, deadline=None)
 @given(data=st.data())
-def test_all_links_are_where_the_engine_has_them(bodies: dict[str, Object], name: str, data: st.DataObject) -> None:
+def test_forward_kinematics_equal_the_engine_s(bodies: dict[str, Object], name: str, data: st.DataObject) -> None:
     body = bodies[name]
     values = {}
     for joint in body.joints:
@@ -52,7 +52,7 @@ def test_all_links_are_where_the_engine_has_them(bodies: dict[str, Object], name
 
 
 @given(poses, poses, vectors)
-def test_poses_are_a_group_that_acts_on_points(a: geometry.Pose, b: geometry.Pose, point: geometry.Vector) -> None:
+def test_poses_are_a_group_acting_on_points(a: geometry.Pose, b: geometry.Pose, point: geometry.Vector) -> None:
     assert geometry.transform(geometry.multiply(a, b), point) == pytest.approx(
         geometry.transform(a, geometry.transform(b, point)), abs=1e-9
     )
@@ -62,14 +62,14 @@ def test_poses_are_a_group_that_acts_on_points(a: geometry.Pose, b: geometry.Pos
 
 
 @given(rotations)
-def test_rotations_survive_being_matrices(rotation: geometry.Quaternion) -> None:
+def test_rotations_survive_conversion_to_matrices(rotation: geometry.Quaternion) -> None:
     again = geometry.from_matrix(geometry.to_matrix(rotation))
     assert geometry.angle(again, rotation) < 1e-6
     assert again[3] >= 0
 
 
 @given(vectors, vectors)
-def test_looking_at_a_point_puts_it_on_the_optical_axis(eye: geometry.Vector, target: geometry.Vector) -> None:
+def test_look_at_puts_the_point_on_the_optical_axis(eye: geometry.Vector, target: geometry.Vector) -> None:
     distance = math.dist(eye, target)
     if distance < 1e-3:
         return
@@ -86,7 +86,7 @@ ENDS = '<parent link="a"/><child link="b"/>'
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("<robot", "not well-formed"),
         ("<model/>", "not <robot>"),
@@ -103,12 +103,12 @@ ENDS = '<parent link="a"/><child link="b"/>'
         (robot(A, '<joint name="j" type="fixed"><parent link="a"/><child link="x"/></joint>'), "is no link"),
     ],
 )
-def test_what_is_wrong_with_a_document_is_said(text: str, told: str) -> None:
-    with pytest.raises(UrdfError, match=told):
+def test_invalid_documents_are_refused_with_the_reason(text: str, message: str) -> None:
+    with pytest.raises(UrdfError, match=message):
         Urdf.parse(text)
 
 
-def test_a_cycle_is_no_tree() -> None:
+def test_a_cycle_of_joints_is_refused() -> None:
     back = '<joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>'
     with pytest.raises(UrdfError, match="cycle"):
         Urdf.parse(robot(A, B, f'<joint name="j" type="fixed">{ENDS}</joint>', back))

@@ -1,4 +1,4 @@
-"""Shapes of a model's links, as the viewer draws them."""
+"""A link's shapes, as the viewer draws them."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ if TYPE_CHECKING:
 
     from recorder.geometry.shapes import Color, Shape
 
-_MEDIA: Final = {"stl": "model/stl", "obj": "model/obj"}
+_MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 
 
-def drawn(
+def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """A link's shapes for the viewer: one entity for all boxes, one for all cylinders, one for each mesh.
+    """Draws a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
 
     Args:
-        shapes: the shapes.
+        shapes: of one link.
         meshes: gives a mesh's content; None if it is not known.
-        color: that of the whole body, which goes before those of the shapes; None for theirs.
+        color: of the whole body; None for the shapes' own.
 
     Yields:
         Names, unique within the link, and what is to be shown there.
     """
-    for kind, draw in _SOLIDS.items():
+    for kind, solids in _SOLIDS.items():
         alike = [shape for shape in shapes if shape.kind == kind]
         if alike:
-            yield kind, [draw(alike, [color or shape.color for shape in alike])]
+            yield kind, [solids(alike, [color or shape.color for shape in alike])]
     number = 0
     for shape in shapes:
         content = meshes(shape.mesh) if shape.kind == "mesh" else None
         if content is not None:
-            media = _MEDIA[shape.mesh.rpartition(".")[2].lower()]
+            media = _MEDIA_TYPES[shape.mesh.rpartition(".")[2].lower()]
             asset = rr.Asset3D(contents=content, media_type=media, albedo_factor=color or shape.color)
             position, orientation = shape.pose
-            place = rr.InstancePoses3D(translations=[position], quaternions=[orientation], scales=[shape.size])
-            yield f"mesh_{number}", [asset, place]
+            pose = rr.InstancePoses3D(translations=[position], quaternions=[orientation], scales=[shape.size])
+            yield f"mesh_{number}", [asset, pose]
             number += 1
 
 

@@ -1,4 +1,4 @@
-"""Each task tells the whole way through the plan's code that led to it, in whatever thread it runs."""
+"""Each task records the whole call stack of the plan that led to it, in whatever thread it runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_site import MOST, CallStack
+from recorder.tracing.call_site import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame
@@ -67,14 +67,14 @@ def do_in_block(name: str) -> None:
 
 
 def functions(file: Path, name: str) -> list[str]:
-    """The functions on the way to a task, outermost first, from the test's on."""
+    """The functions of a task's call stack, outermost first, from the test's on."""
     with replay.open(file) as log:
         record = next(record for record in log.records(Task) if record.name == name and record.phase == Task.STARTED)
-        told = [line.function for line in Source(log).way(record)]
-    return list(itertools.dropwhile(lambda function: not function, told))  # what runs the tests in many processes
+        names = [line.function for line in Source(log).way(record)]
+    return list(itertools.dropwhile(lambda name: not name, names))  # what runs the tests in many processes
 
 
-def test_the_way_is_told_from_the_outside_in(tmp_path: Path) -> None:
+def test_a_call_stack_is_recorded_from_the_outside_in(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__):
         do_again("push", 0)
@@ -82,7 +82,7 @@ def test_the_way_is_told_from_the_outside_in(tmp_path: Path) -> None:
     assert functions(file, "push") == functions(file, "Push") == [here, "do_again", "do"]
 
 
-def test_a_line_that_calls_itself_stands_once(tmp_path: Path) -> None:
+def test_a_recursive_line_stands_once(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__):
         do_again("push", 200)
@@ -90,7 +90,7 @@ def test_a_line_that_calls_itself_stands_once(tmp_path: Path) -> None:
     assert functions(file, "push") == [here, "do_again", "do_again", "do"]
 
 
-def test_a_thread_goes_on_from_where_it_was_asked_for(tmp_path: Path) -> None:
+def test_a_branch_continues_the_call_stack_of_the_code_that_asked_for_it(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__):
         do_in_block("push")
@@ -104,7 +104,7 @@ def test_a_thread_goes_on_from_where_it_was_asked_for(tmp_path: Path) -> None:
     assert functions(file, "kick") == [here, "do"]
 
 
-def test_a_lambda_s_line_stands_once_where_it_was_asked_for_in_that_line(tmp_path: Path) -> None:
+def test_a_lambda_stands_once_where_its_line_asks_for_it(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__), par as block:
         block(lambda: do("push"))
@@ -117,7 +117,7 @@ def start_in_block(name: str) -> None:
         block.start(name, lambda: None)
 
 
-def test_a_branch_that_is_started_under_a_name_is_asked_for_where_that_stands(tmp_path: Path) -> None:
+def test_a_named_branch_has_the_call_stack_of_the_line_that_starts_it(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__):
         start_in_block("push")
@@ -125,7 +125,7 @@ def test_a_branch_that_is_started_under_a_name_is_asked_for_where_that_stands(tm
     assert functions(file, "push") == [here, "start_in_block"]
 
 
-def test_a_thread_of_the_plan_s_own_begins_its_own_way(tmp_path: Path) -> None:
+def test_a_thread_of_the_plan_s_own_begins_a_new_call_stack(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file, source=__file__), span("motion", "outer"):
         thread = threading.Thread(target=do, args=("push",))
@@ -134,20 +134,20 @@ def test_a_thread_of_the_plan_s_own_begins_its_own_way(tmp_path: Path) -> None:
     assert functions(file, "push") == ["do"]
 
 
-def test_of_a_very_long_way_both_ends_are_told(tmp_path: Path) -> None:
+def test_a_long_call_stack_is_truncated_in_the_middle(tmp_path: Path) -> None:
     steps = [(f"def step_{number}():\n    step_{number + 1}()\n") for number in range(100)]
     (tmp_path / "plan.py").write_text("".join(steps) + "def step_100():\n    do('push')\n")
     plan: dict[str, object] = {"do": do, "__name__": "plan"}
     exec(compile((tmp_path / "plan.py").read_text(), str(tmp_path / "plan.py"), "exec"), plan)
     with recorder.record(tmp_path / "x.mcap", source=__file__):
         plan["step_0"]()
-    told = functions(tmp_path / "x.mcap", "push")
-    assert MOST - 5 < len(told) <= MOST
-    assert told[:4] == [inspect.currentframe().f_code.co_name, "step_0", "step_1", "step_2"]
-    assert told[-3:] == ["step_99", "step_100", "do"]
+    names = functions(tmp_path / "x.mcap", "push")
+    assert MAX_LINES - 5 < len(names) <= MAX_LINES
+    assert names[:4] == [inspect.currentframe().f_code.co_name, "step_0", "step_1", "step_2"]
+    assert names[-3:] == ["step_99", "step_100", "do"]
 
 
-def test_what_isn_t_recorded_tells_its_line_only() -> None:
+def test_without_a_recording_a_task_knows_its_innermost_line_only() -> None:
     do_again("unseen", 0)
     (node,) = tasks.tree().find(name="unseen")[-1:]
     assert __file__ in node.source
@@ -179,7 +179,7 @@ def in_pieces() -> Iterator[None]:
         block(do, "second piece")
 
 
-def many_ways(second: Path) -> None:
+def many_call_stacks(second: Path) -> None:
     for turn in range(2):
         with par as block:
             block(do, f"one {turn}"), block(do, f"two {turn}")
@@ -201,22 +201,20 @@ def many_ways(second: Path) -> None:
     next(pieces, None)
 
 
-def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[set[tuple[object, ...]]] = []
-    for name in ("turned", "walked"):
+def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[set[tuple[object, ...]]] = []
+    for name in ("reused", "walked"):
         files = [tmp_path / f"{name}.mcap", tmp_path / f"{name} inside.mcap"]
         with recorder.record(files[0], source=__file__):
-            many_ways(files[1])
+            many_call_stacks(files[1])
         for file in files:
             with replay.open(file) as log:
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
-                told.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
+                found.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
                 assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
-        monkeypatch.setattr(CallStack, "turned", lambda *_: None)
-    assert told[:2] == told[2:]
-    assert len(told[0]) > 30
+        monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
+    assert found[:2] == found[2:]
+    assert len(found[0]) > 30
 
 
 @pytest.fixture
@@ -232,7 +230,7 @@ def ran(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_modules_of_the_plan_s_own_go_with_the_recording(ran: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_modules_of_the_plan_s_own_are_attached(ran: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with replay.open(ran) as log:
         found = blame(log, "ball").causes
         assert found == causes(log, blame(log, "ball").record)
@@ -247,7 +245,7 @@ def test_modules_of_the_plan_s_own_go_with_the_recording(ran: Path, capsys: pyte
     assert said[-1].endswith("in <module>:  tidy(ball)")
 
 
-def test_files_that_share_a_name_are_not_mixed_up(tmp_path: Path) -> None:
+def test_files_of_one_name_are_not_confused(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         plan = tmp_path / folder / "same.py"

@@ -1,4 +1,4 @@
-"""kill -9 at any moment: the file opens, little is missing, and nothing that came before a failure."""
+"""kill -9 at any moment, or a full disk: the file opens, little is missing, and nothing before a failure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-# Writes records as a plan would, in bursts and alone, and says on stdout after each which one is on record now.
+# Writes records as a plan would, in bursts and alone, and prints after each its step and time.
 VICTIM = """
 import os, sys, random, threading
 import recorder
@@ -58,7 +58,7 @@ def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tupl
 
 
 @seeded("killed processes", range(50), 10)
-def test_a_killed_process_loses_little_and_no_failure(
+def test_a_killed_process_loses_at_most_50_records_and_no_failure(
     tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
 ) -> None:
     rng = random.Random(seeds[0])
@@ -87,7 +87,7 @@ def test_a_killed_process_loses_little_and_no_failure(
     assert max(ages) < 1
 
 
-def test_a_process_that_is_killed_at_once_leaves_a_file_that_opens(tmp_path: Path) -> None:
+def test_a_process_that_is_killed_at_once_leaves_a_readable_file(tmp_path: Path) -> None:
     file = tmp_path / "short.mcap"
     program = """
 import os, signal, sys
@@ -102,7 +102,7 @@ with recorder.record(sys.argv[1]):
         assert not log.complete
 
 
-def test_a_full_disk_is_told_at_once_and_the_plan_goes_no_further(tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_plan_with_an_error_and_leaves_a_readable_file(tmp_path: Path) -> None:
     program = """
 import resource, signal, sys
 import recorder
@@ -135,7 +135,7 @@ except recorder.RecordingError as error:
 
 
 @pytest.mark.slow
-def test_a_recording_that_can_t_begin_leaves_nothing_open(tmp_path: Path) -> None:
+def test_a_recording_that_fails_to_begin_leaves_no_thread_and_no_open_journal(tmp_path: Path) -> None:
     program = """
 import resource, signal, sys, threading
 import recorder

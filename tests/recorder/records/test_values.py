@@ -1,4 +1,4 @@
-"""What users put into slots and results stands in records as JSON, whole."""
+"""Values and errors of users as records hold them: JSON that keeps every bit, and never breaks a plan."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ values = st.recursive(
 
 
 @given(values)
-def test_plain_values_come_back_with_all_their_bits(value: object) -> None:
+def test_plain_values_survive_json_bit_for_bit(value: object) -> None:
     text = to_json(value)
     assert json.loads(text) == value
     assert "\n" not in text
 
 
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=8))
-def test_arrays_are_lists(numbers: list[float]) -> None:
+def test_arrays_become_lists(numbers: list[float]) -> None:
     array = np.array(numbers)
     assert json.loads(to_json(array)) == json.loads(to_json(tuple(numbers))) == numbers
     for number in array:
@@ -38,12 +38,12 @@ def test_arrays_are_lists(numbers: list[float]) -> None:
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_what_json_cannot_say_is_still_json(number: float) -> None:
-    told = json.loads(to_json([number]), parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
-    assert told == [{"float": repr(number)}]
+def test_nan_and_infinities_become_valid_json(number: float) -> None:
+    data = json.loads(to_json([number]), parse_constant=lambda text: pytest.fail(f"{text} is no JSON"))
+    assert data == [{"float": repr(number)}]
 
 
-def test_objects_functions_and_the_unknown() -> None:
+def test_objects_and_functions_are_recorded_by_name_and_unknown_values_by_repr() -> None:
     with BulletWorld() as world:
         cup = Object("cup", "cup", "cup.stl")
         assert json.loads(to_json({"object": cup})) == {"object": {"object": "cup", "world": world.name}}
@@ -57,7 +57,7 @@ def test_objects_functions_and_the_unknown() -> None:
     assert json.loads(to_json(Odd())) == {"repr": "<odd>"}
 
 
-def test_whatever_a_plan_hands_over_recording_it_never_fails() -> None:
+def test_values_that_raise_errors_are_recorded_all_the_same() -> None:
     class Broken:
         def __repr__(self) -> str:
             raise ZeroDivisionError
@@ -71,18 +71,18 @@ def test_whatever_a_plan_hands_over_recording_it_never_fails() -> None:
     to_json("a\ud800").encode()
 
 
-def test_failures_carry_their_data() -> None:
+def test_a_failure_holds_type_data_and_traceback() -> None:
     with pytest.raises(JointLimitError) as caught:
         raise JointLimitError("pr2", "torso_lift_joint", 2.0, 0.0, 0.33)
-    told = failure(caught.value)
-    assert told.type == "JointLimitError"
-    assert "test_failures_carry_their_data" in told.traceback
-    data = {argument.name: json.loads(argument.json) for argument in told.data}
+    recorded = failure(caught.value)
+    assert recorded.type == "JointLimitError"
+    assert "test_a_failure_holds_type_data_and_traceback" in recorded.traceback
+    data = {argument.name: json.loads(argument.json) for argument in recorded.data}
     assert data["joint"] == "torso_lift_joint"
     assert data["value"] == 2.0
 
 
-def test_failures_that_can_t_be_told_are_recorded_all_the_same() -> None:
+def test_errors_whose_message_raises_are_recorded_all_the_same() -> None:
     class Shy(Exception):
         def __str__(self) -> str:
             raise ZeroDivisionError

@@ -1,4 +1,4 @@
-"""The definition of the log is the only one: the modules are compiled from it, and its envelope is the same everywhere."""
+"""``log.proto``: the checked-in modules are compiled from it, and all records have the same envelope."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-def test_checked_in_modules_are_what_the_definition_compiles_to(tmp_path: Path) -> None:
+def test_checked_in_modules_are_compiled_from_the_definition(tmp_path: Path) -> None:
     compile_proto.compile_proto(tmp_path)
     for name in ("log_pb2.py", "log_pb2.pyi"):
         made = (tmp_path / "recorder" / "records" / name).read_text()

@@ -48,18 +48,18 @@ def test_a_frame_tells_what_it_is_of(world: str, body: str, link: str) -> None:
         (("world_2", "pr2", "base_link"), "world_2//pr2/base_link"),
     ],
 )
-def test_usual_names_stand_as_they_are(parts: tuple[str, ...], name: str) -> None:
+def test_ordinary_names_are_not_escaped(parts: tuple[str, ...], name: str) -> None:
     assert frame_name(*parts) == name
 
 
-def told(tree: FrameTree, record: Mutation) -> dict[str, Frame]:
-    return {frame.child: frame for moved in tree.moved(record) for frame, _ in moved.frames}
+def frames_of(tree: FrameTree, record: Mutation) -> dict[str, Frame]:
+    return {frame.child: frame for motion in tree.motions(record) for frame, _ in motion.frames}
 
 
 @pytest.fixture
 def tree() -> FrameTree:
     made = FrameTree()
-    made.learn("1", MODEL)
+    made.add_urdf("1", MODEL)
     return made
 
 
@@ -72,8 +72,8 @@ def loaded(body: str, asset: str = "1") -> Mutation:
 
 
 @pytest.mark.parametrize("body", ["arm", "world", "a/b", "a"])
-def test_frames_are_a_tree_whatever_bodies_and_links_are_called(tree: FrameTree, body: str) -> None:
-    frames = told(tree, loaded(body))
+def test_frames_form_a_tree_whatever_the_names_of_bodies_and_links(tree: FrameTree, body: str) -> None:
+    frames = frames_of(tree, loaded(body))
     assert {frame.link for frame in frames.values()} == {"", "a/b", "world"}
     for name in list(frames):
         for _ in range(4):
@@ -81,17 +81,17 @@ def test_frames_are_a_tree_whatever_bodies_and_links_are_called(tree: FrameTree,
         assert name == ROOT
 
 
-def test_a_name_that_is_loaded_again_has_the_links_of_its_new_model(tree: FrameTree) -> None:
-    tree.learn("2", b'<robot name="cup"><link name="cup"/></robot>')
-    assert len(told(tree, loaded("thing"))) == 3
+def test_a_body_that_is_loaded_again_has_the_links_of_its_new_model(tree: FrameTree) -> None:
+    tree.add_urdf("2", b'<robot name="cup"><link name="cup"/></robot>')
+    assert len(frames_of(tree, loaded("thing"))) == 3
     second = loaded("thing", "2")
     second.effect.bodies[0].ClearField("joints")
     second.effect.bodies[0].ClearField("joint_positions")
-    assert list(told(tree, second)) == ["thing"]
+    assert list(frames_of(tree, second)) == ["thing"]
 
 
-def test_only_what_moved_is_told(tree: FrameTree) -> None:
-    told(tree, loaded("arm"))
+def test_only_frames_that_changed_are_listed(tree: FrameTree) -> None:
+    frames_of(tree, loaded("arm"))
     moved = Mutation(world="world_1")
     moved.effect.bodies.add(body="arm", joints=["one"], joint_positions=[1.0])
-    assert list(told(tree, moved)) == ["arm/a%2Fb"]
+    assert list(frames_of(tree, moved)) == ["arm/a%2Fb"]

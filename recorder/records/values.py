@@ -1,0 +1,143 @@
+"""How values of users (slots, answers, results) and errors stand in records: as one line of JSON, as a ``Failure``.
+
+Whatever has a method ``__record__`` chooses its form with it: the method returns None, a bool, number, string, list or
+dict.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import traceback
+from collections.abc import Callable, Mapping
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
+from recorder.records.log_pb2 import Argument, Failure
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+@runtime_checkable
+class _Array(Protocol):
+    """NumPy's arrays and scalars, recognized by their method: whoever only reads records need not import numpy."""
+
+    def tolist(self) -> object:
+        """Returns plain numbers, nested as the array is."""
+
+
+def _plain(value: object) -> object:
+    exact = _EXACT.get(type(value))
+    if exact is not None:
+        return exact(value)
+    record = getattr(type(value), "__record__", None)  # of its real type: a lazy result says that it is one
+    if record is not None:
+        return _plain(record(value))
+    for kinds, plain in _PLAIN:
+        if isinstance(value, kinds):
+            return plain(value)
+    module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
+    return {"callable": f"{module}.{name}"} if module and name else {"repr": repr(value)}
+
+
+def _finite(value: float) -> object:
+    return float(value) if math.isfinite(value) else {"float": repr(float(value))}
+
+
+def _mapping(value: Mapping[object, object]) -> object:
+    return {str(key): _plain(item) for key, item in value.items()}
+
+
+def _sequence(value: Iterable[object]) -> object:
+    return [_plain(item) for item in value]
+
+
+# Python's own types, which most values have
+_EXACT: Mapping[type, Callable[[Any], object]] = {
+    type(None): lambda value: value,
+    bool: bool,
+    str: str,
+    int: int,
+    float: _finite,
+    dict: _mapping,
+    list: _sequence,
+    tuple: _sequence,
+}
+
+_PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
+    (str, lambda value: value),
+    (int, int),
+    (float, _finite),
+    (Mapping, _mapping),
+    (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
+    ((list, tuple), _sequence),
+    (_Array, lambda value: _plain(value.tolist())),
+)
+
+
+def to_json(value: object) -> str:
+    """Any value as one line of JSON; floats keep all their bits.
+
+    Arrays become lists, recordable objects what their ``__record__`` returns, anything unknown ``{"repr": ...}``, and
+    what raises errors ``{"untold": type, "because": ...}``: recording never breaks a plan.
+    """
+    try:
+        text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+        text.encode()  # a lone surrogate can't be
+    except UnicodeEncodeError:
+        return json.dumps(_plain(value), separators=(",", ":"))
+    except Exception as error:  # noqa: BLE001  the user's own __repr__ and __record__, and lists that hold themselves
+        return json.dumps({"untold": type(value).__qualname__, "because": format_error(error)})
+    return text
+
+
+def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
+    """Named values as a record carries them, in the given order."""
+    pairs = values.items() if isinstance(values, Mapping) else values
+    return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+
+
+def _message(error: BaseException) -> str:
+    """The message of an exception, whatever its own ``__str__`` does."""
+    try:
+        return str(error)
+    except Exception as broken:  # noqa: BLE001  the error's own __str__
+        return f"<it can't be told: {type(broken).__qualname__}>"
+
+
+def format_error(error: BaseException) -> str:
+    """An exception by its type, and its message if it has one."""
+    text = _message(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def failure(error: BaseException, *, trace: bool = True) -> Failure:
+    """An exception as a record carries it: type, message, data and traceback.
+
+    Args:
+        error: its fields are its ``data`` mapping where it has one.
+        trace: whether with its traceback, which takes the most time.
+    """
+    data = getattr(error, "data", None)
+    lines: list[str] = []
+    if trace:
+        with suppress(Exception):  # of the error's own methods
+            lines = traceback.format_exception(error)
+    return Failure(
+        type=type(error).__qualname__,
+        message=_escaped(_message(error)),
+        data=arguments(data) if isinstance(data, Mapping) else [],
+        traceback=_escaped("".join(lines)),
+    )
+
+
+def format_failure(failure: Failure) -> str:
+    """A recorded failure by its type, and its message if it has one."""
+    return f"{failure.type}: {failure.message}" if failure.message else failure.type
+
+
+def _escaped(text: str) -> str:
+    """A text with lone surrogates as escapes, which a file can hold."""
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -1,0 +1,127 @@
+"""``recorder.record``: what it records of worlds and tasks, and which files it refuses to write."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from recorder import RecordingError
+from recorder.records import Event, Keyframe, Mutation, Run, Task
+from recorder.tracing import journal
+from recorder.tracing.span import span
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def run_tasks() -> None:
+    with span("plan", "outer"), span("motion", "inner", {"target": [1, 2, 3]}):
+        raise KeyError("gone")
+
+
+def test_nested_tasks_and_their_failure_are_recorded_and_the_error_is_raised(tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    with pytest.raises(KeyError, match="gone"), recorder.record(file, name="broken"):
+        run_tasks()
+    with replay.open(file) as log:
+        assert log.complete
+        outer, inner, inner_end, outer_end = log.records(Task)
+        assert (outer.parent, inner.parent) == (0, outer.task)
+        assert inner_end.failure.type == outer_end.failure.type == "KeyError"
+        assert "run_tasks" in inner_end.failure.traceback
+        assert outer.source_file.endswith("test_recording.py")
+        end = log[-1]
+        assert isinstance(end, Run)
+        assert not end.succeeded
+
+
+def test_a_world_that_exists_already_begins_with_its_keyframe(tmp_path: Path) -> None:
+    """Another thread changes the world while the recording begins: changes before the keyframe are part of it."""
+    file = tmp_path / "x.mcap"
+    with BulletWorld() as world, BulletWorld():
+        cup = Object("cup", "cup", "cup.stl", world=world)
+        stop, changed = threading.Event(), threading.Semaphore(0)
+
+        def change() -> None:
+            count = 0
+            while not stop.is_set():
+                count += 1
+                cup.set_position([count, 0, 1])
+                changed.release()
+
+        thread = threading.Thread(target=change)
+        thread.start()
+        try:
+            for _ in range(10):
+                with recorder.record(file):
+                    while changed.acquire(blocking=False):
+                        pass
+                    for _ in range(20):
+                        changed.acquire()
+                with replay.open(file) as log:
+                    kinds = [type(record) for record in log if record.world == world.name]
+                    assert kinds[0] is Keyframe
+                    assert kinds.count(Mutation) >= 10
+                    assert [record.seq for record in log] == list(range(len(log)))
+        finally:
+            stop.set()
+            thread.join()
+
+
+def test_a_disk_that_is_full_from_the_start_is_an_error_before_the_block_runs(tmp_path: Path) -> None:
+    full = tmp_path / "full.mcap"
+    full.symlink_to("/dev/full")
+    ran = []
+    with pytest.raises(recorder.RecordingError, match="No space left"), recorder.record(full):
+        ran.append(True)
+    assert not ran
+
+
+def test_only_finished_recordings_are_overwritten(tmp_path: Path) -> None:
+    precious = tmp_path / "thesis.txt"
+    precious.write_text("years of work")
+    with pytest.raises(recorder.RecordingError, match="no recording"), recorder.record(precious):
+        pass
+    assert precious.read_text() == "years of work"
+    file = tmp_path / "x.mcap"
+    with recorder.record(file):
+        with pytest.raises(recorder.RecordingError, match="another recording"), recorder.record(file):
+            pass
+        with recorder.record(tmp_path / "y.mcap") as second:
+            journal.emit(Event(name="both"))
+        assert second.length == 3
+    with recorder.record(file), BulletWorld():  # an older recording is replaced
+        pass
+    with replay.open(file) as log:
+        assert log.complete
+
+
+@pytest.mark.parametrize("where", ["nowhere/x.mcap", "."])
+def test_a_path_that_can_t_be_written_is_an_error_before_the_block_runs(tmp_path: Path, where: str) -> None:
+    ran = []
+    with pytest.raises(recorder.RecordingError, match="can't record"), recorder.record(tmp_path / where):
+        ran.append(True)
+    assert not ran
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"path": None}, "no path"),
+        ({"path": "a\0b"}, "no path"),
+        ({"name": 5}, "name is 5"),
+        ({"live": 5}, "live is 5"),
+        ({"arguments": None}, "arguments are None"),
+        ({"source": "nowhere.py"}, "no source"),
+    ],
+)
+def test_invalid_arguments_are_refused(tmp_path: Path, arguments: dict[str, object], message: str) -> None:
+    file = tmp_path / "x.mcap"
+    with pytest.raises(RecordingError, match=message), recorder.record(**{"path": file, **arguments}):
+        pass
+    assert not file.exists()
