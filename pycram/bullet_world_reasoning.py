@@ -81,7 +81,7 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
     """
     one, other = unwrap(object1), unwrap(object2)
     place = world_of(one, other, world=world)
-    gap = checks.at_least("margin", margin, 0.0)
+    gap = checks.in_range("margin", margin, 0.0)
     with asking("contact", place, {"object1": one, "object2": other, "margin": gap}) as asked:
         touches = _contact.touches(one, other, _contact.MARGIN + gap)
         asked.evidence = _contact.evidence(touches)
@@ -113,7 +113,7 @@ def visible(
     body: Object = unwrap(object)
     machine = None if robot is None else robot_of(robot)
     place = world_of(*(other for other in (body, machine) if other is not None), world=world)
-    share = checks.at_least("threshold", threshold, 0.0)
+    share = checks.in_range("threshold", threshold, 0.0)
     looks = _whose(camera, place, machine)
     with asking("visible", place, {"object": body, "camera": camera, **looks, "threshold": share}) as asked:
         view = _visibility.view(body, _visibility.camera_at(camera, body, **looks))
@@ -269,7 +269,7 @@ def reachable_poses(
     machine = robot_of(robot)
     place = world_of(machine, world=world)
     machine.check_link(checks.text("gripper link", gripper_name))
-    near = checks.at_least("threshold", threshold, 0.0)
+    near = checks.in_range("threshold", threshold, 0.0)
     ignored: list[Object] = [unwrap(other) for other in ignoring]
     world_of(machine, *ignored, world=place)
     count = max(len(poses), len(bases or ()), len(orientations or ()))
@@ -394,7 +394,7 @@ def _reaches(
     collision_free: bool,
 ) -> Verdict:
     """The common part of the reachable queries."""
-    near = checks.at_least("threshold", threshold, 0.0)
+    near = checks.in_range("threshold", threshold, 0.0)
     solver = _reach.Solver(robot, link)
     options = solver.postures(target, orientation, thorough=collision_free, threshold=near)
     oriented = orientation is not None

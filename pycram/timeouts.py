@@ -89,8 +89,8 @@ def _watch(seconds: float) -> Iterator[Scope]:
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
     remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
     scope = Scope(current_scope(), remaining)
-    world.alarms.add(scope.wake)
+    world.time_listeners.add(scope.wake)
     try:
         yield scope
     finally:
-        world.alarms.discard(scope.wake)
+        world.time_listeners.discard(scope.wake)

@@ -20,16 +20,16 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
+from pycram.foundation.names import qualified_name
 from pycram.handle import Handle, branches_in, unwrap
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
 from pycram.motions.solutions import Solution, Solutions
-from pycram.world.event import qualified_name
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.claims import Claims
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from pycram.foundation.failures import BadArgument
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
 _lock = threading.Lock()
 

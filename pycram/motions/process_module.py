@@ -20,11 +20,11 @@ from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
+from pycram.foundation.names import qualified_name
 from pycram.handle import branches_in
 from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.resolvers import Resolvers
 from pycram.open_block import current_block
-from pycram.world.event import qualified_name
 from pycram.world.world import BulletWorld
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span, span

@@ -250,7 +250,7 @@ def test_the_palm_stays_before_the_handle(scene: BulletWorld) -> None:
     deepest: list[float] = []
 
     def look(_: Object) -> None:
-        touches = scene.engine.link_touches(robot.handle, "l_gripper_palm_link", kitchen.handle, 0.05)
+        touches = scene.engine.link_closest_points(robot.handle, "l_gripper_palm_link", kitchen.handle, 0.05)
         deepest.extend(touch.distance for touch in touches if touch.link_b == HANDLE)
 
     manipulated = scene.get_manipulation_event()

@@ -395,6 +395,6 @@ def test_timeouts_in_simulated_time(world: BulletWorld) -> None:
         s(lambda: wait(gate, lambda: False))  # is woken by the passing of simulated time
     assert raised.value.clock == "simulated"
     assert world.sim_step == 240
-    assert not world.alarms
+    assert not world.time_listeners
     with timeout(1, simulated=True):
         world.simulate(1)

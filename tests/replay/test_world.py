@@ -32,7 +32,7 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    for world in current.opened():
+    for world in current.open_worlds():
         world.exit()
 
 
@@ -127,7 +127,7 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> 
             step = end_of(log)
             ask(log, step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
-            assert current.opened() == (now,)
+            assert current.open_worlds() == (now,)
             past = log.world_at(step)
         past.simulate(0.1)
         past.exit()
@@ -162,7 +162,7 @@ def test_steps_without_a_world_say_so(planned: Path) -> None:
             log.world_at("last", "kitchen")
         with pytest.raises(replay.NoSuchName, match="kitchen"):
             log.world_at(20, "kitchn")
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> None:

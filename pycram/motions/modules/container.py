@@ -105,7 +105,7 @@ def _hit(
 def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[Object]:
     """What a drawer or door would push away when it opens; what lies in it moves along."""
     moved = carried.moved_links(container.urdf, [joint])
-    riding = carried.riders(container, moved)
+    riding = carried.supported_bodies(container, moved)
     copy = twin(container.world, "reach")
     bodies = copy.sync()
     engine, opening = copy.engine, bodies[container.name]
@@ -116,7 +116,9 @@ def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[O
         for value in values[1:]:
             engine.pose_joints(opening, {joint: value})
             for body in others:
-                touches = (touch for link in moved for touch in engine.link_touches(opening, link, bodies[body.name]))
+                touches = (
+                    touch for link in moved for touch in engine.link_closest_points(opening, link, bodies[body.name])
+                )
                 if any(touch.distance < -DEPTH for touch in touches):
                     yield body
     finally:

@@ -23,11 +23,11 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
     from types import TracebackType
+    from typing import Self
 
     from numpy.typing import NDArray
-    from typing_extensions import Self
 
-    from pycram.physics.engine import Touch
+    from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -61,7 +61,7 @@ class Candidate:
     centers: NDArray[np.float64]
     axes: NDArray[np.float64]
     moved: NDArray[np.float64]
-    seen: dict[Pair, list[Touch]] = field(default_factory=dict)
+    seen: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)
     pairs: list[Pair] = field(default_factory=list)
 
 
@@ -192,7 +192,7 @@ class CollisionChecker:
             found[mover, link, self._around.whose[other], self._around.boxes.links[other]] = None
         return found
 
-    def _look(self, pair: Pair) -> list[Touch]:
+    def _look(self, pair: Pair) -> list[ClosestPoint]:
         """Where two links touch; the twin's robot is put there only for this."""
         engine, taken = self._engine, self._taken
         if pair in taken.seen:
@@ -208,10 +208,10 @@ class CollisionChecker:
             self._there = True
         mover, link, other, other_link = pair
         bodies = self._bodies[mover.name], self._bodies[other.name]
-        taken.seen[pair] = engine.link_touches(bodies[0], link, bodies[1], link_b=other_link)
+        taken.seen[pair] = engine.link_closest_points(bodies[0], link, bodies[1], link_b=other_link)
         return taken.seen[pair]
 
-    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, list[Touch]]]:
+    def hits(self, links: Collection[str] | None = None) -> Iterator[tuple[Object, list[ClosestPoint]]]:
         """Touches in the posture that it has taken, as they are found; what was looked at once is known.
 
         Args:
@@ -240,7 +240,7 @@ class CollisionChecker:
         Returns:
             For each object, the robot's links that touch it, its own links, and the depth in m; deepest first.
         """
-        found: dict[Object, list[Touch]] = {}
+        found: dict[Object, list[ClosestPoint]] = {}
         for other, touches in self.hits():
             found.setdefault(other, []).extend(touches)
         told = {other: _told(touches) for other, touches in found.items()}
@@ -289,7 +289,7 @@ def _in_turn(pairs: Iterable[Pair]) -> list[Pair]:
     return sorted(order, key=order.__getitem__)
 
 
-def _told(touches: list[Touch]) -> dict[str, object]:
+def _told(touches: list[ClosestPoint]) -> dict[str, object]:
     return {
         "links": sorted({touch.link_a for touch in touches}),
         "by": sorted({touch.link_b for touch in touches}),
@@ -309,7 +309,7 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
     return held
 
 
-def _carries_wheels(touch: Touch) -> bool:
+def _carries_wheels(touch: ClosestPoint) -> bool:
     """Whether a robot stands there rather than bumps: a contact from below, at the height of its base's feet."""
     return touch.normal[2] > _STANDING and touch.position_b[2] < _FEET
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes
-from pycram.world.transaction import Reading, read
+from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ _AWAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 class _Copy:
     original: Body
     body: Body
-    state: Reading | None
-    known: dict[Hashable, tuple[Reading, object]] = field(default_factory=dict)
+    state: Snapshot | None
+    known: dict[Hashable, tuple[Snapshot, object]] = field(default_factory=dict)
 
 
 class SimulationClone:
@@ -92,7 +92,7 @@ class SimulationClone:
     def _start_afresh(self, bodies: Iterable[Object], copies: Mapping[str, Body]) -> None:
         """Forgets contacts of earlier questions, which would change the last bits of the answer."""
         for body in bodies:
-            self.engine.separate(copies[body.name], fixed=body.fixed, robot=body.is_robot)
+            self.engine.reset_collision_filter(copies[body.name], fixed=body.fixed, robot=body.is_robot)
 
     def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]
@@ -112,7 +112,7 @@ class SimulationClone:
         self._held.clear()
 
     def _copy(self, body: Object) -> Body:
-        now = read(body)
+        now = take_snapshot(body)
         copy = self._copies.get(body.name)
         if copy is None:
             loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot)

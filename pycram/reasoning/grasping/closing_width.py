@@ -37,7 +37,9 @@ def closed_around(
     def touches(share: float) -> bool:
         engine.set_joints(hand, gripper.at(share))
         return any(
-            touch.distance < -_SLACK for finger in gripper.fingers for touch in engine.link_touches(hand, finger, thing)
+            touch.distance < -_SLACK
+            for finger in gripper.fingers
+            for touch in engine.link_closest_points(hand, finger, thing)
         )
 
     try:

@@ -46,7 +46,7 @@ def set_down(body: Object, target: Sequence[float], turn: Quaternion) -> Vector:
         return [
             other.name
             for other in others
-            if any(touch.distance < -_OVERLAP for touch in engine.touches(mine, bodies[other.name]))
+            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(mine, bodies[other.name]))
         ]
 
     try:

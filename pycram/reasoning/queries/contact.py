@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pycram.physics.engine import Touch
+    from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
 
 MARGIN: Final = 1e-3
 """m; bodies at rest keep up to half a millimetre of air in the engine, which a person would call touching."""
 
 
-def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
+def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
     """Where two objects touch.
 
     Args:
@@ -28,10 +28,10 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
     if a is b:
         return []  # the engine would tell how a body overlaps itself
     engine = a.world.engine
-    return [touch for touch in engine.touches(a.handle, b.handle, margin) if touch.distance <= margin]
+    return [touch for touch in engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
 
 
-def evidence(found: list[Touch]) -> dict[str, object]:
+def evidence(found: list[ClosestPoint]) -> dict[str, object]:
     """Links, points and depths of touches, for the record."""
     return {
         "links": sorted({(touch.link_a, touch.link_b) for touch in found}),

@@ -19,8 +19,7 @@ from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-
-    from typing_extensions import Self
+    from typing import Self
 
 T = TypeVar("T")
 

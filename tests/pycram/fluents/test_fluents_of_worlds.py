@@ -35,7 +35,7 @@ def test_fluents_are_what_the_world_says_whatever_changes_it(scene: BulletWorld)
 
         held = milk.name if milk.carrier is robot else None
         left = held if held and robot.attachments[milk].carrier_link == tool else None
-        near = kitchen.world.engine.touches(milk.handle, kitchen.handle, 1e-3)
+        near = kitchen.world.engine.closest_points(milk.handle, kitchen.handle, 1e-3)
         return [at(milk), at(robot)[0], at(robot, tool), robot.get_joint_position("torso_lift_joint"),
                 kitchen.get_joint_position("iai_fridge_door_joint"), held, left, None, True if near else None]  # fmt: skip
 

@@ -106,7 +106,7 @@ def test_a_cancelled_branch_leaves_its_wait_at_once(kind: str) -> None:
         with waiting(awaited) as running:
             running.scope.cancel()
     assert isinstance(running.end(), Cancelled)
-    assert not fluent.term.watchers
+    assert not fluent.expression.waiters
     fluent.set_value(3)
 
 
@@ -158,7 +158,7 @@ def test_a_block_that_is_broken_off_takes_what_waits_in_it_along() -> None:
     with pytest.raises(KeyboardInterrupt):
         plan()
     assert threading.active_count() == threads
-    assert not battery.term.watchers
+    assert not battery.expression.waiters
 
 
 def test_an_old_values_finalizer_may_use_fluents() -> None:
@@ -191,4 +191,4 @@ def test_ctrl_c_ends_a_wait() -> None:
         watched.wait_for(PATIENCE)
     over.set()
     running.end()
-    assert not fluent.term.watchers
+    assert not fluent.expression.waiters

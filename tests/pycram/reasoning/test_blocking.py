@@ -111,7 +111,7 @@ def overlaps(
     for (mover, link), other in itertools.product(movers, robot.world.objects):
         if other is robot or other in held:
             continue
-        for touch in copy.engine.link_touches(bodies[mover.name], link, bodies[other.name]):
+        for touch in copy.engine.link_closest_points(bodies[mover.name], link, bodies[other.name]):
             if touch.distance <= -checker.DEPTH:
                 depths[other] = max(depths.get(other, 0.0), -touch.distance)
     return depths
@@ -125,7 +125,7 @@ def bends(copy: object, robot: Object, joints: list[str], moving: list[str], bod
     return any(
         touch.distance <= -0.02 and abs(depth[link] - depth[touch.link_b]) > 3
         for link in moving
-        for touch in copy.engine.link_touches(body, link, body)
+        for touch in copy.engine.link_closest_points(body, link, body)
     )
 
 

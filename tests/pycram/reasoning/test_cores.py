@@ -64,7 +64,7 @@ def test_links_overlap_at_least_as_deep_as_their_balls(robot: Object, file: str)
             overlap = hands.overlaps(
                 back @ mine.axes[which], ways, inscribed_spheres.inscribed_spheres(thing.model.path)
             ).max()
-            depth = max((-touch.distance for touch in engine.link_touches(hand, link, copy)), default=0.0)
+            depth = max((-touch.distance for touch in engine.link_closest_points(hand, link, copy)), default=0.0)
             sure += overlap > 0.003
             assert overlap <= depth + 1e-4
         assert sure > 20, "else nothing was asked"
