@@ -12,7 +12,7 @@ A fluent has a value; any branch or thread may read it, set it, and wait until i
 Operators make networks, whose value follows from that of their operands at one moment. Comparisons and AND, OR, NOT,
 IS, IS_NOT give True or None, never False: one waits for what is not None. None means that there is no value (yet), so
 it is neither less nor more than anything, and no sum has a value if a part has none. AND and OR look at their second
-operand only if they have to, as in ``(speed != 0).AND(way / speed < 10)``.
+operand only if they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
 
 Setting a fluent pulses it, also with the value that it has, and a pulse of a fluent pulses the networks made of it.
 :meth:`Fluent.pulsed` counts pulses, and :func:`whenever` handles them.
@@ -74,6 +74,39 @@ class NotTrueOrFalse(UsageError):
             f"{fluent} is a fluent, neither true nor false; ask its get_value(), and combine fluents with AND, OR, NOT"
         )
         self.fluent = fluent
+
+
+def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluent, object], Fluent]:
+    """Return the method of an order relation, which doesn't hold if one of the values is None."""
+
+    def compare(self: Fluent, other: object) -> Fluent:
+        return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), self, other)
+
+    return compare
+
+
+def _arithmetic(
+    sign: str, function: Callable[[Value, Value], Value]
+) -> tuple[Callable[[Fluent, object], Fluent], Callable[[Fluent, object], Fluent]]:
+    """Return the methods of an arithmetic operator, with the fluent on its left and on its right."""
+
+    def left(self: Fluent, other: object) -> Fluent:
+        return _network(f"{{}} {sign} {{}}", _unless_none(function), self, other)
+
+    def right(self: Fluent, other: object) -> Fluent:
+        return _network(f"{{}} {sign} {{}}", _unless_none(function), other, self)
+
+    return left, right
+
+
+def _unless_none(function: Callable[..., Value]) -> Callable[[Iterator[Value]], Value]:
+    """Return a function of all operands' values that gives None if one of them is None."""
+
+    def compute(values: Iterator[Value]) -> Value:
+        given = tuple(values)
+        return None if any(value is None for value in given) else function(*given)
+
+    return compute
 
 
 class Fluent:
@@ -227,68 +260,26 @@ class Fluent:
     def __bool__(self) -> bool:
         raise NotTrueOrFalse(self.name)
 
-    def __lt__(self, other: object) -> Fluent:
-        return _order("<", operator.lt, self, other)
-
-    def __le__(self, other: object) -> Fluent:
-        return _order("<=", operator.le, self, other)
-
-    def __gt__(self, other: object) -> Fluent:
-        return _order(">", operator.gt, self, other)
-
-    def __ge__(self, other: object) -> Fluent:
-        return _order(">=", operator.ge, self, other)
-
-    def __add__(self, other: object) -> Fluent:
-        return _arithmetic("{} + {}", operator.add, self, other)
-
-    def __radd__(self, other: object) -> Fluent:
-        return _arithmetic("{} + {}", operator.add, other, self)
-
-    def __sub__(self, other: object) -> Fluent:
-        return _arithmetic("{} - {}", operator.sub, self, other)
-
-    def __rsub__(self, other: object) -> Fluent:
-        return _arithmetic("{} - {}", operator.sub, other, self)
-
-    def __mul__(self, other: object) -> Fluent:
-        return _arithmetic("{} * {}", operator.mul, self, other)
-
-    def __rmul__(self, other: object) -> Fluent:
-        return _arithmetic("{} * {}", operator.mul, other, self)
-
-    def __truediv__(self, other: object) -> Fluent:
-        return _arithmetic("{} / {}", operator.truediv, self, other)
-
-    def __rtruediv__(self, other: object) -> Fluent:
-        return _arithmetic("{} / {}", operator.truediv, other, self)
-
-    def __floordiv__(self, other: object) -> Fluent:
-        return _arithmetic("{} // {}", operator.floordiv, self, other)
-
-    def __rfloordiv__(self, other: object) -> Fluent:
-        return _arithmetic("{} // {}", operator.floordiv, other, self)
-
-    def __mod__(self, other: object) -> Fluent:
-        return _arithmetic("{} % {}", operator.mod, self, other)
-
-    def __rmod__(self, other: object) -> Fluent:
-        return _arithmetic("{} % {}", operator.mod, other, self)
-
-    def __pow__(self, other: object) -> Fluent:
-        return _arithmetic("{} ** {}", operator.pow, self, other)
-
-    def __rpow__(self, other: object) -> Fluent:
-        return _arithmetic("{} ** {}", operator.pow, other, self)
+    __lt__ = _order("<", operator.lt)
+    __le__ = _order("<=", operator.le)
+    __gt__ = _order(">", operator.gt)
+    __ge__ = _order(">=", operator.ge)
+    __add__, __radd__ = _arithmetic("+", operator.add)
+    __sub__, __rsub__ = _arithmetic("-", operator.sub)
+    __mul__, __rmul__ = _arithmetic("*", operator.mul)
+    __truediv__, __rtruediv__ = _arithmetic("/", operator.truediv)
+    __floordiv__, __rfloordiv__ = _arithmetic("//", operator.floordiv)
+    __mod__, __rmod__ = _arithmetic("%", operator.mod)
+    __pow__, __rpow__ = _arithmetic("**", operator.pow)
 
     def __neg__(self) -> Fluent:
-        return _arithmetic("-{}", operator.neg, self)
+        return _network("-{}", _unless_none(operator.neg), self)
 
     def __pos__(self) -> Fluent:
-        return _arithmetic("+{}", operator.pos, self)
+        return _network("+{}", _unless_none(operator.pos), self)
 
     def __abs__(self) -> Fluent:
-        return _arithmetic("abs({})", abs, self)
+        return _network("abs({})", _unless_none(abs), self)
 
 
 class Derived(Fluent):
@@ -347,18 +338,6 @@ def _comparison(
     sign: str, test: Callable[[Value, Value], object], left: object, right: object, *, same: bool | None = None
 ) -> Fluent:
     return _network(f"{{}} {sign} {{}}", lambda values: True if test(*values) else None, left, right, same=same)
-
-
-def _order(sign: str, test: Callable[[Value, Value], object], left: object, right: object) -> Fluent:
-    return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), left, right)
-
-
-def _arithmetic(form: str, function: Callable[..., Value], *operands: object) -> Fluent:
-    def compute(values: Iterator[Value]) -> Value:
-        given = tuple(values)
-        return None if any(value is None for value in given) else function(*given)
-
-    return _network(form, compute, *operands)
 
 
 export("pycram.fluent", NotSettable, NotTrueOrFalse)

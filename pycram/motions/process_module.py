@@ -20,7 +20,7 @@ from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
-from pycram.foundation.names import qualified_name
+from pycram.foundation.names import export, qualified_name
 from pycram.handle import branches_in
 from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.resolvers import Resolvers
@@ -75,6 +75,9 @@ class NoProcessModule(UsageError):
         self.robot = robot
         self.environment = environment
         self.known = known
+
+
+export("pycram.process_module", NoProcessModule)
 
 
 @contextmanager

@@ -34,8 +34,9 @@ class Object:
     Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame,
     unless a link is named. Positions of joints are in rad or m. Setting poses and joints is exact and runs no physics.
 
-    All methods raise WorldClosed when the object was removed or its world has ended, and UnknownName for a link or
-    movable joint that it doesn't have; methods that change it raise ChangeRefused while a reasoning query runs.
+    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that it doesn't have,
+    and WorldClosed when it was removed or its world has ended; methods that change it raise ChangeRefused while a
+    reasoning query runs.
 
     Args:
         name: Unique in its world.
@@ -264,11 +265,7 @@ class Object:
     # --- changes -----------------------------------------------------------------------------------------------------
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Put it at a pose, with all that it carries; if it is carried itself, it gets a new relative pose.
-
-        Raises:
-            BadArgument: Not a position or orientation.
-        """
+        """Put it at a pose, with all that it carries; if it is carried itself, it gets a new relative pose."""
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         command = records.MoveBody(body=self.name, position=pose[0], orientation=pose[1])
         with self.world.transactions.begin(records.Mutation(move_body=command)) as transaction:
@@ -280,21 +277,13 @@ class Object:
                 transaction.fire(self.world.get_manipulation_event(), self)
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
-        """Put it at a position, with its present orientation unless one is given.
-
-        Raises:
-            BadArgument: Not a position or orientation.
-        """
+        """Put it at a position, with its present orientation unless one is given."""
         with self.world.lock:
             kept = self.get_orientation() if orientation is None else orientation
             self.set_position_and_orientation(position, kept)
 
     def set_orientation(self, orientation: Sequence[float]) -> None:
-        """Turn it about its base link's origin.
-
-        Raises:
-            BadArgument: Not an orientation.
-        """
+        """Turn it about its base link's origin."""
         with self.world.lock:
             self.set_position_and_orientation(self.get_position(), orientation)
 
@@ -309,7 +298,6 @@ class Object:
             positions: In rad or m by joint name.
 
         Raises:
-            BadArgument: Not a number.
             JointLimitError: Outside the joint's limits.
         """
         joints.set_positions(self, positions)
@@ -344,7 +332,6 @@ class Object:
             other_link: The link of the other that is held; its base link by default.
 
         Raises:
-            BadArgument: The other isn't an object.
             AttachmentError: It is impossible (cycle, fixed base, carried by another, another world).
         """
         attachment.attach(self, _object("other", other), link, other_link)
@@ -353,7 +340,6 @@ class Object:
         """End an attachment, from either side (thesis 4.3.2); both stay where they are.
 
         Raises:
-            BadArgument: The other isn't an object.
             AttachmentError: There is none between the two.
         """
         attachment.detach(self, _object("other", other))
@@ -364,11 +350,7 @@ class Object:
             self.detach(other)
 
     def set_color(self, color: Sequence[float]) -> None:
-        """Paint all of it, RGBA 0..1.
-
-        Raises:
-            BadArgument: Not a colour.
-        """
+        """Paint all of it, RGBA 0..1."""
         rgba = checks.color("color", color)
         command = records.SetColor(body=self.name, color=rgba)
         with self.world.transactions.begin(records.Mutation(set_color=command)):

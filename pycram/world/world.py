@@ -41,14 +41,14 @@ _MAX_SECONDS: Final = 366 * 86400.0  # of one simulation; longer ones are mistak
 class BulletWorld(metaclass=CurrentWorld):
     """A world, as a context manager that exits it.
 
-    All methods that change it raise WorldClosed when it has ended, and ChangeRefused while a reasoning query runs.
+    All methods raise BadArgument for impossible values; those that change it raise WorldClosed when it has ended, and
+    ChangeRefused while a reasoning query runs.
 
     Args:
         type: "DIRECT" (headless) or "GUI" (a window).
         name: Of the world in records; "world_1", "world_2", ... by default.
 
     Raises:
-        BadArgument: Another type.
         DisplayError: No window can open, or one is open already.
     """
 
@@ -139,11 +139,7 @@ class BulletWorld(metaclass=CurrentWorld):
         self.set_robot(robot)
 
     def set_robot(self, robot: Object | None) -> None:
-        """Set the robot that plans control in this world; None for none.
-
-        Raises:
-            BadArgument: It isn't a robot of this world.
-        """
+        """Set the robot that plans control in this world; None for none."""
         if robot is not None and (not isinstance(robot, Object) or not robot.is_robot or robot.world is not self):
             raise BadArgument("robot", robot, f'an object of type "robot" in {self.name}')
         command = records.SetRobot(body=robot.name if robot else "")
@@ -173,7 +169,6 @@ class BulletWorld(metaclass=CurrentWorld):
         """Return the object of a name.
 
         Raises:
-            BadArgument: It isn't a name.
             UnknownName: There is none.
         """
         if checks.text("name", name) not in self._objects:
@@ -240,11 +235,7 @@ class BulletWorld(metaclass=CurrentWorld):
         return self._clock is not None
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
-        """Set the gravity [x, y, z] in m/s^2.
-
-        Raises:
-            BadArgument: Not 3 finite numbers.
-        """
+        """Set the gravity [x, y, z] in m/s^2."""
         vector = checks.vector("gravity", gravity)
         with self.transactions.begin(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
             self.engine.set_gravity(vector)
@@ -254,7 +245,6 @@ class BulletWorld(metaclass=CurrentWorld):
         """Start or stop simulating at the pace of the clock, in a thread of its own.
 
         Raises:
-            BadArgument: Neither True nor False.
             Exception: When it stops, the first error that a handler of an event raised in that thread.
         """
         enabled = checks.switch("real_time", real_time)
@@ -269,18 +259,13 @@ class BulletWorld(metaclass=CurrentWorld):
             stopped.stop()  # without the lock, which its last simulation may be waiting for
 
     def simulate(self, seconds: float) -> None:
-        """Simulate ``round(seconds * 240)`` steps.
-
-        Raises:
-            BadArgument: Not a number from 0 to a year's seconds.
-        """
+        """Simulate ``round(seconds * 240)`` steps, at most a year."""
         self.simulate_steps(round(checks.in_range("seconds", seconds, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
         """Simulate steps of 1/240 s each.
 
         Raises:
-            BadArgument: Not a whole number from 0 up.
             WorldClosed: Another thread has ended the world meanwhile.
         """
         steps = checks.count("steps", steps)
@@ -327,11 +312,7 @@ class BulletWorld(metaclass=CurrentWorld):
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:
-        """Have a function called once, with the world's lock held, when the world ends.
-
-        Raises:
-            BadArgument: It isn't callable.
-        """
+        """Have a function called once, with the world's lock held, when the world ends."""
         if not callable(close):
             raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)

@@ -1,4 +1,4 @@
-"""Networks that are dropped leave nothing behind."""
+"""Dropped networks are freed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pycram.fluents.expressions import Expression
 from pycram.fluents.waiting import StateStream
 
 
-def test_dropped_networks_leave_nothing_behind() -> None:
+def test_dropped_networks_are_freed() -> None:
     def alive() -> int:
         return sum(isinstance(one, Fluent | Expression | StateStream) for one in gc.get_objects())
 
