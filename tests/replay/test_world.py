@@ -107,10 +107,10 @@ def test_it_needs_nothing_but_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
 import sys
-from pycram import assets
+from pycram.models import load
 def gone(*_):
     raise AssertionError("looked for a model outside of the recording")
-assets.find = assets.resources = gone
+load.find = load.resources = gone
 import replay
 with replay.open(sys.argv[1]) as log:
     world = log.world_at(-3)
