@@ -1,4 +1,4 @@
-"""Text and TOML files of models; whatever is wrong with one is an AssetError that names it."""
+"""Text, TOML and URDF files of models; an invalid one raises an AssetError that names it."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import tomllib
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import AssetError
+from recorder.geometry.joints import UrdfError
+from recorder.geometry.urdf import Urdf
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -33,3 +35,15 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
         return tomllib.loads(text)
     except ValueError as error:
         raise AssetError(source, f"is not TOML: {error}") from error
+
+
+def parse_urdf(text: str | bytes, source: str | Path) -> Urdf:
+    """Return the tree of links and joints of a URDF; errors name its source.
+
+    Raises:
+        AssetError: It isn't a URDF, or not one tree.
+    """
+    try:
+        return Urdf.parse(text)
+    except UrdfError as error:
+        raise AssetError(source, str(error)) from error

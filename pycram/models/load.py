@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import links, mesh, store
-from pycram.models.files import read_text
-from recorder.geometry.joints import UrdfError
-from recorder.geometry.urdf import Urdf
+from pycram.models.files import parse_urdf, read_text
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+
+    from recorder.geometry.urdf import Urdf
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
@@ -117,10 +117,7 @@ def restore(files: Iterable[tuple[str, bytes]]) -> Model:
             raise AssetError(key, "is not the file that its name says")
         store.write(key, content)
         assets.append(asset)
-    try:
-        tree = Urdf.parse(assets[0].content)
-    except UrdfError as error:
-        raise AssetError(assets[0].key, str(error)) from error
+    tree = parse_urdf(assets[0].content, assets[0].key)
     path, _ = store.write_urdf(assets[0].name, assets[0].content)
     return Model(path, tree, tuple(assets))
 
@@ -181,12 +178,9 @@ def _cached_model(source: Path, text: str, stem: str, versions: tuple[_MeshVersi
             material.remove(texture)  # the software renderer shows plain colours
     for link in root.iter("link"):
         links.give_inertia(link)
-    try:
-        _normalize_axes(root, Urdf.parse(ET.tostring(root, encoding="unicode")))
-        content = ET.tostring(root, encoding="unicode")
-        tree = Urdf.parse(content)
-    except UrdfError as error:
-        raise AssetError(source, str(error)) from error
+    _normalize_axes(root, parse_urdf(ET.tostring(root, encoding="unicode"), source))
+    content = ET.tostring(root, encoding="unicode")
+    tree = parse_urdf(content, source)
     path, asset = store.write_urdf(f"{stem}.urdf", content.encode())
     return Model(path, tree, (asset, *{mesh.key: mesh for mesh in meshes.values()}.values()))
 

@@ -230,11 +230,6 @@ class Engine:
         for index in body.links.values():
             bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
 
-    def mass(self, body: Body, link: str) -> float:
-        """Return the mass of a link in kg."""
-        mass: float = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[0]
-        return mass
-
     def center_of_mass(self, body: Body) -> tuple[Vector, float]:
         """Return the centre of mass of all links in the world, m, and their mass in kg."""
         c = self._client

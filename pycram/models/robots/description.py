@@ -181,12 +181,12 @@ class RobotDescription:
             tables.only(table, "robot", "base_link", "arms", "head", "camera", "torso")
             arms = tables.table(table, "arms")
             return cls(
-                robot=tables.text(table, "robot"),
-                base_link=tables.text(table, "base_link"),
+                robot=checks.text("robot", table["robot"]),
+                base_link=checks.text("base_link", table["base_link"]),
                 arms={name: _arm(name, tables.table(arms, name)) for name in arms},
-                head=tables.optional(table, "head", _head),
-                camera=tables.optional(table, "camera", _camera),
-                torso=tables.optional(table, "torso", _torso),
+                head=tables.record(Head, tables.table(table, "head")) if "head" in table else None,
+                camera=_camera(tables.table(table, "camera")) if "camera" in table else None,
+                torso=tables.record(Torso, tables.table(table, "torso")) if "torso" in table else None,
                 text=text,
                 source=source,
             )
@@ -262,53 +262,33 @@ def find_description(robot: str) -> RobotDescription | None:
     return next((description for description in descriptions if description.robot == robot), None)
 
 
-def _head(table: dict[str, object]) -> Head:
-    return Head(tables.text(table, "pan"), tables.text(table, "tilt"))
-
-
-def _torso(table: dict[str, object]) -> Torso:
-    return Torso(tables.text(table, "joint"), tables.number(table, "default"))
-
-
-def _camera(table: dict[str, object]) -> CameraDescription:
-    tables.only(table, "frame", "horizontal_fov", "vertical_fov", "width", "height", "near", "far")
-    near = tables.between(table, "near", 1e-4, _MAX_SIGHT)
-    return CameraDescription(
-        frame=tables.text(table, "frame"),
-        horizontal_fov=tables.between(table, "horizontal_fov", 1e-3, _MAX_FOV),
-        vertical_fov=tables.between(table, "vertical_fov", 1e-3, _MAX_FOV),
-        width=int(tables.between(table, "width", 1, _MAX_PIXELS)),
-        height=int(tables.between(table, "height", 1, _MAX_PIXELS)),
-        near=near,
-        far=tables.between(table, "far", near, _MAX_SIGHT),
+def _camera(table: tables.Table) -> CameraDescription:
+    fov, pixels, sight = (1e-3, _MAX_FOV), (1, _MAX_PIXELS), (1e-4, _MAX_SIGHT)
+    camera = tables.record(
+        CameraDescription,
+        table,
+        horizontal_fov=fov,
+        vertical_fov=fov,
+        width=pixels,
+        height=pixels,
+        near=sight,
+        far=sight,
     )
+    checks.in_range("far", camera.far, camera.near)
+    return camera
 
 
-def _arm(name: str, table: dict[str, object]) -> Arm:
-    gripper = tables.table(table, "gripper")
+def _arm(name: str, table: tables.Table) -> Arm:
     tables.only(table, "base_link", "tool_frame", "joints", "poses", "gripper")
-    tables.only(gripper, "joints", "closed", "open", "palm", "fingers", "aperture", "depth", "tips", "underside")
-    joints = tables.texts(table, "joints")
+    joints = tables.texts("joints", table["joints"])
     poses: dict[str, tuple[float, ...]] = {}
     for pose, values in tables.table(table, "poses").items():
         if not isinstance(values, list) or len(values) != len(joints):
             raise BadArgument(f"arms.{name}.poses.{pose}", values, f"{len(joints)} numbers")
         poses[pose] = tuple(checks.number(pose, value) for value in values)
-    return Arm(
-        name=name,
-        joints=joints,
-        base_link=tables.text(table, "base_link"),
-        tool_frame=tables.text(table, "tool_frame"),
-        gripper=Gripper(
-            joints=tables.texts(gripper, "joints"),
-            closed=tables.number(gripper, "closed"),
-            open=tables.number(gripper, "open"),
-            palm=tables.text(gripper, "palm"),
-            fingers=tables.texts(gripper, "fingers"),
-            aperture=tables.between(gripper, "aperture", 1e-3, 1.0),
-            depth=tables.between(gripper, "depth", 0.0, 1.0),
-            tips=tables.between(gripper, "tips", 0.0, 1.0),
-            underside=tables.between(gripper, "underside", 0.0, 1.0),
-        ),
-        poses=poses,
+    size = (0.0, 1.0)
+    gripper = tables.record(
+        Gripper, tables.table(table, "gripper"), aperture=(1e-3, 1.0), depth=size, tips=size, underside=size
     )
+    base_link, tool_frame = (checks.text(key, table[key]) for key in ("base_link", "tool_frame"))
+    return Arm(name, joints, base_link, tool_frame, gripper, poses)

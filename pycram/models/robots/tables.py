@@ -1,8 +1,9 @@
-"""Entries of TOML tables, checked: KeyError where one is missing, BadArgument where it isn't of its kind."""
+"""Tables of a TOML file, checked: KeyError where an entry is missing, BadArgument where it is unknown or impossible."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias, TypeVar
+import dataclasses
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
@@ -29,29 +30,35 @@ def table(parent: Table, key: str) -> Table:
     return value
 
 
-def optional(parent: Table, key: str, read: Callable[[Table], T]) -> T | None:
-    """Return what a function reads from a table within a table; None without one."""
-    return read(table(parent, key)) if key in parent else None
-
-
-def text(table: Table, key: str) -> str:
-    """Return a string that isn't empty."""
-    return checks.text(key, table[key])
-
-
-def texts(table: Table, key: str) -> tuple[str, ...]:
+def texts(key: str, value: object) -> tuple[str, ...]:
     """Return a list of names."""
-    value = table[key]
     if not isinstance(value, list):
         raise BadArgument(key, value, "a list of names")
     return tuple(checks.text(key, item) for item in value)
 
 
-def number(table: Table, key: str) -> float:
-    """Return a finite number."""
-    return checks.number(key, table[key])
+_CHECKS: Final[dict[object, Callable[[str, object], object]]] = {
+    "str": checks.text,
+    "float": checks.number,
+    "tuple[str, ...]": texts,
+}
 
 
-def between(table: Table, key: str, low: float, high: float) -> float:
-    """Return a number from low to high."""
-    return checks.in_range(key, table[key], low, high)
+def record(kind: type[T], table: Table, **ranges: tuple[float, float]) -> T:
+    """Return a dataclass with the entries of a table.
+
+    Args:
+        kind: The dataclass; its fields are of the types str, float and tuple[str, ...], or have a range.
+        table: The table; it has an entry for each field and no others.
+        ranges: Lowest and highest value of numeric fields.
+    """
+    fields: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    only(table, *fields)
+    values: dict[str, Any] = {}
+    for name, type_name in fields.items():
+        if name in ranges:
+            number = checks.in_range(name, table[name], *ranges[name])
+            values[name] = int(number) if type_name == "int" else number
+        else:
+            values[name] = _CHECKS[type_name](name, table[name])
+    return kind(**values)

@@ -42,8 +42,8 @@ class Doer(ProcessModule):
         return designator.reference()["action"]()
 
 
-class Told(ProcessModule):
-    """A module for a type of the user's, which may say what it needs."""
+class CustomModule(ProcessModule):
+    """A process module of a user, with or without claims of its own."""
 
     def __init__(self, action: Callable[[], object], needs: Claims | None = None) -> None:
         super().__init__()
@@ -221,7 +221,7 @@ def test_a_motion_may_consist_of_blocks_that_use_its_resources() -> None:
 
 @pytest.mark.usefixtures("_resolver")
 def test_a_motion_may_not_move_what_its_parent_needs_at_rest() -> None:
-    rests = Told(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
+    rests = CustomModule(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
     with pytest.raises(ClaimError, match=r"do moves left-arm, but .* moves base and needs at rest left-arm;"):
         rests.perform("fly")
 
@@ -235,14 +235,14 @@ def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
         begun.set()
         order.append("begins")
         do(lambda: order.append("part"), "left-arm", "anything")  # may be made of whatever it likes
-        Told(lambda: order.append("unknown part")).perform("drive")
+        CustomModule(lambda: order.append("unknown part")).perform("drive")
         order.append("ends")
 
     with par as s:
-        Told(drive).perform(kind)
+        CustomModule(drive).perform(kind)
         s(begun.wait)
         do(lambda: order.append("later"), "left-arm")
-        Told(lambda: order.append("last")).perform("drive")
+        CustomModule(lambda: order.append("last")).perform("drive")
     assert order == ["begins", "part", "unknown part", "ends", "later", "last"]
 
 
@@ -252,7 +252,7 @@ def test_a_motion_claims_what_its_module_or_its_command_needs() -> None:
     for kind, needs in (("drive", Claims(frozenset({"head"}))), ("my-looking", None)):  # cmd "looking" moves the head
         order = []
         with par:
-            Told(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
+            CustomModule(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
             do(meeting.wait, "left-arm")
             do(lambda order=order: order.append(2), "head")
         assert order == [1, 2]
@@ -272,7 +272,7 @@ def test_a_motion_whose_solution_needs_more_resources_waits_for_them() -> None:
         resolved.wait(20)
         order.append("arm")
 
-    pointing = Told(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
+    pointing = CustomModule(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
     with MotionDesignator.resolvers.added(resolve):
         with par:
             pointing.perform("looking")
@@ -292,8 +292,8 @@ def test_invalid_claims_are_refused() -> None:
         with pytest.raises(BadArgument, match="names of resources"):
             Claims(wrong)
     with pytest.raises(BadArgument, match="claims of drive = 'base'"):
-        Told(lambda: None, "base").perform("drive")
-    assert Told(lambda: "free again").perform("drive") == "free again"
+        CustomModule(lambda: None, "base").perform("drive")
+    assert CustomModule(lambda: "free again").perform("drive") == "free again"
 
 
 def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
@@ -310,7 +310,7 @@ def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
         look_first(designator)
         return [{"cmd": "drive"}] if designator.type == "drive" else None
 
-    driving = Told(lambda: done.append("driven"))
+    driving = CustomModule(lambda: done.append("driven"))
     with MotionDesignator.resolvers.added(resolve), par:
         driving.perform("drive")
         do(lambda: done.append("next"), "head", quiet=True)
