@@ -1,20 +1,29 @@
-# Everything a newcomer types. The first call of any target sets up .venv; nothing outside of this folder is touched.
+# Everything a newcomer types. The first call of any target sets up .venv; nothing outside of this folder is touched,
+# but by system-packages.
+#
+# PYTHON names the Python to take; else .ci/environment chooses 3.11, 3.12 or 3.13, in this order.
 
-PYTHON ?= $(shell for python in python3.11 python3.10 python3; do \
-	$$python -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] < (3, 12))' 2>/dev/null && echo $$python && break; done)
 BIN := .venv/bin
 
-.PHONY: demo test test-fast lint bench resources proto clean
+.PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
-test: .venv/ready-dev  ## all tests
-	$(BIN)/pytest -n auto --ignore=tests/benchmarks
-	$(BIN)/pytest tests/benchmarks -m "not long"
+test: .venv/ready-dev  ## all tests, and a slice of each long measure: 6 minutes on two cores
+	$(BIN)/pytest -n auto -m "not long"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
-	$(BIN)/pytest -n auto -m "not slow" --ignore=tests/benchmarks
+	$(BIN)/pytest -n auto -m "not slow and not long"
+
+test-long: .venv/ready-dev  ## the full measures; a run that was ended goes on where it was
+	$(BIN)/pytest -n auto -m "long or measure" --resume .measures/results.jsonl
+
+test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that pyproject.toml allows
+	.venv-lowest/bin/pytest -n auto -m "not slow and not long"
+
+test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
+	.venv-reading/bin/pytest --noconftest tests/replay/test_reading_alone.py
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check
@@ -28,20 +37,31 @@ bench: .venv/ready-dev  ## measures, and prints the tables
 resources: .venv/ready-dev  ## makes kitchen, floor and objects anew
 	$(BIN)/python resources/make_resources.py
 
-proto: .venv/ready-dev  ## compiles recorder/proto/log.proto
-	$(BIN)/python -m recorder.compile_proto
+proto: .venv/ready-dev  ## compiles recorder/records/log.proto
+	$(BIN)/python -m recorder.records.compile_proto
+
+system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
+	.ci/system-packages
 
 clean:
-	rm -rf .venv dist build
+	rm -rf .venv .venv-lowest .venv-reading dist build
 
-.venv/bin/python:
-	@test -n "$(PYTHON)" || { echo "PyCRAM needs Python 3.10 or 3.11 (PyBullet ships wheels for these); found none. Set PYTHON=..." >&2; exit 1; }
-	$(PYTHON) -m venv .venv
-
-.venv/ready: pyproject.toml | .venv/bin/python
-	$(BIN)/pip install --quiet --editable .
+.venv/ready: pyproject.toml
+	@.ci/environment .venv '.[all]'
 	@touch $@
 
-.venv/ready-dev: pyproject.toml | .venv/bin/python
-	$(BIN)/pip install --quiet --editable '.[dev]'
+.venv/ready-dev: pyproject.toml
+	@.ci/environment .venv '.[all,dev]'
 	@touch .venv/ready $@
+
+# uv resolves to the lowest versions, which pip can't.
+.venv-lowest/ready: pyproject.toml
+	@.ci/environment .venv-lowest .
+	.venv-lowest/bin/pip install --quiet uv
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable '.[all,dev]'
+	@touch $@
+
+.venv-reading/ready: pyproject.toml
+	@.ci/environment .venv-reading .
+	.venv-reading/bin/pip install --quiet 'pytest>=8'
+	@touch $@

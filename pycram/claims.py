@@ -26,8 +26,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from pycram.cancellation import wait
 from pycram.foundation.failures import BadArgument, UsageError
+from pycram.scheduling.cancellation import Condition, wait
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -113,7 +113,7 @@ def _without(wanted: AbstractSet[str], given: AbstractSet[str]) -> AbstractSet[s
 
 
 class Ticket:
-    """A place in a queue, taken; leave it when done, however that ended.
+    """A place in a queue; leave it when done, however that ended.
 
     Attributes:
         claims: what it stands for.
@@ -122,20 +122,25 @@ class Ticket:
     """
 
     def __init__(self, queue: ResourceQueue, claims: Claims, motion: str) -> None:
-        """Makes a place that isn't taken yet; :meth:`ResourceQueue.arrive` takes one."""
+        """Makes a place that isn't taken yet; :meth:`ResourceQueue.ticket` does so."""
         self.claims = claims
         self.motion = motion
         self.granted = False
         self._queue = queue
 
+    def arrive(self) -> None:
+        """Takes the next place; doesn't wait. Leave it also where Ctrl-C keeps this from returning."""
+        self._queue.arrive(self)
+
     @contextmanager
     def turn(self) -> Iterator[None]:
-        """Waits for its turn, runs its block, and leaves the queue.
+        """Takes its place if it has none, waits for its turn, runs its block, and leaves the queue.
 
         Raises:
             Cancelled: the branch has been told to stop while it waited; the place is given up then.
         """
         try:
+            self.arrive()
             self._queue.wait(self)
             yield
         finally:
@@ -168,26 +173,30 @@ class ResourceQueue:
             outer: for the motions that one motion is made of: what that one holds.
         """
         self._outer = outer
-        self._changed = threading.Condition()
+        self._changed = Condition()
+        self._lock = threading.Lock()
         self._tickets: list[Ticket] = []
 
-    def arrive(self, claims: Claims | None, motion: str = "the motion") -> Ticket:
-        """Takes the next place; doesn't wait.
+    def ticket(self, claims: Claims | None, motion: str = "the motion") -> Ticket:
+        """A place that isn't taken yet.
 
         Args:
             claims: what is needed; None: nobody knows, all that there is.
             motion: for what, in messages.
 
         Returns:
-            The place; wait with :meth:`Ticket.turn`.
+            The place; take it with :meth:`Ticket.arrive`, and wait with :meth:`Ticket.turn`.
 
         Raises:
             ClaimError: it is part of a motion that doesn't hold all of this.
         """
-        ticket = Ticket(self, self._given(claims, motion), motion)
-        with self._changed:
-            self._tickets.append(ticket)
-        return ticket
+        return Ticket(self, self._given(claims, motion), motion)
+
+    def arrive(self, ticket: Ticket) -> None:
+        """Gives a ticket the next place, unless it has one; see :meth:`Ticket.arrive`."""
+        with self._lock:
+            if ticket not in self._tickets:
+                self._tickets.append(ticket)
 
     def _given(self, claims: Claims | None, motion: str) -> Claims:
         if claims is None:
@@ -212,21 +221,22 @@ class ResourceQueue:
 
     def _grant(self, ticket: Ticket) -> bool:
         earlier = True
-        for other in self._tickets:
-            if other is ticket:
-                earlier = False
-            elif (earlier or other.granted) and other.claims.conflicts(ticket.claims):
-                return False
-        ticket.granted = True
+        with self._lock:  # of two that fit to all others and not to each other one gets in
+            for other in self._tickets:
+                if other is ticket:
+                    earlier = False
+                elif (earlier or other.granted) and other.claims.conflicts(ticket.claims):
+                    return False
+            ticket.granted = True
         return True
 
     def change(self, ticket: Ticket, claims: Claims | None) -> None:
         """Gives a ticket other claims, in its place; see :meth:`Ticket.change`."""
         given = self._given(claims, ticket.motion)
         if given != ticket.claims:
-            with self._changed:
+            with self._lock:
                 ticket.claims, ticket.granted = given, False
-                self._changed.notify_all()
+            self._changed.notify_all()
             self.wait(ticket)
 
     def leave(self, ticket: Ticket) -> None:
@@ -235,7 +245,9 @@ class ResourceQueue:
         Args:
             ticket: a place in this queue, or one that was.
         """
-        with self._changed:
-            if ticket in self._tickets:
+        with self._lock:
+            known = ticket in self._tickets
+            if known:
                 self._tickets.remove(ticket)
-                self._changed.notify_all()
+        if known:
+            self._changed.notify_all()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
+from recorder.extras import NotInstalled
 from recorder.mcap.sink import versions
 from recorder.records import format_error
 from recorder.viewer.connection import Kind, Target
@@ -116,6 +117,9 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         code = end.code if isinstance(end.code, int) else _SUCCEEDED if end.code is None else _FAILED
         if not isinstance(end.code, int | None):
             print(end.code, file=sys.stderr)
+    except NotInstalled as error:
+        print(f"pycram: {error}", file=sys.stderr)
+        return _WRONG_USAGE
     except PlanFailure as failure:
         traceback.print_exc()
         print(f"\npycram: the plan failed: {format_error(failure)}", file=sys.stderr)

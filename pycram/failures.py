@@ -1,6 +1,5 @@
 """All failures, in two families: :class:`PlanFailure` (the world refused) and :class:`UsageError`."""
 
-from pycram.failed_blocks import BranchesFailed, NotCleanedUp
 from pycram.foundation.failures import (
     AccessFailed,
     AssetError,
@@ -25,6 +24,7 @@ from pycram.foundation.failures import (
     UsageError,
     WorldClosed,
 )
+from pycram.language.failures import BranchesFailed, NotCleanedUp
 
 __all__ = [
     "AccessFailed",

@@ -9,10 +9,12 @@ import weakref
 from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.errors import RecordingError
+from recorder.extras import hint
 from recorder.mcap.sink import McapSink
 from recorder.records import Run, failure
 from recorder.records.asset import AssetFile
@@ -114,6 +116,8 @@ def _begin(
 ) -> tuple[Journal, RerunSink | None]:
     """Opens the file and tells it what is there already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
+        if live is not None and find_spec("rerun") is None:
+            raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
         viewer = None if live is None else RerunSink(live, title)
         if viewer is not None:
             undoing.callback(viewer.close)

@@ -10,12 +10,22 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from recorder.tracing import journal
+from tests import measures, needs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import Record
     from recorder.records.asset import AssetFile
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    measures.pytest_addoption(parser)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(needs)
+    measures.pytest_configure(config)
 
 
 class MemorySink:
@@ -86,14 +96,18 @@ def scene(world: BulletWorld) -> BulletWorld:
 @pytest.fixture
 def display() -> Iterator[str]:
     """The name of a screen that is started for the test."""
+    needs.need("Xvfb")
     reading, writing = os.pipe()
     # without noreset it starts anew whenever its last client leaves, and refuses others meanwhile
     command = ["Xvfb", "-displayfd", str(writing), "-screen", "0", "1024x768x24", "-nolisten", "tcp", "-noreset"]
-    server = subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL)
-    os.close(writing)
-    with os.fdopen(reading) as told:
-        number = told.readline().strip()  # it says so when it is ready
-    assert number, "Xvfb didn't start"
-    yield f":{number}"
-    server.terminate()
-    server.wait()
+    with (
+        os.fdopen(reading) as answer,
+        subprocess.Popen(command, pass_fds=[writing], stderr=subprocess.DEVNULL) as server,
+    ):
+        os.close(writing)
+        number = answer.readline().strip()  # it says so when it is ready
+        try:
+            assert number, "Xvfb didn't start"
+            yield f":{number}"
+        finally:
+            server.terminate()

@@ -16,12 +16,12 @@ the garbage collector may run finalizers anywhere, and they may set fluents.
 from __future__ import annotations
 
 import reprlib
-import threading
 from abc import ABC, abstractmethod
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from pycram.foundation.failures import WorldClosed
+from pycram.scheduling.locks import Lock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
@@ -33,7 +33,7 @@ Value: TypeAlias = Any
 #: Values of leaves at one moment; operations add theirs, so that each is computed once.
 State: TypeAlias = dict["Expression", Value]
 
-lock: Final = threading.RLock()
+lock: Final = Lock()
 _MAX_NAME_DEPTH: Final = 4  # nested operations that a name spells out
 _MAX_RECURSION: Final = 100  # nested operations that are computed by recursive calls
 

@@ -35,8 +35,8 @@ from pycram.fluents.whenever import whenever
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export, qualified_name
-from pycram.handle import unwrap
-from pycram.open_block import await_turn
+from pycram.language.body import await_turn
+from pycram.scheduling.future import unwrap
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:

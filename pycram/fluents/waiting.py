@@ -11,8 +11,8 @@ import time
 from collections import deque
 from typing import TYPE_CHECKING
 
-from pycram.cancellation import checkpoint, wait
 from pycram.fluents.expressions import lock
+from pycram.scheduling.cancellation import Condition, checkpoint, wait
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,7 +28,7 @@ class StateStream:
 
     def __init__(self, expression: Expression) -> None:
         self._expression = expression
-        self._news = threading.Condition(lock)
+        self._news = Condition()
         self._states: deque[State] = deque()
 
     def __enter__(self) -> Self:

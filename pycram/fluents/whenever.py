@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.actions import lazy, run
-from pycram.cancellation import checkpoint
 from pycram.fluents.pulses import PulseCounter
 from pycram.fluents.waiting import first_value
 from pycram.foundation.failures import BadArgument
-from pycram.handle import unwrap
-from pycram.open_block import await_turn
+from pycram.language.actions import lazy, run
+from pycram.language.body import await_turn
+from pycram.scheduling.cancellation import checkpoint
+from pycram.scheduling.future import unwrap
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ from pycram.fluents.expressions import Ended
 from pycram.fluents.fluent import Derived
 from pycram.fluents.variables import Variable, assign, end
 from pycram.foundation.failures import BadArgument
-from pycram.handle import unwrap
 from pycram.reasoning.queries.contact import touches
 from pycram.reasoning.queries.query import world_of
+from pycram.scheduling.future import unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Callable

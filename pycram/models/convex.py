@@ -11,9 +11,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from pycram.models import visual
+from recorder.extras import needed
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[np.float64]
+
+with needed():
+    from scipy.spatial import ConvexHull, QhullError
 
 _PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
 

@@ -70,7 +70,7 @@ def find(path: str | Path) -> Path:
         raise AssetError(path, "is not a file")
     if given.name == str(path):
         if given.name == "pr2.urdf":
-            from pycram.models.robots.urdf_files import pr2_urdf  # noqa: PLC0415  only for the robot
+            from pycram.models.robot_urdfs import pr2_urdf  # noqa: PLC0415  only for the robot
 
             return pr2_urdf()
         shipped = resources() / given

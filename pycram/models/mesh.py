@@ -14,19 +14,22 @@ import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import trimesh
 
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_toml, read_text
 from pycram.models.links import DENSITY
 from pycram.models.store import write_mesh
+from recorder.extras import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+with needed():
+    import trimesh
 
 _MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
 _MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills

@@ -8,10 +8,10 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import trimesh
 
 from pycram.models import mesh
 from recorder import geometry
+from recorder.extras import needed
 from recorder.geometry.shapes import read_shapes
 
 if TYPE_CHECKING:
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from recorder.geometry.shapes import Shape
+
+with needed():
+    import trimesh
 
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 

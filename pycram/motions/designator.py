@@ -21,12 +21,12 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
-from pycram.handle import Handle, branches_in, unwrap
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
 from pycram.motions.solutions import Solution, Solutions
+from pycram.scheduling.future import Future, branches_in, unwrap
 
 if TYPE_CHECKING:
     from typing import Self
@@ -233,7 +233,7 @@ class Designator(Equated, ABC):
         """Its slots by name."""
         slots: dict[str, object] = {}
         for name, value in self._slots:
-            slots.setdefault(name, value.__record__() if isinstance(value, Handle) else value)
+            slots.setdefault(name, value.__record__() if isinstance(value, Future) else value)
         return slots
 
     def __repr__(self) -> str:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 from pycram.claims import WHOLE, Claims
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import did_you_mean
-from pycram.handle import branch_of, unwrap
 from pycram.motions import slot_checks
 from pycram.motions.slots import DesignatorError
+from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:

@@ -14,19 +14,18 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
-from pycram.actions import run
-from pycram.binding import Binding
-from pycram.cancellation import checkpoint, whole
 from pycram.claims import Claims, ResourceQueue
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
 from pycram.foundation.names import export, qualified_name
-from pycram.handle import branches_in
+from pycram.language.actions import run
+from pycram.language.body import current_block
 from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.resolvers import Resolvers
-from pycram.open_block import current_block
+from pycram.scheduling.binding import Binding
+from pycram.scheduling.cancellation import checkpoint, uninterruptible
+from pycram.scheduling.future import branches_in
 from pycram.world.world import BulletWorld
-from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span, span
 
 if TYPE_CHECKING:
@@ -176,10 +175,10 @@ class ProcessModule(ABC):
         """
         queues = _modules.get()
         arrivals = self._arrivals if queues is None else queues.setdefault(self, ResourceQueue())
-        with arrivals.arrive(_MODULE).turn(), Binding(_modules, {}):
+        with arrivals.ticket(_MODULE).turn(), Binding(_modules, {}):
             checkpoint()
             solution = designator.reference()
-            with span("process-module", type(self).__name__, solution) as task, whole():
+            with span("process-module", type(self).__name__, solution) as task, uninterruptible():
                 task.solution = solution
                 task.result = result = run(self._execute, designator)
                 return result
@@ -209,7 +208,7 @@ class ProcessModule(ABC):
                 motion.span.result = result = motion.carry_out()
                 return result
         # its place in the queue is taken here if nothing but earlier ones can then keep it waiting
-        ordered = block.prompt and not unfinished(designator)
+        ordered = block.immediate and not unfinished(designator)
         try:
             if ordered:
                 motion.arrive()
@@ -250,8 +249,8 @@ class _Motion:
 
     def arrive(self) -> Ticket:
         """Takes its place among those that wait for parts of the robot."""
-        with Uninterrupted():  # a place that nobody knows of would keep others waiting for ever
-            self._ticket = self._queue.arrive(self._claims, self.name)
+        self._ticket = self._queue.ticket(self._claims, self.name)
+        self._ticket.arrive()
         return self._ticket
 
     def leave(self) -> None:

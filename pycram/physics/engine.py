@@ -18,6 +18,7 @@ from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
 from pycram.physics.contacts import ClosestPoint, Contact
 from recorder import geometry
+from recorder.extras import needed
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-with silenced(1, 2):  # it prints its build time
+with needed(), silenced(1, 2):  # it prints its build time
     import pybullet as bullet
 
 # Groups of the collision filter, bits of a mask. PyBullet lets a pair collide if either mask has the other's group, so

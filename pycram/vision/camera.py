@@ -1,4 +1,4 @@
-"""Cameras: what of a world's objects is seen from where, pixel by pixel.
+"""Cameras: which of a world's objects is seen at each pixel.
 
 Frames are optical: z looks ahead, x is to the right, y is down. Links of a robot that are around the camera are its
 housing, which it looks out of: they are not seen.
@@ -30,15 +30,15 @@ _HOUSING: Final = 0.005  # m that a housing may end before the lens
 
 
 @dataclass(frozen=True, slots=True)
-class Sight:
+class Rendering:
     """What a camera sees.
 
     Attributes:
         depth: (height, width) along the camera's axis in m; inf where nothing is.
-        bodies: (height, width) indices of the objects that were looked at, -1 where nothing is.
-        triangles: (n, 3, 3) what was looked at, in the camera's frame, m.
-        colors: (n, 3) its colours, RGB 0..1.
-        seen: (height, width) the triangle that is seen, -1 where nothing is.
+        bodies: (height, width) indices of the objects that were rendered, -1 where nothing is.
+        triangles: (n, 3, 3) that were rendered, in the camera's frame, m.
+        colors: (n, 3) of them, RGB 0..1.
+        seen: (height, width) the number of the triangle that is seen, -1 where nothing is.
     """
 
     depth: NDArray[np.float64]
@@ -48,7 +48,7 @@ class Sight:
     seen: NDArray[np.int64]
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
-        """A picture of it, lit from above and from the camera.
+        """Return a colour image, lit from above and from the camera.
 
         Args:
             up: unit vector in the camera's frame that points upwards in the world.
@@ -105,20 +105,22 @@ class Camera:
 
     @property
     def window(self) -> Window:
-        """All that it sees of its image plane."""
+        """The part of the image plane that it sees."""
         return Window(-self.right, -self.down, self.right, self.down)
 
     def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World points (..., 3) in the optical frame, m."""
+        """Return world points (..., 3) in the optical frame, m."""
         seen: NDArray[np.float64] = (points - np.asarray(self.pose[0])) @ geometry.to_matrix(self.pose[1])
         return seen
 
-    def look(self, bodies: Sequence[Object], window: Window, size: tuple[int, int], far: float | None = None) -> Sight:
-        """Looks at objects through a part of its image plane.
+    def render(
+        self, bodies: Sequence[Object], window: Window, size: tuple[int, int], far: float | None = None
+    ) -> Rendering:
+        """Render objects through a part of the image plane.
 
         Args:
             bodies: the objects, of one world whose lock is held; nothing else is seen.
-            window: the part.
+            window: the part of the image plane.
             size: width and height in pixels.
             far: m up to which anything matters, if less than the camera sees.
         """
@@ -128,12 +130,12 @@ class Camera:
         triangles = np.concatenate([np.zeros((0, 3, 3)), *(part for _, part, _ in parts)])
         colors = np.concatenate([np.zeros((0, 3)), *(paint for _, _, paint in parts)])
         depth, seen = rasterize(triangles, window, size, self.near, limit)
-        return Sight(depth, np.append(owners, -1)[seen], triangles, colors, seen)
+        return Rendering(depth, np.append(owners, -1)[seen], triangles, colors, seen)
 
     def _parts(
         self, bodies: Sequence[Object], window: Window, far: float
     ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-        """Links that may be seen: index of the object, triangles in the camera's frame, colours."""
+        """Yield links that may be seen: index of the object, triangles in the camera's frame, colours."""
         models = [shapes_of(body.model.path) for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
@@ -151,19 +153,19 @@ class Camera:
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
         shown = self._shown(boxes, window, far) & ~(of_robots & self._in(boxes))
         to_camera = geometry.to_matrix(self.pose[1]).T
-        for place in np.flatnonzero(shown):
-            index, link = links[place]
+        for number in np.flatnonzero(shown):
+            index, link = links[number]
             colors, paint = models[index].colors[link], bodies[index].color
             if paint is not None:
                 colors = np.tile(paint[:3], (len(colors), 1))
-            turned = models[index].triangles[link] @ (to_camera @ boxes.turns[place]).T
-            yield index, turned + self.to_frame(boxes.positions[place]), colors
+            turned = models[index].triangles[link] @ (to_camera @ boxes.turns[number]).T
+            yield index, turned + self.to_frame(boxes.positions[number]), colors
 
     def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
-        """Which boxes are in balls that reach into what the camera sees through a window."""
-        middles = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
+        """Return which boxes have a bounding sphere in the view frustum of a window."""
+        centers = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
         radii = np.linalg.norm(boxes.high - boxes.low, axis=1) / 2
-        x, y, z = self.to_frame(middles).T
+        x, y, z = self.to_frame(centers).T
         shown = (z + radii >= self.near) & (z - radii <= far)
         sides = ((x, window.left, 1), (x, window.right, -1), (y, window.top, 1), (y, window.bottom, -1))
         for across, edge, sign in sides:
@@ -171,6 +173,6 @@ class Camera:
         return np.asarray(shown)
 
     def _in(self, boxes: _Boxes) -> NDArray[np.bool_]:
-        """Which boxes are around the camera."""
+        """Return which boxes are around the camera."""
         eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
         return np.asarray(((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1))

@@ -1,7 +1,7 @@
-"""A rasteriser: triangles to depth and to which of them is seen, in plain arithmetic.
+"""A rasteriser: depth and the triangle that is seen, at each pixel.
 
 PyBullet's own renderer never returns when a vertex lies in the plane of the camera, and draws what is nearer than the
-near plane as lines across the picture. Here triangles are cut at the near plane first: nothing is divided by nothing.
+near plane as lines across the picture. Here triangles are clipped at the near plane first: nothing is divided by zero.
 
 Camera frames are optical: z looks ahead, x is to the right, y is down. A window is a part of the image plane.
 """
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-_LARGE: Final = 400  # pixels from which on a triangle is worth a look of its own
-_BAND: Final = 32  # rows of such a one that are looked at together: most of what is around a slanted one is left out
-_AT_ONCE: Final = 1 << 16  # pixels of smaller ones that are looked at together; more would only take memory
+_LARGE: Final = 400  # pixels of its bounds from which on a triangle is drawn by itself
+_BAND: Final = 32  # rows of such a one that are drawn together: most of the bounds of a slanted one is left out
+_BATCH: Final = 1 << 16  # pixels of smaller ones that are drawn together; more would only take memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Window:
 def rasterize(
     triangles: NDArray[np.float64], window: Window, size: tuple[int, int], near: float, far: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Which triangle is seen at each pixel's middle, from either side.
+    """Return which triangle is seen at each pixel's center, from either side.
 
     Args:
         triangles: (n, 3, 3), corners in the camera's frame, m.
@@ -51,12 +51,12 @@ def rasterize(
     width, height = size
     nearness = np.full((height, width), 1.0 / far)  # 1 / depth
     seen = np.full((height, width), -1, dtype=np.int64)
-    corners, numbers = _cut(triangles, near)
+    corners, numbers = _clip(triangles, near)
     inverse = 1.0 / corners[:, :, 2]
     u = (corners[:, :, 0] * inverse - window.left) * (width / (window.right - window.left)) - 0.5
     v = (corners[:, :, 1] * inverse - window.top) * (height / (window.bottom - window.top)) - 0.5
-    left, right = _reach(u, width)
-    top, bottom = _reach(v, height)
+    left, right = _bounds(u, width)
+    top, bottom = _bounds(v, height)
     shown = np.flatnonzero((left < right) & (top < bottom) & (inverse.max(axis=1) >= 1.0 / far))
     planes = np.zeros((len(u), 4, 3))
     planes[shown] = _planes(u[shown], v[shown], inverse[shown])
@@ -74,11 +74,10 @@ def rasterize(
             nearness[area][better] = close[better]
             seen[area][better] = numbers[large[number]]
     small = shown[pixels[shown] <= _LARGE]
-    for around in _covered(small, left, right, top, bottom):
-        part, columns, rows = around
+    for part, columns, rows in _covered(small, left, right, top, bottom):
         for corner in range(3):  # one after the other: most pixels are out of the first
             kept = _value(planes[:, corner], part, columns, rows) >= 0
-            part, columns, rows = part[kept], columns[kept], rows[kept]
+            part, columns, rows = part[kept], columns[kept], rows[kept]  # noqa: PLW2901
         close = _value(planes[:, 3], part, columns, rows)
         before = nearness[rows, columns]
         np.maximum.at(nearness, (rows, columns), close)
@@ -90,14 +89,14 @@ def rasterize(
 def _value(
     factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Value of the planes of triangles (n, 3) at pixels, of which each is looked at for one of them."""
+    """Return the values of planes of triangles (n, 3) at pixels, each for one of the triangles."""
     a, b, c = factors.T
-    told: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
-    return told
+    values: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
+    return values
 
 
-def _reach(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """First pixel along an axis whose middle may lie in each triangle, and the one after the last."""
+def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the first pixel along an axis whose center may lie in each triangle, and the one after the last."""
     low = np.ceil(np.clip(axis.min(axis=1), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(axis.max(axis=1), -1, limit - 1)).astype(np.int64) + 1
     return low, high
@@ -110,7 +109,7 @@ def _bands(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[int, int, int, int, int]]:
-    """Rows of triangles, a few at once, and the columns that they reach: number, rows, columns, each end excluded."""
+    """Yield bands of rows of triangles and the columns that they cover: number, rows, columns, each end excluded."""
     counts = -(-(bottom - top) // _BAND)
     owner = np.repeat(np.arange(len(counts)), counts)
     low = top[owner] + _BAND * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
@@ -128,7 +127,7 @@ def _bands(
 
 
 def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Factors (n, 4, 3) of column, row and 1: weights of the three corners, and 1 / depth, linear in the picture."""
+    """Return factors (n, 4, 3) of column, row and 1: weights of the corners, and 1 / depth, linear in the image."""
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -136,33 +135,33 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
     return np.concatenate([weights, (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)], axis=1)
 
 
-def _cut(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """What of triangles is beyond the near plane, as triangles, and the numbers of those that they come from."""
+def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return what of triangles is beyond the near plane, as triangles, and the numbers of those that they come from."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
     numbers = np.arange(len(triangles))
-    whole, one, two = (numbers[count == wanted] for wanted in (3, 1, 2))
-    tip, left, right = _turned(triangles[one], beyond[one])  # the tip is beyond
-    lost, first, second = _turned(triangles[two], ~beyond[two])  # the tip is not
+    all_three, one, two = (numbers[count == wanted] for wanted in (3, 1, 2))
+    tip, left, right = _odd_first(triangles[one], beyond[one])  # the tip is beyond
+    lost, first, second = _odd_first(triangles[two], ~beyond[two])  # the tip is not
     on_first, on_second = _at(first, lost, near), _at(second, lost, near)
     parts = [
-        triangles[whole],
+        triangles[all_three],
         np.stack([tip, _at(tip, left, near), _at(tip, right, near)], axis=1),
         np.stack([on_first, first, second], axis=1),
         np.stack([on_first, second, on_second], axis=1),
     ]
-    return np.concatenate(parts), np.concatenate([whole, one, two, two])
+    return np.concatenate(parts), np.concatenate([all_three, one, two, two])
 
 
-def _turned(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
-    """Corners of triangles, the odd one first."""
+def _odd_first(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+    """Return the corners of triangles, the odd one first."""
     rows = np.arange(len(triangles))
     start = odd.argmax(axis=1)
     return tuple(triangles[rows, (start + turn) % 3] for turn in range(3))
 
 
 def _at(a: NDArray[np.float64], b: NDArray[np.float64], near: float) -> NDArray[np.float64]:
-    """Where edges cross the near plane; they do."""
+    """Return where edges that cross the near plane cross it."""
     share = (near - a[:, 2]) / (b[:, 2] - a[:, 2])
     return a + share[:, None] * (b - a)
 
@@ -174,12 +173,12 @@ def _covered(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-    """Pixels in the bounds of triangles: numbers of triangles, columns, rows; not too many at once."""
+    """Yield pixels in the bounds of triangles: numbers of triangles, columns, rows; not too many at once."""
     wide = right - left
     counts = wide[shown] * (bottom - top)[shown]
-    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _AT_ONCE, prepend=0))
+    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))
     for group in np.split(np.arange(len(shown)), cuts):
         part = np.repeat(shown[group], counts[group])
         begin = np.cumsum(counts[group]) - counts[group]
-        place = np.arange(len(part)) - np.repeat(begin, counts[group])
-        yield part, left[part] + place % wide[part], top[part] + place // wide[part]
+        offset = np.arange(len(part)) - np.repeat(begin, counts[group])
+        yield part, left[part] + offset % wide[part], top[part] + offset // wide[part]

@@ -1,4 +1,4 @@
-"""A world's lock: reentrant, and never held while handlers of events run.
+"""A world's lock: reentrant, and never held while event handlers run or while a branch gives way to another one.
 
 Its holder may make any number of transactions. They defer the calls of event handlers until the thread has released the
 lock altogether: a handler is user code, which may wait for another thread that needs this world.
@@ -6,35 +6,35 @@ lock altogether: a handler is user code, which may wait for another thread that 
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_chain import call_all, chained
+from pycram.scheduling.locks import Lock
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from types import TracebackType
 
 
-class WorldLock:
+class WorldLock(Lock):
     """The lock, as a context manager."""
 
     def __init__(self) -> None:
-        self._lock = threading.RLock()
+        super().__init__()
         self._depth = 0
         self._deferred: list[Callable[[], None]] = []
 
     @property
-    def depth(self) -> int:
-        """How often its holder has acquired it."""
-        return self._depth
+    def is_held(self) -> bool:
+        """Whether the running branch holds it: its thread does, as no branch gives way while it holds the lock."""
+        return self._lock._is_owned()  # type: ignore[attr-defined, no-any-return]  # noqa: SLF001  as Condition does
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Have the holder's thread make calls, in order, when it has released the lock."""
         self._deferred.extend(calls)
 
     def __enter__(self) -> None:
-        self._lock.acquire()
+        super().__enter__()
         self._depth += 1
 
     def __exit__(
@@ -50,7 +50,7 @@ class WorldLock:
         self._depth -= 1
         if not self._depth:
             deferred, self._deferred = self._deferred, []
-        self._lock.release()
+        super().__exit__(kind, error, traceback)
         errors = call_all(deferred)
         if error is not None:
             chained(error, errors)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
-from pycram.handle import unwrap
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription, find_description
+from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints
 from recorder import records
 

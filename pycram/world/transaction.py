@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
 
-from pycram.cancellation import before_change
 from pycram.foundation.failures import ChangeRefused, WorldClosed
+from pycram.scheduling.cancellation import before_change
 from pycram.world.lock import WorldLock
 from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
 from recorder import records
@@ -124,10 +124,10 @@ class TransactionManager:
             RecordingError: The record can't be written.
             Cancelled: The branch of the plan that asks for it is cancelled.
         """
+        if not self.lock.is_held:  # what is made of several transactions is done as a whole
+            before_change()
         with self.lock, Uninterrupted() as interrupts:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
-            if self.lock.depth == 1:  # what is made of several transactions is done as a whole
-                before_change()
             transaction = Transaction(command, interrupts)
             yield transaction
             for name in transaction.removed:

@@ -6,15 +6,14 @@ again. Physics runs in :meth:`BulletWorld.simulate` and in real time only, 240 s
 
 from __future__ import annotations
 
-import threading
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
-from pycram.cancellation import whole
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.physics.engine import Engine
 from pycram.physics.window import check_display
+from pycram.scheduling.cancellation import uninterruptible
 from pycram.world import current, simulation
 from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
@@ -22,7 +21,7 @@ from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
-from recorder import records
+from recorder import records, threads
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
@@ -308,7 +307,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 journal.attach(body.model.files)
             frame = self.transactions.keyframe()
             frame.world, frame.sim_step = self.name, self.sim_step
-            frame.thread = threading.current_thread().name
+            frame.thread = threads.name()
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:
@@ -317,7 +316,7 @@ class BulletWorld(metaclass=CurrentWorld):
             raise BadArgument("close", close, "something that can be called")
         self._closers.append(close)
 
-    @whole()
+    @uninterruptible()
     def exit(self) -> None:
         """End the world at once, with its window and its threads; a second call does nothing.
 

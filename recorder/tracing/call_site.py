@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 import sys
-import threading
 from contextlib import suppress
 from enum import Enum, auto
 from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
+from recorder import threads
 from recorder.records import SourceLine
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
@@ -91,7 +91,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
     """
     frame, line = _innermost(frame)
     recording = journal.openings() if journal.recording() else 0
-    thread = threading.get_ident()
+    thread = threads.ident()
     before: tuple[Place, ...] = ()
     if outer is not None:
         before = outer.before if outer.thread == thread else outer.lines

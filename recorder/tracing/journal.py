@@ -15,6 +15,7 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
+from recorder import threads
 from recorder.records import TOPICS, Keyframe, Mutation, Record
 from recorder.tracing.interrupts import Uninterrupted
 
@@ -221,7 +222,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.world = world
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
-    record.thread = threading.current_thread().name
+    record.thread = threads.name()
     tell(record)
 
 

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import itertools
 import sys
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
+from recorder import threads
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from contextvars import ContextVar, Token
     from types import FrameType, TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
 #: A plan may run for days: its tree keeps the latest tasks, so many of them and so many bytes of records.
 KEPT: Final = 20_000
@@ -198,7 +197,7 @@ class Span:
             world=world,
             sim_step=sim_step,
             task=self.id,
-            thread=threading.current_thread().name,
+            thread=threads.name(),
             phase=phase,
             status=status,
             parent=self.parent,

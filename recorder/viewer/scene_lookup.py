@@ -4,13 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import sys
+import tomllib
 from typing import TYPE_CHECKING, Any, TypeAlias
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -11,9 +11,11 @@ import io
 import os
 import re
 import sys
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.extras import NotInstalled, needed
 from replay.cli.console import remark
 from replay.errors import Damaged, ReplayError, Unreadable
 
@@ -59,6 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names may have letters that a terminal has not
     given = _joined(sys.argv[1:] if argv is None else argv)
+    if given == ["--version"]:
+        print(f"pycram-replay {version('pycram')}")
+        return FINE
     verb = _module(given[0]) if given and given[0] in VERBS else None
     try:
         options = _parser(given[:1], verb).parse_args(given)
@@ -98,6 +103,7 @@ def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.Argumen
         description="Looks into recordings of plans.",
         epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete.",
     )
+    parser.add_argument("--version", action="store_true", help="print the version and end")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
@@ -114,12 +120,13 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
     try:
         with open_recording(options.log) as log:
             try:
-                code: int = verb.run(log, options)
+                with needed():
+                    code: int = verb.run(log, options)
             except ReplayError as error:
                 lost = log.missing or isinstance(error, Damaged | Unreadable)
                 code = _complain(str(error), INCOMPLETE if lost else USAGE)
-            except ModuleNotFoundError as error:  # reading needs little, but rebuilding a world needs the executor
-                code = _complain(f"{options.verb} needs {error.name}, which isn't installed here", USAGE)
+            except NotInstalled as error:  # reading needs little, but rebuilding a world needs the executor
+                code = _complain(f"{options.verb}: {error}", USAGE)
             missing = log.missing
     except Unreadable as error:
         return _complain(str(error), INCOMPLETE)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Run, format_failure
@@ -93,7 +93,7 @@ def summary(log: Log) -> Summary:
         outcome = "succeeded" if end.succeeded else "failed"
     return Summary(
         plan=log.metadata.get("plan", ""),
-        started=datetime.fromtimestamp(first.wall_time_ns / 1e9, timezone.utc),
+        started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),
         seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
         worlds=tuple(_simulated(log, lifetime) for lifetime in log.lifetimes),
         outcome=outcome,

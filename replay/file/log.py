@@ -23,8 +23,7 @@ from replay.file.lifetimes import Lifetime, lifetimes_of
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from types import TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from recorder.records import Record
 

@@ -18,8 +18,7 @@ from replay.state.fold import fold
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from types import TracebackType
-
-    from typing_extensions import Self
+    from typing import Self
 
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld

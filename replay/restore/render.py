@@ -10,10 +10,10 @@ import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from PIL import Image
 
 from pycram.vision.camera import Camera
 from recorder import geometry
+from recorder.extras import needed
 from replay.errors import NoSuchName, ReplayError
 from replay.restore.world import unrecorded
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.geometry import Vector
     from replay.file.log import Log
+
+with needed():
+    from PIL import Image
 
 _WIDE: Final = math.radians(60)  # horizontal field of view where no camera says another
 _NEAR, _FAR = 0.02, 30.0  # m
@@ -97,7 +100,7 @@ def seen(
 def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:
     up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
     finer = (size[0] * _FINER, size[1] * _FINER)
-    picture = Image.fromarray(camera.look(world.objects, camera.window, finer).picture(up))
+    picture = Image.fromarray(camera.render(world.objects, camera.window, finer).picture(up))
     return picture.resize(size, Image.Resampling.BOX)
 
 

@@ -22,9 +22,9 @@ from replay.file.log import Log
 
 if TYPE_CHECKING:
     from types import TracebackType
+    from typing import Self
 
     import rerun as rr
-    from typing_extensions import Self
 
 
 _ROOT: Final = str(Path(__file__).parent.parent.parent)

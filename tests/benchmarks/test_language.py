@@ -15,11 +15,14 @@ import pytest
 import recorder
 from pycram import tasks
 from pycram.language import failure_handling, par, seq
+from tests.benchmarks.timing import goal
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 pytestmark = pytest.mark.slow
+
+REPO = Path(__file__).parents[2]
 
 
 def milliseconds(*actions: Callable[[], object], rounds: int = 15, times: int = 40) -> list[float]:
@@ -80,19 +83,23 @@ def measure(file: Path) -> dict[str, float]:
 
 def test_blocks(tmp_path: Path) -> None:
     """In a process of its own: there the stack is that of a plan, not that of what runs the tests."""
-    goal, costs = 1.0, {}  # ms
+    most, costs = 1.0, {}  # ms
     for turn in range(5):  # noise only adds, and a fast moment comes sooner or later
         told = subprocess.run(
-            [sys.executable, __file__, tmp_path / f"{turn}.mcap"], capture_output=True, text=True, check=True
+            [sys.executable, "-m", "tests.benchmarks.test_language", tmp_path / f"{turn}.mcap"],
+            cwd=REPO,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         costs = {name: min(cost, costs.get(name, cost)) for name, cost in json.loads(told.stdout).items()}
-        if costs["three_branches, recorded"] < goal:
+        if costs["three_branches, recorded"] < most:
             break
     print()
     for name, cost in costs.items():
         print(f"{name:25} {cost:.3f} ms")
-    limit = max(goal, 5 * costs["three_threads"])  # where those take longer than 0.2 ms, so may this
-    assert costs["three_branches, recorded"] < limit
+    # where threads take longer than 0.2 ms, so may this
+    goal("three_branches, recorded, ms", costs["three_branches, recorded"], max(most, 5 * costs["three_threads"]))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What reading costs, on recordings of 10,000 and 1,000,000 records: ``make bench`` prints the table.
 
-Ratios between the two are what counts: machines are noisy, and seconds are asserted with room to spare.
+Ratios between the two are what counts: machines are noisy, and seconds are printed with their goals, not asserted.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import resource
 import subprocess
 import sys
 import time
+from math import inf
 from typing import TYPE_CHECKING
 
 import pytest
@@ -18,6 +19,7 @@ import replay
 from recorder.recording import record
 from recorder.records import BodyState, Effect, Keyframe, LoadBody, MoveBody, Mutation, OpenWorld, Query, Run
 from recorder.tracing import journal
+from tests.benchmarks.timing import goal
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -122,10 +124,10 @@ def test_a_million_records_are_read_as_ten_thousand_are(files: dict[int, Path]) 
         ("memory", "memory of the process, MB"),
     ):
         print(f"{text:32}{small[name]:12.1f}{large[name]:12.1f}")
-    assert large["first"] < 100
-    assert large["p95"] < 20
-    assert large["median"] < 1.5 * small["median"] + 0.5
-    assert large["backward"] < 1.5 * large["forward"]
+    goal("first state, ms", large["first"], 100, inf)
+    goal("random state, p95, ms", large["p95"], 20, inf)
+    goal("random state of the large one, of that of the small one", large["median"] / (small["median"] + 0.3), 1.5)
+    goal("backwards, of forwards", large["backward"] / large["forward"], 1.5)
     assert large["memory"] < 200
 
 
@@ -140,7 +142,7 @@ def test_info_from_the_shell(files: dict[int, Path]) -> None:
             times.append(time.perf_counter() - start)
             used.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
         print(f"\ninfo of {count} records from the shell: {min(times):.2f} s, {min(used):.2f} s of them computing")
-        assert min(used) < 0.5  # the rest is waiting for others on this machine
+        goal("info, s of computing", min(used), 0.5, inf)
     with replay.open(files[LARGE]) as log:
         assert len(log) == LARGE
         assert isinstance(log[-1], Run)

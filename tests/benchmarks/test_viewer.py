@@ -18,6 +18,7 @@ import time
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +29,7 @@ import recorder
 from recorder.viewer.connection import address, answers
 from replay.cli.main import main
 from tests.benchmarks.test_reading import write
+from tests.benchmarks.timing import goal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -52,7 +54,7 @@ def viewer(*options: str) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     command = [*POLITE, BINARY, *options, "--port", str(port), "--bind", "127.0.0.1"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        pause, deadline = threading.Event(), time.monotonic() + 30
+        pause, deadline = threading.Event(), time.monotonic() + 100
         while not answers(address(port)):
             assert time.monotonic() < deadline
             pause.wait(0.05)
@@ -99,9 +101,10 @@ def busy_core() -> Iterator[None]:
         process.wait()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
-    [["--serve-grpc"], pytest.param(["--headless"], marks=pytest.mark.long)],
+    [["--serve-grpc"], pytest.param(["--headless"], marks=pytest.mark.needs("Vulkan driver"))],
     ids=["a viewer that takes", "a viewer that draws"],
 )
 def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str]) -> None:
@@ -121,8 +124,8 @@ def test_a_demo_that_is_recorded_and_watched(tmp_path: Path, options: list[str])
     print(f"processor time of its process: {processor:.2f}")
     print(f"by the clock, up to the plan's end: {clock:.2f}; against one beside a busy core: {shown / shared:.2f}")
     print(f"its end takes {least(watched, lambda cost: cost.end):.2f} s more")
-    assert processor < 2 * GOAL  # a viewer that draws in software takes the plan's cores, too
-    assert clock < 3 * GOAL  # and they say little by the clock
+    goal("the plan's process, of one that is neither recorded nor watched", processor, GOAL)
+    goal("the same by the clock", clock, GOAL, inf)  # a viewer that draws in software takes the plan's cores, too
 
 
 @pytest.mark.long
@@ -143,8 +146,8 @@ def test_a_viewer_that_fails_costs_two_seconds_at_most(tmp_path: Path, fault: st
     end = max(cost.end for cost in costs)
     processor = least(costs, lambda cost: cost.processor) / least(bare, lambda cost: cost.processor)
     print(f"\na viewer that is {fault}: the plan's process {processor:.2f}, its end takes {end:.2f} s more")
-    assert processor < 1.5  # with its recording
-    assert end < 2.5  # 2 is the goal
+    goal("the plan's process, with its recording", processor, 1.2)
+    goal("its end, s more", end, 2, inf)
 
 
 CONVERTER = """
@@ -172,6 +175,7 @@ def converted(log: Path, file: Path) -> tuple[float, float, float]:
     return wall, processor, memory
 
 
+@pytest.mark.needs("Vulkan driver")
 def test_a_recording_opens_in_a_viewer_that_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     demo(log := tmp_path / "demo.mcap")
     with viewer("--headless") as (url, _):
@@ -183,7 +187,7 @@ def test_a_recording_opens_in_a_viewer_that_is_there(tmp_path: Path, capsys: pyt
         again = time.perf_counter() - start
     with capsys.disabled():
         print(f"\nview of the demo in an open viewer: {first:.2f} s, again {again:.2f} s")
-    assert first < 15  # 5 is the goal; the viewer draws with the processor here
+        goal("opening it, s", first, 5, inf)  # the viewer draws with the processor here
 
 
 @pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.long)])
@@ -193,5 +197,5 @@ def test_long_recordings_are_translated(tmp_path: Path, count: int) -> None:
     wall, processor, memory = converted(log, tmp_path / "long.rrd")
     print(f"\n{count} records: {wall:.1f} s ({processor:.1f} s of the processors), {memory:.2f} GB", end=" ")
     print(f"{wall / count * 1e6:.0f} us a record, {(tmp_path / 'long.rrd').stat().st_size / 1e6:.0f} MB")
-    assert processor < 4 + 150e-6 * count  # 60 s for a million is the goal
-    assert memory < 1.0
+    goal("translated, s of the processors", processor, 4 + 60e-6 * count, inf)
+    assert memory < 1.0  # GB

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-PATIENCE = 5  # times as many rounds
+PATIENCE = 3  # times as many rounds
+ROOM = 5  # times a goal: what neighbours on the machine do to a share of the processor's time stays below
 
 
 def seconds(action: Callable[[], object]) -> float:
@@ -16,6 +17,22 @@ def seconds(action: Callable[[], object]) -> float:
     start = time.process_time()
     action()
     return time.process_time() - start
+
+
+def goal(what: str, value: float, most: float, room: float = ROOM) -> None:
+    """Print a figure beside its goal, and whether it misses it.
+
+    Asserted is with so much room that no busy neighbour can break it, but something that grew with the square of
+    another does.
+
+    Args:
+        what: what the figure is of.
+        value: a ratio within this run.
+        most: the goal.
+        room: how many times the goal it may be; infinity where the clock or the scheduler has its say.
+    """
+    print(f"{what}: {value:.3g}, goal {most:g}{', MISSED' if value > most else ''}")
+    assert value < room * most, what
 
 
 def ratio(action: Callable[[], float], unit: Callable[[], float], rounds: int = 5, most: float = float("inf")) -> float:

@@ -29,7 +29,7 @@ def as_reaction(action: Callable[[], object]) -> None:
     whenever(Fluent(value=1), action)
 
 
-WAYS: list[Callable[[Callable[[], object]], object]] = [
+RUNNERS: list[Callable[[Callable[[], object]], object]] = [
     as_branch,
     as_cleanup,
     as_reaction,
@@ -59,8 +59,8 @@ def decorated() -> Iterator[int]:
     return counting()
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_async_functions_are_refused(way: Callable[[Callable[[], object]], object]) -> None:
+@pytest.mark.parametrize("run", RUNNERS)
+def test_async_functions_are_refused(run: Callable[[Callable[[], object]], object]) -> None:
     async def fetch() -> int:
         return 1
 
@@ -69,13 +69,13 @@ def test_async_functions_are_refused(way: Callable[[Callable[[], object]], objec
 
     for action in (fetch, fetch_more):
         with pytest.raises(BadArgument, match=r"fetch.*a plain function"):
-            way(action)
+            run(action)
 
 
-@pytest.mark.parametrize("way", WAYS)
-def test_generator_functions_are_refused(way: Callable[[Callable[[], object]], object]) -> None:
+@pytest.mark.parametrize("run", RUNNERS)
+def test_generator_functions_are_refused(run: Callable[[Callable[[], object]], object]) -> None:
     with pytest.raises(BadArgument, match=r"counting.*does nothing before its values are taken"):
-        way(counting)
+        run(counting)
 
 
 @pytest.mark.parametrize("action", [Counting().count, Counting(), functools.partial(counting), decorated])

@@ -60,9 +60,9 @@ def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str,
     body = Object("thing", kind, f"{kind}.stl", [1.36, 0.9, HOUSEHOLD[kind]], [0, 0, math.sin(half), math.cos(half)])
     try:
         kitchen.simulate(1.0)
-        lay = body.get_position_and_orientation()
+        pose = body.get_position_and_orientation()
         perform(type="pick-up", object=body, arm="left")
-        assert body.get_position_and_orientation() == lay, "the hand goes to the object, not the object to the hand"
+        assert body.get_position_and_orientation() == pose, "the hand goes to the object, not the object to the hand"
         for side in ("l", "r"):
             fingers = (f"l_gripper_{side}_finger_link", f"l_gripper_{side}_finger_tip_link")
             touches = [
@@ -75,7 +75,7 @@ def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str,
         body.remove()
 
 
-def test_fingers_stay_apart_as_far_as_the_thing_is_wide(kitchen: BulletWorld) -> None:
+def test_fingers_stay_as_far_apart_as_the_object_is_wide(kitchen: BulletWorld) -> None:
     robot = kitchen.robot
     assert robot is not None
     assert robot.description is not None

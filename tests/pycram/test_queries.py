@@ -82,8 +82,8 @@ def test_visible_and_occluding(scene: BulletWorld) -> None:
     assert hidden.evidence["share"] < 0.05
     assert btr.occluding(milk, eye) == [cereal]
     shares = []
-    for unrecorded in (0.02, 0.06, 0.1, 0.14):
-        cereal.set_position([x - 0.2, y + unrecorded, z])
+    for offset in (0.02, 0.06, 0.1, 0.14):
+        cereal.set_position([x - 0.2, y + offset, z])
         shares.append(btr.visible(milk, eye).evidence["share"])
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
@@ -157,8 +157,8 @@ def build() -> BulletWorld:
 
 @pytest.mark.slow
 def test_queries_leave_no_trace_now_or_later() -> None:
-    """A world that was asked goes on, bit for bit, as its twin that wasn't."""
-    told = []
+    """A world that was asked goes on, bit for bit, as one that wasn't."""
+    outcomes = []
     for asks in (False, True):
         with build() as world:
             bits = [
@@ -172,5 +172,5 @@ def test_queries_leave_no_trace_now_or_later() -> None:
                     for b in world.objects
                 ]
             world.simulate(1.0)
-            told.append([(b.get_position_and_orientation(), b.get_joint_positions()) for b in world.objects])
-    assert told[0] == told[1]
+            outcomes.append([(b.get_position_and_orientation(), b.get_joint_positions()) for b in world.objects])
+    assert outcomes[0] == outcomes[1]

@@ -1,4 +1,4 @@
-"""The rasteriser against geometry: rays through the middles of pixels, triangle by triangle."""
+"""The rasteriser against geometry: rays through the centers of pixels, triangle by triangle."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def by_rays(triangles: np.ndarray) -> np.ndarray:
         share = across @ (b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
             u = across @ -a / share
-            other = np.cross(-a, b - a)
-            v = rays @ other / share
-            t = (c - a) @ other / share
+            normal = np.cross(-a, b - a)
+            v = rays @ normal / share
+            t = (c - a) @ normal / share
         hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > NEAR) & (t <= FAR)
         depth = np.where(hit & (t < depth), t, depth)
     return depth
@@ -37,13 +37,13 @@ def by_rays(triangles: np.ndarray) -> np.ndarray:
 
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(0, 40), spread=st.sampled_from([0.05, 0.5, 5.0]))
-def test_it_sees_what_rays_hit(seed: int, count: int, spread: float) -> None:
+def test_the_triangle_that_is_seen_is_the_one_that_a_ray_hits(seed: int, count: int, spread: float) -> None:
     random = np.random.default_rng(seed)
     triangles = random.normal(size=(count, 1, 3)) * [1, 1, 2] + random.normal(size=(count, 3, 3)) * spread + [0, 0, 2]
     depth, seen = rasterize(triangles, WINDOW, SIZE, NEAR, FAR)
     truth = by_rays(triangles)
     same = np.isclose(depth, truth, rtol=1e-6) | (np.isinf(depth) & np.isinf(truth))
-    assert (~same).sum() <= 2, "but for edges that pass through the middle of a pixel"
+    assert (~same).sum() <= 2, "but for edges that pass through the center of a pixel"
     assert ((seen >= 0) == np.isfinite(depth)).all()
 
 
@@ -55,7 +55,7 @@ def test_corners_in_the_plane_of_the_eye_or_the_near_plane(z: float) -> None:
     assert (depth[seen == 0] > NEAR).all()
 
 
-def test_the_nearest_wins_and_large_and_small_ones_agree() -> None:
+def test_the_nearest_wins_among_large_and_small_triangles() -> None:
     wall = np.array([[[-9, -9, 5.0], [9, -9, 5.0], [9, 9, 5.0]], [[-9, -9, 5.0], [9, 9, 5.0], [-9, 9, 5.0]]])
     grid = np.linspace(-0.9, 0.9, 7)
     tiles = np.array([[[x, y, 3.0], [x + 0.2, y, 3.0], [x, y + 0.2, 3.0]] for x in grid for y in grid])
@@ -67,21 +67,21 @@ def test_the_nearest_wins_and_large_and_small_ones_agree() -> None:
 
 
 @pytest.mark.parametrize("flat", [False, True])
-def test_large_ones_are_seen_whole_band_by_band(flat: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_triangles_drawn_in_bands_are_complete(flat: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(3)
     for _ in range(12):
         triangles = random.normal(size=(8, 3, 3)) * random.choice([0.3, 2, 20]) + [0, 0, 2]
         if flat:
             triangles[:, 1, 1:] = triangles[:, 0, 1:]  # an edge along the rows
-        told = []
+        drawn = []
         for large in (-1, 1 << 30):
             monkeypatch.setattr(rasterizer, "_LARGE", large)
-            told.append(rasterize(triangles, WINDOW, (60, 80), NEAR, FAR))
-        assert (told[0][1] == told[1][1]).all()
-        assert told[0][0] == pytest.approx(told[1][0])
+            drawn.append(rasterize(triangles, WINDOW, (60, 80), NEAR, FAR))
+        assert (drawn[0][1] == drawn[1][1]).all()
+        assert drawn[0][0] == pytest.approx(drawn[1][0])
 
 
-def test_nothing_to_see() -> None:
+def test_without_triangles_nothing_is_seen() -> None:
     depth, seen = rasterize(np.zeros((0, 3, 3)), WINDOW, SIZE, NEAR, FAR)
     assert np.isinf(depth).all()
     assert (seen == -1).all()

@@ -176,23 +176,6 @@ def test_a_branch_is_created_until_it_starts() -> None:
     assert fresh.roots[0].start is None
 
 
-def test_a_branch_without_a_thread_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "threads.mcap"
-
-    def refuse(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    with recorder.record(file), monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", refuse)
-        with pytest.raises(RuntimeError, match="can't start new thread"):
-            par(lambda: None)
-    with replay.open(file) as log:
-        (branch,) = log.tree().find(kind="branch")
-    assert branch.status is State.FAILED
-    assert __file__ in branch.source
-    assert main(["verify", str(file)]) == 0
-
-
 def test_a_long_plan_keeps_its_last_tasks() -> None:
     tree = Tree(limit=100)
     tree.apply(Task(phase=Task.STARTED, task=1, name="day"))

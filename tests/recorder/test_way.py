@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from pycram.open_block import OpenBlock
+    from pycram.language.block import Block
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -154,11 +154,11 @@ def test_what_isn_t_recorded_tells_its_line_only() -> None:
     assert not node.started.callers
 
 
-def ask(block: OpenBlock, name: str) -> None:
+def ask(block: Block, name: str) -> None:
     block(do, name)
 
 
-def again(block: OpenBlock, times: int) -> None:
+def again(block: Block, times: int) -> None:
     block(do, f"again {times}"), times and again(block, times - 1)
 
 

@@ -223,7 +223,10 @@ def test_without_the_engine_it_says_what_is_missing(scene_log: Path) -> None:
     asked = [sys.executable, "-c", script, "ask", str(scene_log), "-3", "stable(milk)"]
     told = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert told.returncode == 2
-    assert told.stderr == "pycram-replay: ask needs pybullet, which isn't installed here\n"
+    assert (
+        told.stderr
+        == "pycram-replay: ask: pybullet isn't installed; in a checkout of PyCRAM: pip install '.[executor]'\n"
+    )
     assert not told.stdout
 
 

@@ -17,6 +17,7 @@ from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Task
 from recorder.records.asset import AssetFile
 from replay.cli.main import main
+from tests.measures import seeded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -117,7 +118,7 @@ def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
         check(sound, tmp_path / f"{seed}.mcap", seed)
 
 
-@pytest.mark.slow
-def test_much_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
-    for seed in range(2, 150):
+@seeded("recordings of nonsense", range(2, 150), 37)
+def test_much_nonsense_is_told(sound: Path, tmp_path: Path, seeds: range) -> None:
+    for seed in seeds:
         check(sound, tmp_path / f"{seed}.mcap", seed)

@@ -142,6 +142,7 @@ def test_wrong_usage_is_told_on_stderr(
     assert not current.open_worlds()
 
 
+@pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_shows_it_until_ctrl_c(log_file: Path, display: str) -> None:
     command = [sys.executable, "-m", "replay", "restore", str(log_file), "6", "--gui"]
@@ -162,6 +163,7 @@ def test_a_window_shows_it_until_ctrl_c(log_file: Path, display: str) -> None:
     assert not out  # not even what the window's own thread says
 
 
+@pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_script_can_have_a_window(log_file: Path, display: str, tmp_path: Path) -> None:
     script = tmp_path / "look.py"

@@ -24,6 +24,7 @@ from recorder.records.asset import AssetFile
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.restore.verify import verify
+from tests.measures import seeded
 from tests.replay.near import assert_near
 from tests.replay.plans import RandomPlan, Witness, everything
 
@@ -445,7 +446,7 @@ def test_random_plans_are_told_truly(tmp_path: Path) -> None:
         check_random_plan(seed, tmp_path)
 
 
-@pytest.mark.slow
-def test_many_random_plans_are_told_truly(tmp_path: Path) -> None:
-    for seed in range(2, 200):
+@seeded("random plans, told truly", range(2, 200), 22)
+def test_many_random_plans_are_told_truly(tmp_path: Path, seeds: range) -> None:
+    for seed in seeds:
         check_random_plan(seed, tmp_path)

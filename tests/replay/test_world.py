@@ -16,6 +16,7 @@ from pycram.world import attachment, current
 from recorder import geometry
 from recorder.records import Keyframe, Mutation, OpenWorld
 from replay.restore.ask import ask
+from tests.measures import seeded
 from tests.replay.near import assert_near
 from tests.replay.plans import RandomPlan, everything
 
@@ -176,11 +177,11 @@ def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> No
             log.world_at(2, exact=True)
 
 
-@pytest.mark.slow
-def test_the_future_of_an_exact_world_is_the_originals(file: Path) -> None:
-    """After 20 random steps of random plans, two seconds more are as if the original run had gone on, bit for bit."""
-    dice = random.Random(5)
-    for seed in dice.sample(range(1000), 20):
+@seeded("futures of exact worlds", range(20), 5)
+def test_the_future_of_an_exact_world_is_the_originals(file: Path, seeds: range) -> None:
+    """After random steps of random plans, two seconds more are as if the original run had gone on, bit for bit."""
+    dice = random.Random(seeds[0])
+    for seed in dice.sample(range(1000), len(seeds)):
         with recorder.record(file):
             RandomPlan(seed).run()
         with recorder.record(file.with_name("beginning.mcap")) as beginning:  # the same plan, until somewhere

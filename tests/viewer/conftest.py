@@ -1,6 +1,8 @@
 """Real viewers for the tests: one without a window, the server of one that keeps what it gets, and a browser.
 
-All are started for a test and surely ended after it. Drawn is with the processor.
+All are started for a test and surely ended after it: what a test leaves behind - a process, a file that is open, what
+lies in the folder for temporary files - is its own failure, and never that of a test which runs later. Drawn is with the
+processor.
 """
 
 from __future__ import annotations
@@ -8,8 +10,10 @@ from __future__ import annotations
 import base64
 import contextlib
 import fcntl
+import gc
 import json
 import os
+import random
 import re
 import signal
 import socket
@@ -18,11 +22,13 @@ import sys
 import tempfile
 import threading
 import time
+import uuid
 import warnings
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import psutil
 import pytest
 import rerun_cli
 from PIL import Image
@@ -31,6 +37,7 @@ from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
 from recorder.viewer.connection import address, answers
+from tests import needs
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,6 +45,10 @@ if TYPE_CHECKING:
 REPO = Path(__file__).parent.parent.parent
 OURS = re.compile("[Ss]oftware rasterizer|Failed to load examples")  # no graphics card, no network
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))
+MARK = "PYCRAM_TEST_OF"  # in the environment of what a test starts, and of what that starts
+LEAVING = 10.0  # s for a process to end by itself after the test
+PORTS = range(20_000, 32_000)  # below those that the system gives to connections while somebody looks for a free one
+LOCK = Path(tempfile.gettempdir()) / f"pycram-viewer-ports-{os.getuid()}"  # of all runs on this machine
 
 
 def wait_until(condition: Callable[[], object], what: str, seconds: float = 60) -> None:
@@ -53,17 +64,49 @@ def until() -> Callable[..., None]:
     return wait_until
 
 
+def processes(mark: str, variable: str = MARK) -> list[psutil.Process]:
+    """The processes that live and have come of a test, whoever their parents are now."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get(variable) == mark and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+        except psutil.Error:  # not ours, or gone
+            continue
+    return found
+
+
+@pytest.fixture(autouse=True)
+def alone(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A folder for temporary files of each test, and nothing that lives on after it."""
+    folder, mark = tmp_path_factory.mktemp("temporary"), uuid.uuid4().hex
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)  # it is looked up again
+    monkeypatch.setenv(MARK, mark)
+    yield
+    left = processes(mark)
+    psutil.wait_procs(left, LEAVING)
+    told = []
+    for process in processes(mark):
+        with contextlib.suppress(psutil.Error):
+            told.append(f"{process.pid}: {' '.join(process.cmdline())}")
+            process.kill()
+    gc.collect()  # a file that it left open is told here, not in the middle of another test
+    assert not told, f"left running: {told}"
+
+
 @pytest.fixture
 def port() -> int:
     """A port that nobody has."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
+    while True:
+        with contextlib.suppress(OSError), socket.create_server(("", random.choice(PORTS))) as free:
+            return int(free.getsockname()[1])
 
 
 @pytest.fixture
 def usual_ports() -> Iterator[None]:
     """Keeps the ports where viewers listen by default for one test at a time, whatever process it runs in."""
-    with (Path(tempfile.gettempdir()) / f"pycram-viewer-ports-{os.getuid()}").open("w") as file:
+    with LOCK.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield
 
@@ -76,7 +119,11 @@ class Server:
         self.file = file
         command = [BINARY, "--save", str(file), "--port", str(port), "--bind", "127.0.0.1"]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        wait_until(lambda: answers(self.url), "the server answers")
+        try:
+            wait_until(lambda: answers(self.url), "the server answers")
+        except BaseException:
+            self.end()
+            raise
 
     def stall(self) -> None:
         self.process.send_signal(signal.SIGSTOP)
@@ -113,29 +160,22 @@ def rows_of(file: Path) -> Counter[str]:
 @pytest.fixture
 def serve(port: int, tmp_path: Path) -> Iterator[Callable[[], Server]]:
     """Starts the server on ``port`` when it is called."""
-    started: list[Server] = []
+    with contextlib.ExitStack() as ends:
 
-    def start() -> Server:
-        started.append(Server(port, tmp_path / "shown.rrd"))
-        return started[-1]
+        def start() -> Server:
+            server = Server(port, tmp_path / "shown.rrd")
+            ends.callback(server.end)
+            return server
 
-    yield start
-    for server in started:
-        server.end()
+        yield start
 
 
 class Headless:
-    """A viewer without a window: it draws, but only into pictures.
-
-    What controls it has other names before rerun-sdk 0.40, the first that needs more than Python 3.10.
-    """
+    """A viewer without a window: it draws, but only into pictures."""
 
     def __init__(self, port: int) -> None:
         self.client = ViewerClient.spawn(headless=True, port=port, detach_process=False, executable_path=BINARY)
         self.url = self.client.url
-
-    def _call(self, name: str, old: str, *arguments: object) -> Any:
-        return getattr(self.client, name if hasattr(self.client, name) else old)(*arguments)
 
     @property
     def pid(self) -> int:
@@ -143,17 +183,17 @@ class Headless:
 
     def state(self) -> Any:
         """What it shows: recordings with their timelines, views with their reports."""
-        return self._call("get_state", "viewer_state")
+        return self.client.get_state()
 
     def complaints(self) -> list[str]:
         """Warnings and errors of the viewer and of its views, but for those about this machine."""
-        logs = self._call("get_logs", "viewer_logs")
+        logs = self.client.get_logs()
         said = [f"{log.level} {log.message}" for log in logs if log.level != "INFO" and not OURS.search(log.message)]
         return said + [f"{view.name}: {report.summary}" for view in self.state().views for report in view.reports]
 
     def open(self, file: Path) -> None:
         """Opens a file and waits until it is loaded."""
-        self._call("open", "open_url", str(file))
+        self.client.open(str(file))
         wait_until(self.has_loaded, f"{file.name} is loaded")
 
     def has_loaded(self) -> bool:
@@ -169,8 +209,7 @@ class Headless:
 
     def go_to(self, step: int) -> None:
         """Shows a step and stays there."""
-        pausing = {"play_state": "paused"} if hasattr(self.client, "get_state") else {}
-        self.client.set_time("step", sequence=step, **pausing)
+        self.client.set_time("step", sequence=step, play_state="paused")
 
     def picture(self, file: Path, view: str = "") -> Image.Image:
         """Draws a view that is in front, or all there is; views are there when something is loaded."""
@@ -182,12 +221,13 @@ class Headless:
     def end(self) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGCONT)
-        self._call("quit", "close")
+        self.client.quit()
 
 
 @pytest.fixture
 def headless(port: int) -> Iterator[Headless]:
     """A viewer without a window on ``port``."""
+    needs.need("Vulkan driver")
     viewer = Headless(port)
     yield viewer
     viewer.end()
@@ -212,9 +252,9 @@ class Browser:
             "--remote-debugging-pipe",
         ]
         # it reads its orders from descriptor 3 and answers on 4
-        plumbing = f'exec chromium "$@" 3<&{theirs_in} 4>&{theirs_out}'
+        plumbing = f'exec {needs.browser()} "$@" 3<&{theirs_in} 4>&{theirs_out}'
         self._process = subprocess.Popen(
-            ["bash", "-c", plumbing, "chromium", *options, "about:blank"],
+            ["bash", "-c", plumbing, "browser", *options, "about:blank"],
             pass_fds=[theirs_in, theirs_out],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -229,6 +269,14 @@ class Browser:
         self._count = 0
         self._session: str | None = None
         self.events: list[dict[str, Any]] = []
+        try:
+            self._attach()
+        except BaseException:
+            self.end()
+            raise
+
+    def _attach(self) -> None:
+        """Takes the page that it has opened with."""
         (page,) = [one for one in self.call("Target.getTargets")["targetInfos"] if one["type"] == "page"]
         attached = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)
         self._session = attached["sessionId"]
@@ -287,7 +335,8 @@ class Browser:
             return image.convert("RGB")
 
     def end(self) -> None:
-        os.killpg(self._process.pid, signal.SIGKILL)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._reading.close()
         with contextlib.suppress(BrokenPipeError):
@@ -296,6 +345,7 @@ class Browser:
 
 @pytest.fixture
 def browser(tmp_path: Path) -> Iterator[Browser]:
+    needs.need("Chromium")
     made = Browser(tmp_path / "browser")
     yield made
     made.end()
@@ -304,22 +354,21 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
 @pytest.fixture
 def pycram(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts the command line as a process of its own, in ``tmp_path``."""
-    started: list[subprocess.Popen[str]] = []
+    with contextlib.ExitStack() as ends:
 
-    def start(*words: str, **environment: str) -> subprocess.Popen[str]:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "pycram", *words],
-            cwd=tmp_path,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={"PYTHONPATH": str(REPO), "PATH": os.environ["PATH"], **environment},
-        )
-        started.append(process)
-        return process
+        def start(*words: str, **environment: str) -> subprocess.Popen[str]:
+            kept = {name: os.environ[name] for name in ("PATH", "TMPDIR", MARK)}
+            process = subprocess.Popen(
+                [sys.executable, "-m", "pycram", *words],
+                cwd=tmp_path,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                env={"PYTHONPATH": str(REPO), **kept, **environment},
+            )
+            ends.callback(process.communicate)
+            ends.callback(process.kill)
+            return process
 
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield start

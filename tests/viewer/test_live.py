@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import re
@@ -15,7 +16,6 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import psutil
 import pytest
 
 import recorder
@@ -23,12 +23,13 @@ import replay
 from recorder.viewer import sink
 from recorder.viewer.connection import LINGERING, Kind, Target, answers, free_port
 from replay.view.rrd import convert
-from tests.viewer.conftest import rows_of, wait_until
+from tests.viewer.conftest import processes, rows_of, wait_until
 
 if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Callable, Iterator
 
+    import psutil
     from conftest import Headless, Server
 
 pytestmark = pytest.mark.slow
@@ -94,15 +95,8 @@ class Ended:
 
 
 def marked(mark: str) -> list[psutil.Process]:
-    """The processes that have come of a plan, whoever their parents are now."""
-    found = []
-    for process in psutil.process_iter():
-        try:
-            if process.environ().get("PYCRAM_TEST") == mark and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
-        except psutil.Error:  # not ours, or gone
-            continue
-    return found
+    """The processes that have come of a plan."""
+    return processes(mark, "PYCRAM_TEST")
 
 
 class Plan:
@@ -291,31 +285,34 @@ def test_a_flood_is_taken_whole_by_a_viewer_that_lives(plan: Callable[..., Plan]
 @pytest.mark.parametrize("code", ["", HURRY], ids=["in time", "later than the plan"])
 def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Path, code: str) -> None:
     (tmp_path / "plan.py").write_text(SCENE + code)
-    ours, theirs = pty.openpty()  # somebody sits there
     mark = uuid.uuid4().hex
-    process = subprocess.Popen(
-        [sys.executable, "-m", "pycram", "run", "plan.py", "--rerun=serve"],
-        cwd=tmp_path,
-        stdin=theirs,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent.parent), "PYCRAM_TEST": mark},
-    )
-    assert process.stderr is not None
-    said: list[str] = []
-    while not ("the page stays until Ctrl-C" in "".join(said) and "live at" in "".join(said)):
-        said.append(process.stderr.readline())
-        assert said[-1], said
-    address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
-    assert address, said
-    assert answers(urllib.request.unquote(address[2]))
-    with urllib.request.urlopen(address[1]) as page:
-        assert b"rerun" in page.read().lower()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=20)
-    os.close(ours)
-    os.close(theirs)
+    with contextlib.ExitStack() as ends:
+        ours, theirs = pty.openpty()  # somebody sits there
+        ends.callback(os.close, ours)
+        ends.callback(os.close, theirs)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "pycram", "run", "plan.py", "--rerun=serve"],
+            cwd=tmp_path,
+            stdin=theirs,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent.parent), "PYCRAM_TEST": mark},
+        )
+        ends.callback(process.communicate)
+        ends.callback(process.kill)
+        assert process.stderr is not None
+        said: list[str] = []
+        while not ("the page stays until Ctrl-C" in "".join(said) and "live at" in "".join(said)):
+            said.append(process.stderr.readline())
+            assert said[-1], said
+        address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
+        assert address, said
+        assert answers(urllib.request.unquote(address[2]))
+        with urllib.request.urlopen(address[1]) as page:
+            assert b"rerun" in page.read().lower()
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=20)
     assert process.returncode == 0
     assert not marked(mark)
 
@@ -331,6 +328,7 @@ def test_nothing_is_left_of_a_plan_that_is_killed(plan: Callable[..., Plan], por
     until(lambda: not marked(running.mark), "nothing is left")
 
 
+@pytest.mark.needs("Xvfb", "Vulkan driver", "window libraries")
 @pytest.mark.usefixtures("usual_ports")
 def test_the_viewer_opens_and_stays_when_the_plan_has_ended(plan: Callable[..., Plan], display: str) -> None:
     with socket.create_server(("127.0.0.1", free_port(9876))):  # where it would listen is taken

@@ -51,7 +51,7 @@ def two(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def converting(tmp_path: Path, until: Callable[..., None]) -> subprocess.Popen[str]:
+def converting(tmp_path: Path, until: Callable[..., None]) -> Iterator[subprocess.Popen[str]]:
     """A process that translates, with the other one begun."""
     process = subprocess.Popen(
         [sys.executable, "-c", PROGRAM, GOLDEN, tmp_path / "log.rrd"],
@@ -61,8 +61,12 @@ def converting(tmp_path: Path, until: Callable[..., None]) -> subprocess.Popen[s
         text=True,
         start_new_session=True,
     )
-    until(lambda: tellers(tmp_path), "the other process begins")
-    return process
+    try:
+        until(lambda: tellers(tmp_path), "the other process begins")
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def tellers(folder: Path) -> list[str]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AccessFailed, BadArgument, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
-from pycram.reasoning.collision.ray_cast import half
-from pycram.reasoning.collision.simulation_clone import twin
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.collision.ray_cast import half_extent
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.grasping.sides import grasp_orientation
+from pycram.reasoning.kinematics import solver
 from pycram.world import carried
 from recorder import geometry
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-_STRIDE: Final = 0.1  # m or rad between the postures on the way
+_STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next
 
 
 class Accessing(SimulatedModule):
@@ -48,17 +49,13 @@ class Accessing(SimulatedModule):
             end = max(lower, 0.0) + solution["distance"]
             if end > upper + 1e-9:
                 raise AccessFailed(joint, f"it opens up to {upper:g}, not {end:g}")
-            steps = max(1, math.ceil(abs(end - start) / _STRIDE))
+            steps = max(1, math.ceil(abs(end - start) / _STEP))
             values = [start + (end - start) * i / steps for i in range(steps + 1)]
             postures = self._plan(robot, arm, container, joint, handle, values)
-            blockers = sorted(
-                {
-                    body.name
-                    for body in (*_hit(robot, arm, container, joint, postures), *_swept(container, joint, values))
-                }
-            )
+            blockers = {*_touched(robot, arm, container, joint, postures), *_swept(container, joint, values)}
             if blockers:
-                raise AccessFailed(joint, f"{', '.join(blockers)} would be in the way")
+                names = ", ".join(sorted(body.name for body in blockers))
+                raise AccessFailed(joint, f"{names} would be in the way")
             robot.set_joint_positions(arm.gripper.positions("open"))
             robot.set_joint_positions(postures[0])
             robot.set_joint_positions(arm.gripper.positions("close"))
@@ -70,70 +67,68 @@ class Accessing(SimulatedModule):
     @staticmethod
     def _plan(
         robot: Object, arm: Arm, container: Object, joint: str, handle: str, values: list[float]
-    ) -> list[dict[str, float]]:
-        grip = _grip(robot, arm.gripper, container, handle)
-        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), grip)
-        postures: list[dict[str, float]] = []
+    ) -> list[Mapping[str, float]]:
+        tool = _tool_at(robot, arm.gripper, container, handle)
+        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), tool)
+        postures: list[Mapping[str, float]] = []
         now = container.get_joint_positions()
-        seed: dict[str, float] | None = None
+        seed: Mapping[str, float] | None = None
         for value in values:
             root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)
             link = geometry.multiply(container.get_position_and_orientation(), root_T_link)
             position, orientation = geometry.multiply(link, link_T_tool)
-            way = reach.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
-            if not way.reached(reach.THRESHOLD):
-                raise Unreachable(arm.name, position, way.posture.position_error, f"{handle} at {joint} = {value:.3f}")
-            seed = dict(way.posture.positions)
+            posture = solver.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
+            if not posture.reaches():
+                raise Unreachable(arm.name, position, posture.position_error, f"{handle} at {joint} = {value:.3f}")
+            seed = posture.positions
             postures.append(seed)
         return postures
 
 
-def _hit(
+def _touched(
     robot: Object, arm: Arm, container: Object, joint: str, postures: Sequence[Mapping[str, float]]
 ) -> Iterator[Object]:
-    """What the arm would touch on the way, but for what it opens."""
+    """Yield what the arm would touch while it opens something, but for that."""
     moved = set(carried.moved_links(container.urdf, [joint]))
     opened = arm.gripper.positions("open")
-    with CollisionChecker(robot, [*arm.joints, *opened]) as rehearsal:
-        for posture in postures:
-            rehearsal.take({**posture, **opened})
-            for body, told in rehearsal.touched().items():
-                if body is not container or not moved.issuperset(cast("list[str]", told["by"])):
+    with CollisionChecker(robot, [*arm.joints, *opened]) as checker:
+        for candidate in checker.predict([{**posture, **opened} for posture in postures]):
+            for body, collision in checker.touched(candidate).items():
+                if body is not container or not moved.issuperset(collision["by"]):
                     yield body
 
 
 def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[Object]:
-    """What a drawer or door would push away when it opens; what lies in it moves along."""
+    """Yield what a drawer or door would push away when it opens; what lies in it moves along."""
     moved = carried.moved_links(container.urdf, [joint])
-    riding = carried.supported_bodies(container, moved)
-    copy = twin(container.world, "reach")
-    bodies = copy.sync()
-    engine, opening = copy.engine, bodies[container.name]
+    supported = carried.supported_bodies(container, moved)
+    clone = clone_of(container.world, "reach")
+    bodies = clone.sync()
+    engine, opening = clone.engine, bodies[container.name]
     others = [
-        body for body in container.world.objects if not body.fixed and body not in riding and body.carrier is None
+        body for body in container.world.objects if not body.fixed and body not in supported and body.carrier is None
     ]
     try:
         for value in values[1:]:
             engine.pose_joints(opening, {joint: value})
             for body in others:
-                touches = (
-                    touch for link in moved for touch in engine.link_closest_points(opening, link, bodies[body.name])
-                )
-                if any(touch.distance < -DEPTH for touch in touches):
+                copy = bodies[body.name]
+                points = (point for link in moved for point in engine.link_closest_points(opening, link, copy))
+                if any(point.distance < -DEPTH for point in points):
                     yield body
     finally:
-        copy.disturbed(container.name)
+        clone.invalidate(container.name)
 
 
-def _grip(robot: Object, gripper: Gripper, container: Object, handle: str) -> Pose:
-    """Pose of the tool at a handle: from the front, the fingers across the bar, the palm before it."""
+def _tool_at(robot: Object, gripper: Gripper, container: Object, handle: str) -> Pose:
+    """Return the pose of the tool at a handle: from the front, the fingers across the bar, the palm before it."""
     low, high = container.get_AABB(handle)
-    tool = reach.approach("front", robot)
+    tool = grasp_orientation("front", robot)
     forward = geometry.rotate(tool, (1.0, 0.0, 0.0))
     _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
     across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])
     if across > high[2] - low[2]:  # a bar that lies
         tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
-    back = max(half(low, high, forward) - gripper.depth, 0.0)
+    back = max(half_extent(low, high, forward) - gripper.depth, 0.0)
     x, y, z = ((a + b) / 2 - back * f for a, b, f in zip(low, high, forward, strict=True))
     return (x, y, z), tool

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import LookingFailed
 from pycram.motions.modules.simulated import NoDescription, SimulatedModule
-from pycram.reasoning.collision import ray_cast
+from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.kinematics import pan_tilt
 from recorder import geometry
 
@@ -18,7 +18,7 @@ _ACCURACY: Final = math.radians(0.5)
 
 
 class MoveHead(SimulatedModule):
-    """Points the camera's axis at a place or at the middle of an object."""
+    """Points the camera's axis at a point or at the center of an object."""
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
@@ -27,7 +27,7 @@ class MoveHead(SimulatedModule):
         if description.head is None or description.camera is None:
             raise NoDescription(robot.name)
         with robot.world.lock:
-            target = solution["target"] if "target" in solution else ray_cast.middle(solution["object"])
+            target = solution["target"] if "target" in solution else center(solution["object"])
             point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
             joints = (description.head.pan, description.head.tilt)
             now = robot.get_joint_positions()

@@ -1,4 +1,4 @@
-"""Moving the base (thesis, Listing 4.3): it drives on its ground, and nowhere where the robot would touch something."""
+"""Moving the base (thesis, Listing 4.3): on the ground, and nowhere where the robot would touch something."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Navigation(SimulatedModule):
         target, orientation = solution["target"], solution["orientation"]
         with robot.world.lock:
             _check_ground(robot, target, orientation)
-            touched = checker.in_the_way(robot, {}, base=(tuple(target), tuple(orientation)), everything=True)
+            touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)
             if touched:
                 raise InCollision(target, orientation, [body.name for body in touched])
             robot.set_position_and_orientation(target, orientation)

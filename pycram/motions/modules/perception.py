@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PerceptionError
 from pycram.motions.modules.simulated import NoDescription, SimulatedModule
+from pycram.reasoning.queries.visibility import visible
 
 if TYPE_CHECKING:
     from pycram.motions.designator import Designator
@@ -29,21 +29,20 @@ class Detecting(SimulatedModule):
         seen: list[tuple[float, Object]] = []
         with robot.world.lock:
             for body in robot.world.get_objects_by_type(kind):
-                verdict = btr.visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
-                share = float(str(verdict.evidence["share"]))
+                verdict = visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
                 if verdict:
-                    seen.append((share, body))
+                    seen.append((float(str(verdict.evidence["share"])), body))
                 else:
-                    reasons[body.name] = _reason(verdict.evidence, share)
+                    reasons[body.name] = _reason(dict(verdict.evidence))
         if not seen:
             raise PerceptionError(kind, reasons)
         return max(seen, key=lambda item: item[0])[1]
 
 
-def _reason(evidence: object, share: float) -> str:
-    told = dict(evidence) if isinstance(evidence, dict) else {}
-    hiders = ", ".join(told.get("hidden_by", {}))
-    reason = str(told.get("reason") or (f"is seen to {share:.0%} only" if share else "is not seen"))
+def _reason(evidence: dict[str, Any]) -> str:
+    """Return in words why an object isn't seen."""
+    share, hiders = evidence["share"], ", ".join(evidence["hidden_by"])
+    reason = evidence.get("reason") or (f"is seen to {share:.0%} only" if share else "is not seen")
     return f"{reason} (behind {hiders})" if hiders else reason
 
 

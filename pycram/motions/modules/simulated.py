@@ -30,7 +30,7 @@ class SimulatedModule(ProcessModule):
 
     @staticmethod
     def robot() -> Object:
-        """The robot.
+        """Return the robot.
 
         Raises:
             NoWorld: there is none.
@@ -39,15 +39,15 @@ class SimulatedModule(ProcessModule):
 
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:
-        """What a robot holds with the gripper of an arm; None if nothing."""
+        """Return what a robot holds with the gripper of an arm; None if nothing."""
         return next((held.body for held in robot.carried if held.carrier_link == arm.tool_frame), None)
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:
-        """What is known of a robot.
+        """Return a robot's description.
 
         Raises:
-            NoDescription: nothing.
+            NoDescription: it has none.
         """
         if robot.description is None:
             raise NoDescription(robot.name)

@@ -1,6 +1,6 @@
-"""What of a robot some joints move, as it stands: its links, the boxes around them, and which of these could meet.
+"""What of a robot some joints move, as it stands: its links, the boxes around them, and which of these could overlap.
 
-It is worked out once for a state of the robot, since many questions are asked while the robot stays where it is.
+It is worked out once for a state of the robot, since there are many queries while the robot stays where it is.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.collision.boxes import overlapping
+from pycram.reasoning.collision.boxes import overlapping_pairs
 from pycram.reasoning.kinematics.articulation import Articulation
 from pycram.world import carried
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry.urdf import Urdf
 
-_BESIDE: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
+_NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
 
 
 class MovingLinks:
@@ -32,66 +32,58 @@ class MovingLinks:
 
     Args:
         engine: where it stands.
-        copy: the engine's side of it.
+        body: the engine's side of it.
         robot: the robot.
         boxes: around all its pieces, as it stands there.
         joints: names of the joints that will be moved.
-        everything: look at all links, not just those that the joints move.
+        all_links: check all links, not just those that the joints move.
 
     Attributes:
-        moving: links that are looked at.
-        depth: how many of the joints each link hangs on.
-        now: values of the joints, rad or m.
-        stand: pose of its base.
-        articulation: how the joints move them.
-        boxes: around the links that are looked at.
-        carriers: (k,) the number of the joint that carries each box, -1 where none does.
-        numbers: (k,) of these boxes among those around the whole robot.
+        moving: links that are checked.
+        joint_counts: how many of the joints each link hangs on.
+        positions: values of the joints, rad or m.
+        base_pose: of the robot.
+        articulation: how the joints move the links.
+        boxes: around the links that are checked.
+        drivers: (k,) the number of the joint that moves each of these boxes, -1 where none does.
     """
 
     def __init__(
-        self, engine: Engine, copy: Body, robot: Object, boxes: Boxes, joints: tuple[str, ...], *, everything: bool
+        self, engine: Engine, body: Body, robot: Object, boxes: Boxes, joints: tuple[str, ...], *, all_links: bool
     ) -> None:
-        self.moving = frozenset(robot.links if everything else carried.moved_links(robot.urdf, joints))
-        self.depth = arm_depths(robot.urdf, joints)
-        now = dict(zip(robot.joints, engine.joints(copy)[0], strict=True))
-        self.now = {name: now[name] for name in joints}
-        self.stand = engine.pose(copy)
-        self.articulation = Articulation(engine, copy, robot.urdf, joints)
-        self._whole = boxes
-        carriers = self.articulation.carriers
-        self._carriers = np.array([carriers[link] for link in boxes.links], dtype=np.intp)
+        self.moving = frozenset(robot.links if all_links else carried.moved_links(robot.urdf, joints))
+        self.joint_counts = joint_counts(robot.urdf, joints)
+        positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
+        self.positions = {name: positions[name] for name in joints}
+        self.base_pose = engine.pose(body)
+        self.articulation = Articulation(engine, body, robot.urdf, joints)
+        self._all_boxes = boxes
+        self._all_drivers = np.array([self.articulation.drivers[link] for link in boxes.links], dtype=np.intp)
         moving = np.array([link in self.moving for link in boxes.links], dtype=bool)
-        self.boxes = boxes.chosen(moving)
-        self.carriers = self._carriers[moving]
-        self.numbers = np.flatnonzero(moving)
-        depths = np.array([self.depth[link] for link in boxes.links])
+        self.boxes = boxes.subset(moving)
+        self.drivers = self._all_drivers[moving]
+        counts = np.array([self.joint_counts[link] for link in boxes.links])
         names = np.array(boxes.links)
-        told = moving[:, None] & (np.abs(depths[:, None] - depths) > _BESIDE)
-        self._pairs = np.nonzero(told & ~(moving & (names[:, None] >= names)))  # each pair once
+        apart = moving[:, None] & (np.abs(counts[:, None] - counts) > _NEIGHBOURS)
+        self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
 
-    def meeting(self, moved: NDArray[np.float64]) -> Iterable[tuple[str, str]]:
-        """Pairs of links, the first of which moves, more than a shoulder apart, whose boxes meet; each once.
+    def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[str, str]]:
+        """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
 
         Args:
-            moved: (joints + 1, 4, 4) how the joints carry things, as the articulation says.
+            transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
         """
-        firsts, seconds = self._pairs
-        centers, axes = self._whole.carried(moved[None, self._carriers])
-        met = overlapping(centers[0], axes[0], self._whole.halves, firsts, seconds)
-        links = self._whole.links
-        return dict.fromkeys((links[firsts[pair]], links[seconds[pair]]) for pair in met)
+        a, b = self._pairs
+        centers, axes = self._all_boxes.moved(transforms[None, self._all_drivers])
+        found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
+        links = self._all_boxes.links
+        return dict.fromkeys((links[a[pair]], links[b[pair]]) for pair in found)
 
 
-def arm_depths(urdf: Urdf, joints: Collection[str]) -> Mapping[str, int]:
-    """How many of some joints each link hangs on.
-
-    Args:
-        urdf: of the robot.
-        joints: their names.
-    """
-    depth: dict[str, int] = {}
+def joint_counts(urdf: Urdf, joints: Collection[str]) -> Mapping[str, int]:
+    """Return how many of some joints each link of a robot hangs on."""
+    counts: dict[str, int] = {}
     for link in urdf.links:  # parents come before their children
         joint = urdf.parent_joint(link)
-        depth[link] = 0 if joint is None else depth[joint.parent] + (joint.name in joints)
-    return depth
+        counts[link] = 0 if joint is None else counts[joint.parent] + (joint.name in joints)
+    return counts

@@ -1,8 +1,8 @@
-"""An object's outline: where straight lines meet its surface.
+"""Ray casts: where straight lines enter and leave an object's collision shapes.
 
-A gripper has to know how wide an object is where the fingers go, which neither its bounds nor its origin tell: bounds
-grow when it turns, and a hollow one has walls. The surface is that of the shapes that touch, as the model says; no
-engine is asked, hence nothing can be stale and nothing is put anywhere.
+A gripper has to know how wide an object is where the fingers go, which neither its bounds nor its origin say: bounds
+grow when it turns, and a hollow one has walls. Lines are intersected with the convex pieces of the model, all at once;
+no engine is asked, so nothing can be stale and nothing is moved.
 """
 
 from __future__ import annotations
@@ -25,26 +25,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_PADDED: Final = 1e-3  # m by which the engine makes hulls thicker to all sides
-_ALONG: Final = 1e-9  # of a plane's unit normal along a line: less never meets it
+_PADDING: Final = 1e-3  # m by which the engine makes hulls thicker to all sides
+_PARALLEL: Final = 1e-9  # of a plane's unit normal along a line: with less the line never meets the plane
 
 
-def middle(body: Object) -> Vector:
-    """The middle of an object's bounds in the world, m.
-
-    Args:
-        body: the object.
-    """
-    return _between(*body.get_AABB())
+def center(body: Object) -> Vector:
+    """Return the center of an object's bounds in the world, m."""
+    return _center(*body.get_AABB())
 
 
-def _between(low: Sequence[float], high: Sequence[float]) -> Vector:
+def _center(low: Sequence[float], high: Sequence[float]) -> Vector:
     (x0, y0, z0), (x1, y1, z1) = low, high
     return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
 
 
-def half(low: Sequence[float], high: Sequence[float], direction: Sequence[float]) -> float:
-    """Half of the size of a box along a direction, m.
+def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence[float]) -> float:
+    """Return half of the size of a box along a direction, m.
 
     Args:
         low: its lowest corner.
@@ -57,12 +53,12 @@ def half(low: Sequence[float], high: Sequence[float], direction: Sequence[float]
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Where lines are drawn, side by side.
+    """Parallel lines, side by side.
 
     Attributes:
         frame: in the world; lines go along one of its axes.
-        first: of the places along another of its axes where there is a line, m.
-        step: from one place to the next, m.
+        first: of the points along another of its axes where there is a line, m.
+        step: from one point to the next, m.
     """
 
     frame: Pose
@@ -71,96 +67,84 @@ class Scan:
 
 
 class RayCaster:
-    """The surface of one object, as it stands.
+    """Casts rays at one object, as it stands.
+
+    Args:
+        body: the object; its world's lock is held.
 
     Attributes:
         low: lowest corner of its bounds in the world, m.
         high: highest corner of its bounds in the world, m.
-        middle: the middle of its bounds in the world, m.
+        center: of its bounds in the world, m.
     """
 
     def __init__(self, body: Object) -> None:
-        """Looks where its faces are.
-
-        Args:
-            body: the object; its world's lock is held.
-        """
-        low, high = body.get_AABB()
-        self.low: Vector = (low[0], low[1], low[2])
-        self.high: Vector = (high[0], high[1], high[2])
-        self.middle = _between(low, high)
+        self.low, self.high = body.get_AABB()
+        self.center = _center(self.low, self.high)
         solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
         self._centers = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
-        self._edges = turns * ((solids.high - solids.low) / 2 + 2 * _PADDED)[:, None]
+        self._edges = turns * ((solids.high - solids.low) / 2 + 2 * _PADDING)[:, None]
         self._pieces = solids.pieces
         self._counts = np.bincount(solids.pieces)
         self._planes = np.empty((len(solids.pieces), 4))
         self._planes[:, :3] = normals = np.einsum("mij,mj->mi", turns[solids.pieces], solids.normals)
-        self._planes[:, 3] = solids.offsets + (normals * positions[solids.pieces]).sum(axis=1) + _PADDED
+        self._planes[:, 3] = solids.offsets + (normals * positions[solids.pieces]).sum(axis=1) + _PADDING
 
-    def half(self, direction: Sequence[float]) -> float:
-        """Half of the size of its bounds along a direction, m.
-
-        Args:
-            direction: a unit vector in the world.
-        """
-        return half(self.low, self.high, direction)
-
-    def across(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
-        """How far it extends along the y axes of frames.
+    def extents(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
+        """Return how far the object extends along the y axes of frames.
 
         Args:
-            scans: where lines are drawn along the y axes, at places along the x axes.
-            count: of places in each.
-            zs: places along the frames' z axes, m; of all of them together the farthest count.
+            scans: lines along the y axes, at points along the x axes.
+            count: of points in each.
+            zs: of lines, m; of all of them together the farthest points count.
 
         Returns:
             (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan where there is nothing.
             Beyond a scan's own count it says nothing.
         """
-        met = self._met(scans, (0, 2, 1), count, zs)
-        ends = met.nearest(np.stack([met.enter.min(axis=1), -met.leave.max(axis=1)], axis=1))
+        hits = self._intersect(scans, (0, 2, 1), count, zs)
+        ends = hits.nearest(np.stack([hits.enter.min(axis=1), -hits.leave.max(axis=1)], axis=1))
         found = ends.transpose(0, 2, 1) * [1.0, -1.0]
         return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
-        """Where the walls of something hollow are, looked for from the z axes of frames along their x axes.
+        """Return where the walls of something hollow are, looked for from the z axes of frames along their x axes.
 
         Args:
-            scans: where lines are drawn along the x axes, at places along the z axes; those lie inside of the hollow.
-            count: of these places in each.
-            ys: places along the frames' y axes, m; of all of them together the farthest count.
+            scans: lines along the x axes, at points along the z axes; those lie inside of the hollow.
+            count: of points in each.
+            ys: of lines, m; of all of them together the farthest points count.
 
         Returns:
             (len(scans), count, 2), m: x of the wall's inside and outside at each z; inside is nan where a line enters
             no piece, as where it begins within the solid, both where there is nothing.
         """
-        met = self._met(scans, (2, 1, 0), count, ys)
-        first = met.nearest(np.where(met.enter > 0.0, met.enter, np.inf))
-        last = -met.nearest(np.where(met.leave > 0.0, -met.leave, np.inf)).min(axis=1)
+        hits = self._intersect(scans, (2, 1, 0), count, ys)
+        first = hits.nearest(np.where(hits.enter > 0.0, hits.enter, np.inf))
+        last = -hits.nearest(np.where(hits.leave > 0.0, -hits.leave, np.inf)).min(axis=1)
         inside = np.where(np.isfinite(first).all(axis=1), first.min(axis=1), np.nan)
         return np.stack([inside, np.where(np.isfinite(last), last, np.nan)], axis=2)
 
-    def _met(
+    def _intersect(
         self, scans: Sequence[Scan], order: tuple[int, int, int], count: int | Sequence[int], vs: Sequence[float]
-    ) -> _Met:
-        """Where parallel lines pass through its pieces: all in one go, as what takes time is numpy's being called.
+    ) -> _Intersections:
+        """Intersect parallel lines with the object's pieces: all in one go, since each call of numpy takes its time.
 
         Args:
-            scans: where lines are drawn.
+            scans: the lines.
             order: of the frames' axes: u and v across the lines, w along them.
-            count: of places along u, in each scan.
-            vs: places of lines along v, lowest first, m.
+            count: of points along u, in each scan.
+            vs: of lines along v, lowest first, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1
         most = int(last.max(initial=0)) + 1
-        told = np.array([(scan.first, scan.step, *scan.frame[0], *scan.frame[1]) for scan in scans])
-        firsts, steps, origins = told[:, 0], told[:, 1], told[:, 2:5]
+        numbers = np.array([(scan.first, scan.step, *scan.frame[0], *scan.frame[1]) for scan in scans])
+        firsts, steps, origins = numbers[:, 0], numbers[:, 1], numbers[:, 2:5]
         frames = np.zeros((len(scans), 4, 4))
         frames[:, 3, 3] = 1.0
-        frames[:, :3, :3] = axes = geometry.to_matrices(told[:, 5:])[:, :, order]
+        frames[:, :3, :3] = axes = geometry.to_matrices(numbers[:, 5:])[:, :, order]
         frames[:, :3, 3] = -origins
         across = axes[:, :, :2]
         middle, half = np.empty((2, len(scans), 1, 2))  # of the lines along u and v
@@ -170,19 +154,19 @@ class RayCaster:
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        # of the places along u those where lines can meet a piece at all
-        center, spread = away[where, which, 0], reach[where, which, 0]
-        paces = np.where(steps == 0.0, _ALONG, steps)[where]
-        center, spread = center / paces + last[where] / 2, np.abs(spread / paces)
-        begins = np.maximum(np.ceil(center - spread), 0.0).astype(np.intp)
-        width = int((np.minimum(np.floor(center + spread), last[where]).astype(np.intp) - begins).max(initial=0)) + 1
+        # of the points along u those where lines can meet a piece at all
+        middles, spread = away[where, which, 0], reach[where, which, 0]
+        paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
+        middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
+        begins = np.maximum(np.ceil(middles - spread), 0.0).astype(np.intp)
+        width = int((np.minimum(np.floor(middles + spread), last[where]).astype(np.intp) - begins).max(initial=0)) + 1
         begins = np.minimum(begins, most - width)
         # each plane meets the lines of its pair
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
         # a plane that lines go along is left far away by those within, and was left long ago by those without
-        along = np.where(np.abs(along) < _ALONG, _ALONG, along)
+        along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]
         factors[:, 1] = u * -steps[where][number]
@@ -198,19 +182,19 @@ class RayCaster:
             rows = mine.take(np.cumsum(counts) - counts + np.minimum(each, counts - 1))
             meets = factors.take(rows.ravel(), axis=0) @ lines.reshape(3, -1)
             found.append(nearest(meets.reshape(len(each), len(where), len(vs), width), axis=0))
-        met = found[0] <= found[1]
-        enter, leave = np.where(met, found[0], np.inf), np.where(met, found[1], -np.inf)
-        return _Met(near.sum(axis=1), most, begins, enter, leave)
+        hit = found[0] <= found[1]
+        enter, leave = np.where(hit, found[0], np.inf), np.where(hit, found[1], -np.inf)
+        return _Intersections(near.sum(axis=1), most, begins, enter, leave)
 
 
 @dataclass(frozen=True, slots=True)
-class _Met:
+class _Intersections:
     """Where the lines of scans pass through n pieces that are near them.
 
     Attributes:
         pieces: (scans,) how many of them are near each scan: the first ones, the next ones, ...
-        count: of places of lines in a scan at most.
-        begins: (n,) the first place where lines are looked at; the rest miss the piece.
+        count: of points in a scan at most.
+        begins: (n,) the first point where lines may hit the piece.
         enter: (n, beside, width), m: where each line enters the piece, inf where it misses it.
         leave: (n, beside, width), m: where each line leaves it, -inf where it misses it.
     """
@@ -222,11 +206,7 @@ class _Met:
     leave: Array
 
     def nearest(self, values: Array) -> Array:
-        """The lowest of all pieces: (scans, beside, count); inf where there is none.
-
-        Args:
-            values: (n, beside, width) for each piece.
-        """
+        """Return the lowest of the values (n, beside, width) of pieces: (scans, beside, count); inf where none is."""
         pieces, beside, width = values.shape
         cells = np.full((pieces, beside, self.count), np.inf)
         across = np.arange(pieces)[:, None, None], np.arange(beside)[:, None]

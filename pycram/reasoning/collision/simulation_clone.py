@@ -1,7 +1,7 @@
-"""Twins: copies of a world in physics clients of their own, where things may be tried.
+"""Simulation clones: copies of a world in physics clients of their own, where things may be tried.
 
-A twin is never the world: whatever happens in it, the world has the same bits afterwards. It is made of the same models
-and is brought to the world's state whenever somebody asks; bodies that have not changed cost a comparison.
+Whatever happens in a clone, the world has the same bits afterwards. A clone is made of the same models and is brought
+to the world's state whenever somebody asks; bodies that have not changed cost a comparison.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Mapping
+    from collections.abc import Callable, Container, Hashable, Iterable, Mapping
 
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_KEPT: Final = 8  # things known of a copy
-_AWAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
+_MAX_CACHED: Final = 8  # values of a copy
+_OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
 @dataclass(slots=True)
@@ -35,7 +35,7 @@ class _Copy:
     original: Body
     body: Body
     state: Snapshot | None
-    known: dict[Hashable, tuple[Snapshot, object]] = field(default_factory=dict)
+    cache: dict[Hashable, tuple[Snapshot, object]] = field(default_factory=dict)
 
 
 class SimulationClone:
@@ -45,7 +45,7 @@ class SimulationClone:
 
     Args:
         world: the world.
-        solid: its bodies meet each other; else they pass through each other, which costs less.
+        solid: its bodies collide; else they pass through each other, which costs less.
     """
 
     def __init__(self, world: BulletWorld, *, solid: bool) -> None:
@@ -57,31 +57,25 @@ class SimulationClone:
         self._held: list[tuple[int, Body, str, Body, bool]] = []
 
     def sync(self, bodies: Iterable[Object] | None = None, *, holding: bool = False) -> Mapping[str, Body]:
-        """Brings the copies to the world's state.
+        """Bring the copies to the world's state.
 
         Args:
             bodies: the objects that are wanted; others are put out of the way. All by default.
-            holding: attachments among them hold when the twin is stepped.
+            holding: attachments among them hold when the clone is stepped.
 
         Returns:
             The engine's bodies of the wanted objects, by name.
         """
         wanted = {body.name: body for body in (self.world.objects if bodies is None else bodies)}
-        self._let_go()
+        self._release()
         if self._gravity != self.world.gravity:
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
-        living = {body.name: body for body in self.world.objects}
-        for name, copy in list(self._copies.items()):
-            if name not in living or living[name].handle is not copy.original:
-                self.engine.remove(copy.body)
-                del self._copies[name]
-            elif name not in wanted and copy.state is not None:
-                self.engine.set_pose(copy.body, _AWAY)
-                copy.state = None
+        self._put_away(wanted)
         copies = {name: self._copy(body) for name, body in wanted.items()}
-        if self._solid:
-            self._start_afresh(wanted.values(), copies)
+        if self._solid:  # contacts of earlier queries would change the last bits of the answer
+            for body in wanted.values():
+                self.engine.reset_collision_filter(copies[body.name], fixed=body.fixed, robot=body.is_robot)
         if holding:
             for body in wanted.values():
                 for held in body.carried:
@@ -89,10 +83,16 @@ class SimulationClone:
                         self._hold(held, copies)
         return copies
 
-    def _start_afresh(self, bodies: Iterable[Object], copies: Mapping[str, Body]) -> None:
-        """Forgets contacts of earlier questions, which would change the last bits of the answer."""
-        for body in bodies:
-            self.engine.reset_collision_filter(copies[body.name], fixed=body.fixed, robot=body.is_robot)
+    def _put_away(self, wanted: Container[str]) -> None:
+        """Remove copies of what is no longer in the world, and put those out of the way that aren't wanted now."""
+        living = {body.name: body for body in self.world.objects}
+        for name, copy in list(self._copies.items()):
+            if name not in living or living[name].handle is not copy.original:
+                self.engine.remove(copy.body)
+                del self._copies[name]
+            elif name not in wanted and copy.state is not None:
+                self.engine.set_pose(copy.body, _OUT_OF_THE_WAY)
+                copy.state = None
 
     def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]
@@ -105,7 +105,7 @@ class SimulationClone:
         self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
         self._held.append((constraint, carrier, held.carrier_link, body, robot))
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         for constraint, carrier, link, body, robot in self._held:
             self.engine.unfix(constraint)
             self.engine.pass_through(carrier, link, body, robot=robot, enable=False)
@@ -131,34 +131,30 @@ class SimulationClone:
         return copy.body
 
     def boxes(self, body: Object) -> Boxes:
-        """Boxes around an object's pieces, as it was last synced.
+        """Return the boxes around an object's pieces, as it was last synced and not invalidated since."""
+        return self.cached(body, "boxes", lambda copy: Boxes.around(self.engine, copy, body))
+
+    def cached(self, body: Object, key: Hashable, compute: Callable[[Body], T]) -> T:
+        """Return what was computed of an object as it was last synced; it is computed again when it has moved since.
 
         Args:
-            body: one of the objects that were wanted, and not disturbed since.
-        """
-        return self.known(body, "boxes", lambda copy: Boxes.around(self.engine, copy, body))
-
-    def known(self, body: Object, what: Hashable, look: Callable[[Body], T]) -> T:
-        """What somebody has to know of an object as it was last synced; looked for anew when it has moved since.
-
-        Args:
-            body: one of the objects that were wanted, and not disturbed since.
-            what: a name for it.
-            look: finds it out of the copy.
+            body: one of the objects that were wanted, and not invalidated since.
+            key: identifies the value.
+            compute: makes it of the engine's copy.
         """
         copy = self._copies[body.name]
         if copy.state is None:
             raise AssertionError(f"{body.name} isn't as it was synced")
-        state, found = copy.known.get(what, (None, None))
+        state, value = copy.cache.get(key, (None, None))
         if state != copy.state:
-            if len(copy.known) >= _KEPT:
-                copy.known.clear()
-            found = look(copy.body)
-            copy.known[what] = copy.state, found
-        return cast("T", found)
+            if len(copy.cache) >= _MAX_CACHED:
+                copy.cache.clear()
+            value = compute(copy.body)
+            copy.cache[key] = copy.state, value
+        return cast("T", value)
 
-    def disturbed(self, *names: str) -> None:
-        """Says which copies are not as they were synced: they are put back by the next sync.
+    def invalidate(self, *names: str) -> None:
+        """Mark copies that are no longer as they were synced: the next sync puts them back.
 
         Args:
             names: of the objects; all by default.
@@ -168,24 +164,24 @@ class SimulationClone:
                 self._copies[name].state = None
 
     def close(self) -> None:
-        """Ends its physics client."""
+        """End its physics client."""
         self.engine.close()
 
 
-_twins: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()
+_clones: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()
 _registry = threading.Lock()
 
 
-def twin(world: BulletWorld, purpose: str) -> SimulationClone:
-    """The world's twin for a purpose, made at its first use and ended with the world.
+def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
+    """Return the world's clone for a purpose, made at its first use and ended with the world.
 
     Args:
         world: the world; its lock is held.
         purpose: "reach", whose bodies aren't solid; "physics" and "physics with robots", which are stepped.
     """
     with _registry:
-        mine = _twins.setdefault(world, {})
-    if purpose not in mine:
-        made = mine[purpose] = SimulationClone(world, solid=purpose != "reach")
-        world.at_exit(made.close)
-    return mine[purpose]
+        clones = _clones.setdefault(world, {})
+    if purpose not in clones:
+        clone = clones[purpose] = SimulationClone(world, solid=purpose != "reach")
+        world.at_exit(clone.close)
+    return clones[purpose]

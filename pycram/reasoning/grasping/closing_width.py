@@ -1,10 +1,10 @@
-"""How far a gripper closes: until a finger touches what is between them."""
+"""The closing width: a gripper closes until a finger touches what is between them."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.collision.simulation_clone import twin
+from pycram.reasoning.collision.simulation_clone import clone_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _SLACK: Final = 5e-4  # m of overlap that is a touch
-_HALVINGS: Final = 8  # of the way between open and closed: 0.4 mm of the PR2's aperture
+_HALVINGS: Final = 8  # of the interval between open and closed: 0.4 mm of the PR2's aperture
 
 
 def closed_around(
     robot: Object, gripper: Gripper, posture: Mapping[str, float], body: Object
 ) -> dict[str, float] | None:
-    """Joint values of a gripper that has closed on an object.
+    """Return the joint values of a gripper that has closed on an object.
 
     Args:
         robot: the robot.
@@ -30,16 +30,16 @@ def closed_around(
     Returns:
         The values; None if nothing is between the fingers.
     """
-    copy = twin(robot.world, "reach")
-    bodies = copy.sync()
-    engine, hand, thing = copy.engine, bodies[robot.name], bodies[body.name]
+    clone = clone_of(robot.world, "reach")
+    bodies = clone.sync()
+    engine, hand, target = clone.engine, bodies[robot.name], bodies[body.name]
 
     def touches(share: float) -> bool:
         engine.set_joints(hand, gripper.at(share))
         return any(
             touch.distance < -_SLACK
             for finger in gripper.fingers
-            for touch in engine.link_closest_points(hand, finger, thing)
+            for touch in engine.link_closest_points(hand, finger, target)
         )
 
     try:
@@ -54,5 +54,5 @@ def closed_around(
             else:
                 free = share
     finally:
-        copy.disturbed(robot.name)
+        clone.invalidate(robot.name)
     return gripper.at(stuck)

@@ -1,6 +1,6 @@
 """How a parallel gripper can take an object: from which side, and where.
 
-Candidates come from the object's outline: from the front, the top, the left and the right where it fits between the
+Candidates come from ray casts at the object: from the front, the top, the left and the right where it fits between the
 fingers, else over its rim from the top. The gripper is turned with an object that lies across, and takes it in the
 middle between its fingers. Which of them the arm takes is chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
 """
@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.collision.ray_cast import RayCaster, Scan
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
+from pycram.reasoning.grasping.sides import GRASPS, heading
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Quaternion, Vector
 
-_SPARE: Final = 0.004  # m of the aperture that has to stay free
-_CLEAR: Final = 0.002  # m that the finger tips keep from what the object stands on
+_FREE: Final = 0.004  # m of the aperture that has to stay free
+_CLEARANCE: Final = 0.002  # m that the finger tips keep from what the object stands on
 _PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's surface is looked for
-_STEP: Final = 0.004  # m between such places along the fingers
+_STEP: Final = 0.004  # m between such points along the fingers
 _LEVELS: Final = 6  # at which the wall below a rim is looked for
 _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
@@ -37,7 +37,7 @@ _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper 
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A way to take an object.
+    """A pose of the tool that takes an object.
 
     Attributes:
         name: the side that the gripper comes from.
@@ -53,7 +53,7 @@ class Grasp:
 
 
 def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None) -> Sequence[Grasp]:
-    """Ways to take an object, best first.
+    """Return grasps of an object, best first.
 
     Args:
         body: the object.
@@ -61,28 +61,28 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
     """
-    outline = RayCaster(body)
-    heading, lying = reach.heading(robot), body.get_orientation()
-    asked: list[list[tuple[str, Quaternion]]] = []
+    caster = RayCaster(body)
+    facing, lying = heading(robot), body.get_orientation()
+    sides: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
-            turn = geometry.product(geometry.product(heading, reach.GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
-            asked.append([(name, other) for other in (turn, *_along(turn, lying))])
-    fitting = iter(_between_fingers(outline, [way for ways in asked for way in ways], arm))
+            turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
+            sides.append([(name, other) for other in (turn, *_along(turn, lying))])
+    fitting = iter(_between_fingers(caster, [option for options in sides for option in options], arm))
     found: list[Grasp] = []
-    for ways in asked:
-        (_, turn), *_ = ways
-        fit = [grasp for grasp in itertools.islice(fitting, len(ways)) if grasp is not None]
+    for options in sides:
+        (_, turn), *_ = options
+        fit = [grasp for grasp in itertools.islice(fitting, len(options)) if grasp is not None]
         if fit:  # as the robot stands, unless the object lies across
-            widths = [grasp.width + (grasp.orientation != turn) * _SPARE for grasp in fit]
+            widths = [grasp.width + (grasp.orientation != turn) * _FREE for grasp in fit]
             found.append(fit[widths.index(min(widths))])
     if all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
-        found.extend(_rims(outline, robot, arm))
+        found.extend(_rims(caster, robot, arm))
     return found
 
 
 def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
-    """The same orientation turned about the vertical so that the fingers close along one of the object's axes."""
+    """Yield the same orientation turned about the vertical so that the fingers close along one of the object's axes."""
     x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
         along = geometry.rotate(lying, axis)
@@ -95,54 +95,54 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(outline: RayCaster, ways: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
-    """For each side and orientation the grasp with the object in the middle between the fingers; None if too wide."""
-    if not ways:
+def _between_fingers(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
+    """Yield for each side and orientation the grasp with the object centered between the fingers; None if too wide."""
+    if not options:
         return
     gripper = arm.gripper
     scans, counts, floors = [], [], []
-    for name, turn in ways:
-        x, y, z = outline.middle
+    for name, turn in options:
+        x, y, z = caster.center
         if name != "top":
-            z = max(z, outline.low[2] + gripper.underside)
-        half = outline.half(geometry.rotate(turn, (1.0, 0.0, 0.0)))
+            z = max(z, caster.low[2] + gripper.underside)
+        half = half_extent(caster.low, caster.high, geometry.rotate(turn, (1.0, 0.0, 0.0)))
         counts.append(max(4, math.ceil((half + gripper.tips) / _STEP)))
         step = (min(half, gripper.tips) + half) / counts[-1]
         scans.append(Scan(((x, y, z), turn), step / 2 - half, step))
-        floors.append(z - outline.low[2] - gripper.tips - _CLEAR if name == "top" else math.inf)
-    surfaces = outline.across(scans, counts, _PADS)
+        floors.append(z - caster.low[2] - gripper.tips - _CLEARANCE if name == "top" else math.inf)
+    surfaces = caster.extents(scans, counts, _PADS)
     lows, highs = surfaces[:, :, 0], surfaces[:, :, 1]
     number = np.arange(max(counts))
-    places = np.array([[scan.first] for scan in scans]) + number * np.array([[scan.step] for scan in scans])
+    points = np.array([[scan.first] for scan in scans]) + number * np.array([[scan.step] for scan in scans])
     solid = ~np.isnan(lows) & (number < np.array(counts)[:, None])
-    fronts = np.where(solid, places, np.inf).min(axis=1)
+    fronts = np.where(solid, points, np.inf).min(axis=1)
     depths = np.minimum(np.minimum(fronts + gripper.depth, 0.0), floors)
-    held = solid & (places <= depths[:, None] + gripper.tips)
+    held = solid & (points <= depths[:, None] + gripper.tips)
     lows = np.where(held, lows, np.inf).min(axis=1)
     highs = np.where(held, highs, -np.inf).max(axis=1)
-    fits = held.any(axis=1) & (highs - lows <= gripper.aperture - _SPARE)
-    found = zip(ways, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
+    fits = held.any(axis=1) & (highs - lows <= gripper.aperture - _FREE)
+    found = zip(options, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
     for (name, turn), scan, fit, deep, low, high in found:
-        middle = deep, (low + high) / 2, 0.0
-        yield Grasp(name, geometry.transform(scan.frame, middle), turn, high - low) if fit else None
+        tool = deep, (low + high) / 2, 0.0
+        yield Grasp(name, geometry.transform(scan.frame, tool), turn, high - low) if fit else None
 
 
-def _rims(outline: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
-    """Over the wall of something hollow that is too wide: beside the middle on the arm's side, or in front of it."""
+def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
+    """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
     gripper = arm.gripper
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0
-    x, y, _ = outline.middle
-    top, bottom = outline.high[2], outline.low[2]
-    height = max(top - gripper.depth, bottom + gripper.tips + _CLEAR)
+    x, y, _ = caster.center
+    top, bottom = caster.high[2], caster.low[2]
+    height = max(top - gripper.depth, bottom + gripper.tips + _CLEARANCE)
     first = top - _EDGE
-    step = (max(height - gripper.tips, bottom + _CLEAR) - first) / (_LEVELS - 1)
-    heading = reach.heading(robot)
+    step = (max(height - gripper.tips, bottom + _CLEARANCE) - first) / (_LEVELS - 1)
+    facing = heading(robot)
     frames = []
     for direction in ((0.0, side, 0.0), (-1.0, 0.0, 0.0), (0.0, -side, 0.0)):
-        away = geometry.rotate(heading, direction)
+        away = geometry.rotate(facing, direction)
         frames.append(((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0]))))
-    walls = outline.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
+    walls = caster.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
     for frame, roll, wall in zip(frames, (0.0, math.pi / 2, 0.0), walls, strict=True):
         floors = np.flatnonzero(np.isnan(wall).any(axis=1)).tolist()
         floor = floors[0] if floors else _LEVELS
@@ -150,10 +150,10 @@ def _rims(outline: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
             continue
         tips = height
         if floor < _LEVELS:  # tips stay above the floor of the hollow
-            tips = max(tips, first + floor * step + gripper.tips + _CLEAR)
+            tips = max(tips, first + floor * step + gripper.tips + _CLEARANCE)
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
-        if outside - inside > gripper.aperture - _SPARE:
+        if outside - inside > gripper.aperture - _FREE:
             continue
-        turn = geometry.product(geometry.product(heading, reach.GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
-        middle_x, middle_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
-        yield Grasp("top", (middle_x, middle_y, tips), turn, outside - inside)
+        turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
+        grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
+        yield Grasp("top", (grasp_x, grasp_y, tips), turn, outside - inside)

@@ -1,11 +1,11 @@
-"""Where an object comes to rest when it is set down at a place: the height at which it touches what is below."""
+"""Where an object comes to rest when it is set down: the height at which it touches what is below."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PlaceFailed
-from pycram.reasoning.collision.simulation_clone import twin
+from pycram.reasoning.collision.simulation_clone import clone_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 _ABOVE: Final = 0.05  # m by which the support may be higher than the target says
 _BELOW: Final = 0.10  # m by which it may be lower
-_MARCH: Final = 0.005  # m between looks; thinner things than this are thick enough to stop a gripper
-_EXACT: Final = 2e-4  # m
+_STEP: Final = 0.005  # m between heights that are tried; thinner things than this are thick enough to stop a gripper
+_ACCURACY: Final = 2e-4  # m
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
 
 
-def set_down(body: Object, target: Sequence[float], turn: Quaternion) -> Vector:
-    """Finds the height at which an object rests.
+def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
+    """Return the position at which an object rests.
 
     Args:
         body: the object; robots and what they hold don't count as support.
-        target: where it is wanted, m.
-        turn: its orientation there, xyzw.
+        target: xyz where it is wanted, m.
+        orientation: xyzw there.
 
     Returns:
         The target with the height at which the object first touches something when it comes from above.
@@ -35,18 +35,18 @@ def set_down(body: Object, target: Sequence[float], turn: Quaternion) -> Vector:
         PlaceFailed: there is no room, or nothing below that it could stand on.
     """
     world = body.world
-    copy = twin(world, "reach")
+    clone = clone_of(world, "reach")
     others = [other for other in world.objects if other is not body and not other.is_robot and other.carrier is None]
-    bodies = copy.sync()
-    mine, engine = bodies[body.name], copy.engine
+    bodies = clone.sync()
+    copy, engine = bodies[body.name], clone.engine
     x, y, z = target
 
     def touched(height: float) -> list[str]:
-        engine.set_pose(mine, ((x, y, height), turn))
+        engine.set_pose(copy, ((x, y, height), orientation))
         return [
             other.name
             for other in others
-            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(mine, bodies[other.name]))
+            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(copy, bodies[other.name]))
         ]
 
     try:
@@ -56,15 +56,15 @@ def set_down(body: Object, target: Sequence[float], turn: Quaternion) -> Vector:
             raise PlaceFailed(body.name, target, f"{', '.join(blockers)} is there already")
         low = high
         while not touched(low):
-            high, low = low, low - _MARCH
+            high, low = low, low - _STEP
             if low < z - _BELOW:
                 raise PlaceFailed(body.name, target, f"nothing is within {_BELOW} m below that it could stand on")
-        while high - low > _EXACT:
+        while high - low > _ACCURACY:
             half = (high + low) / 2
             if touched(half):
                 low = half
             else:
                 high = half
     finally:
-        copy.disturbed(body.name)
+        clone.invalidate(body.name)
     return x, y, high

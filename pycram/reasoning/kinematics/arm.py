@@ -2,19 +2,18 @@
 
 Arms that can be solved in closed form are (:mod:`pycram.reasoning.kinematics.closed_form`). What that misses, and every
 other arm, is searched (:mod:`pycram.reasoning.kinematics.descent`) from the nearest misses, or else from the present
-posture, the named ones and some all over the joints' range. Many targets are worked out at once, in about the time of
-one.
+posture, the named ones and some all over the joints' range. Many targets are solved at once, in about the time of one.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.kinematics.chain import Chain
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE, descend, spread
 from recorder import geometry
@@ -24,83 +23,58 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from recorder.geometry.urdf import Urdf
+    from pycram.reasoning.kinematics.chain import Chain
 
     Array = NDArray[np.float64]
     Target = tuple[Sequence[float], Sequence[float] | None]
 
+THRESHOLD: Final = 1e-3  # m between tool and target that count as reached (thesis 4.4.5)
+_TURN_THRESHOLD: Final = math.radians(2)  # between orientations that count as the same
 _BATCHES: Final = (4, 28)  # starting postures: a few first, as most targets are easy
 _CHUNK: Final = 16  # targets that are solved at once
-_COMPARED: Final = 60  # misses of the closed form
-_NEAREST: Final = 6  # misses of the closed form that are searched from
+_MAX_COMPARED: Final = 60  # misses of the closed form
+_MAX_STARTS: Final = 6  # misses of the closed form that are searched from
 _DIFFERENT: Final = 0.35  # rad or m in some joint between postures that count as two
-_MOST: Final = 16  # postures that are told of
-_STRAINED: Final = 1.0  # rad of strain beyond which there is no solution nearby
-_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
+_MAX_POSTURES: Final = 16  # that are returned
+_MAX_STRAIN: Final = 1.0  # rad of strain beyond which there is no solution nearby
+_MAX_SEARCHED: Final = 0.6  # rad of strain that a search has ever overcome
 _HOPELESS: Final = 0.02  # m of a proven miss beyond which no search is worth its time
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
 
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A posture that was found.
+    """A posture of an arm, and how near it brings the tool to a target.
 
     Attributes:
         positions: joint values in rad or m by name, within limits.
         position_error: m that the tool stays away from the target.
-        turn_error: rad by which it is turned from the target; 0 where none was asked for.
-        reached: both are within tolerance.
+        turn_error: rad by which it is turned from the target; 0 where no orientation was asked for.
     """
 
     positions: Mapping[str, float]
     position_error: float
     turn_error: float
-    reached: bool
+
+    def reaches(self, threshold: float = THRESHOLD) -> bool:
+        """Return whether the tool is within ``threshold`` m and 2 degrees of the target."""
+        return self.position_error <= threshold and self.turn_error < _TURN_THRESHOLD
+
+    def evidence(self) -> dict[str, object]:
+        """Return it as records carry it."""
+        return {"joints": self.positions, "distance": self.position_error, "turn": self.turn_error}
 
 
 class ArmKinematics:
-    """Postures of a chain of joints with a tool at its end.
+    """Inverse kinematics of a chain of joints with a tool at its end."""
 
-    Args:
-        urdf: of the robot.
-        base_link: the link that targets are given in.
-        tool_link: the link that is to reach them.
-        joints: names of the joints that may move, in order; others of the chain keep their value.
-        fixed: values of those others; 0 by default.
-    """
-
-    def __init__(
-        self,
-        urdf: Urdf,
-        base_link: str,
-        tool_link: str,
-        joints: Sequence[str],
-        fixed: Mapping[str, float] | None = None,
-    ) -> None:
-        self.chain = Chain(urdf, base_link, tool_link, joints, fixed)
+    def __init__(self, chain: Chain) -> None:
+        self.chain = chain
         self._closed: ClosedForm | None = None
-        if self.chain.joints and not self.chain.sliding:
-            self._closed = ClosedForm.of(*self.chain.at_zero(), self.chain.lower, self.chain.upper, self.chain.bounded)
+        if chain.joints and not chain.sliding:
+            self._closed = ClosedForm.of(*chain.at_zero(), chain.lower, chain.upper, chain.bounded)
 
     def solve(
-        self,
-        position: Sequence[float],
-        orientation: Sequence[float] | None = None,
-        seeds: Iterable[Mapping[str, float]] = (),
-    ) -> Posture:
-        """Finds a posture that brings the tool to a target, near the first seed if there are several.
-
-        Args:
-            position: xyz in the base link, m.
-            orientation: xyzw in the base link; None if any will do.
-            seeds: postures to start from first.
-
-        Returns:
-            The posture; the nearest miss if none reaches.
-        """
-        return self.solve_all([(position, orientation)], seeds)[0][0]
-
-    def solve_all(
         self,
         targets: Sequence[Target],
         seeds: Iterable[Mapping[str, float]] = (),
@@ -109,7 +83,7 @@ class ArmKinematics:
         quick: bool = False,
         enough: float = POSITION_TOLERANCE,
     ) -> list[list[Posture]]:
-        """As :meth:`solve`, but all distinct postures found: those that reach, nearest to the first seed first.
+        """Return all distinct postures found for targets: those that reach, nearest to the first seed first.
 
         Args:
             targets: positions xyz in m and orientations xyzw in the base link; orientations for all or for none.
@@ -125,9 +99,9 @@ class ArmKinematics:
         first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
         home = self.chain.limited((first[0] if first else np.zeros(len(self.chain.joints)))[None])[0]
         if self._closed is not None:
-            starts = self._written(self._closed, goals, turns, home, enough)
+            starts = self._starts_of_closed_form(self._closed, goals, turns, home, enough)
         else:
-            starts = [self._scattered(goal, home, first) for goal in goals]
+            starts = [self._starts_of_search(goal, home, first) for goal in goals]
         chosen = []
         for number, (known, batches) in enumerate(starts):
             goal, turn = goals[number], None if turns is None else turns[number]
@@ -138,27 +112,27 @@ class ArmKinematics:
                 if reached.any() and not thorough:
                     break
             chosen.append(self._best(np.vstack(tried), home, goal, turn) if len(tried) > 1 else known)
-        return self._told(chosen, goals, turns)
+        return self._postures(chosen, goals, turns)
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
-        """Those that reach and differ, or else the nearest miss."""
+        """Return those that reach and differ, or else the nearest miss."""
         misses = self.chain.errors(found, goal, turn) / _TOLERANCES
         reaching = found[(misses < 1.0).all(axis=1)]
         return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
 
-    def at_once(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
-        """What closed form says of many targets, in a fraction of the time; searches nothing.
+    def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
+        """Return the closed form's solutions for many targets, in a fraction of a search's time.
 
         Args:
-            targets: as for :meth:`solve_all`.
+            targets: as for :meth:`solve`.
             seed: a posture; postures near it come first.
 
         Returns:
-            For each target the postures that reach it; an empty list says nothing.
+            For each target the postures that reach it; an empty list proves nothing.
         """
-        told: list[list[Posture]] = [[] for _ in targets]
+        solved: list[list[Posture]] = [[] for _ in targets]
         if self._closed is None or not targets:
-            return told
+            return solved
         goals, turns = _arrays(targets)
         home = self.chain.limited(np.array([[seed.get(name, 0.0) for name in self.chain.joints]]))[0]
         within = np.flatnonzero(self._closed.miss(goals, turns) == 0.0)
@@ -167,84 +141,83 @@ class ArmKinematics:
             if turns is not None:
                 exact = self._closed.solutions(goals[chunk], turns[chunk], home)
             else:
-                found, strain = self._closed.postures(goals[chunk], None, home)
-                exact = [ways[strains == 0.0] for ways, strains in zip(found, strain, strict=True)]
-            exact = [_distinct(ways, home) for ways in exact]
-            ways = self._told(exact, goals[chunk], None if turns is None else turns[chunk])
-            for number, each in zip(chunk.tolist(), ways, strict=True):
-                told[number] = each
-        return told
+                found, strains = self._closed.postures(goals[chunk], None, home)
+                exact = [rows[strain == 0.0] for rows, strain in zip(found, strains, strict=True)]
+            exact = [_distinct(rows, home) for rows in exact]
+            postures = self._postures(exact, goals[chunk], None if turns is None else turns[chunk])
+            for number, each in zip(chunk.tolist(), postures, strict=True):
+                solved[number] = each
+        return solved
 
-    def _written(
+    def _starts_of_closed_form(
         self, closed: ClosedForm, goals: Array, turns: Array | None, home: Array, enough: float
     ) -> list[tuple[Array, list[Array]]]:
-        """For each target postures in closed form: solutions, or else misses and from which of them to search."""
-        patience = math.inf if enough > _HOPELESS else 1.0
+        """Return for each target its solutions, or else misses and from which of them to search."""
+        slack = math.inf if enough > _HOPELESS else 1.0
         near = closed.miss(goals, turns) <= max(_HOPELESS, enough)
         found, strains = closed.postures(goals, turns, home)
-        written: list[tuple[Array, list[Array]]] = []
-        for number, known in enumerate(self._known(found, strains, home, goals, turns)):
-            least, batches = float(strains[number].min()), []
-            if turns is not None and near[number] and 0.0 < least <= patience * _STRAINED:
-                one = slice(number, number + 1)
+        starts: list[tuple[Array, list[Array]]] = []
+        for number, known in enumerate(self._least_strained(found, strains, home, goals, turns)):
+            postures, least = known, float(strains[number].min())
+            if turns is not None and near[number] and 0.0 < least <= slack * _MAX_STRAIN:
+                rows = slice(number, number + 1)
                 closer, strain = closed.closer(goals[number], turns[number], known)
-                (known,) = self._known(closer[None], strain[None], home, goals[one], turns[one])  # noqa: PLW2901
+                (postures,) = self._least_strained(closer[None], strain[None], home, goals[rows], turns[rows])
                 least = float(strain.min())
-            if near[number] and 0.0 < least < patience * _SEARCHED:
-                batches = [known]
-            written.append((known if batches or not least else known[:1], batches))
-        return written
+            batches = [postures] if near[number] and 0.0 < least < slack * _MAX_SEARCHED else []
+            starts.append((postures if batches or not least else postures[:1], batches))
+        return starts
 
-    def _known(self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None) -> list[Array]:
-        """Of each target's postures (m, n, joints) the solutions, or else the least strained misses, nearest first."""
-        ways = [_distinct(mine[it == 0.0], home) for mine, it in zip(found, strain, strict=True)]
-        missed = np.array([number for number, way in enumerate(ways) if not len(way)], dtype=np.intp)
+    def _least_strained(
+        self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None
+    ) -> list[Array]:
+        """Return of each target's postures (m, n, joints) the solutions, or else the least strained, nearest first."""
+        kept = [_distinct(rows[strains == 0.0], home) for rows, strains in zip(found, strain, strict=True)]
+        missed = np.array([number for number, rows in enumerate(kept) if not len(rows)], dtype=np.intp)
         if len(missed):
-            least = np.argsort(strain[missed], axis=1, kind="stable")[:, :_COMPARED]
+            least = np.argsort(strain[missed], axis=1, kind="stable")[:, :_MAX_COMPARED]
             limited = self.chain.limited(found[missed[:, None], least])
             which = np.repeat(missed, least.shape[1])
             turned = None if turns is None else turns[which]
             errors = self.chain.errors(limited.reshape(len(which), -1), goals[which], turned) / _TOLERANCES
-            for number, mine, misses in zip(missed, limited, errors.sum(axis=1).reshape(least.shape), strict=True):
-                ways[number] = _different(mine[np.argsort(misses, kind="stable")], _NEAREST)
-        return ways
+            for number, rows, misses in zip(missed, limited, errors.sum(axis=1).reshape(least.shape), strict=True):
+                kept[number] = _different(rows[np.argsort(misses, kind="stable")], _MAX_STARTS)
+        return kept
 
-    def _scattered(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
-        """Where to search from if nothing is known: the stretched arm if that is too short, else all over its range."""
+    def _starts_of_search(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
+        """Return where to search from: only the stretched arm if that is too short, else all over its range."""
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
             return descend(self.chain, home[None], goal, None, stop_early=True)[0], []
         starts = [np.vstack([home, *seeds, *spread(self.chain, 0, few)]), spread(self.chain, few, many)]
         return home[None], starts
 
-    def _told(self, postures: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:
-        """The postures of each target, as others know them."""
-        which = np.repeat(np.arange(len(goals)), [len(ways) for ways in postures])
-        rows = self.chain.limited(np.concatenate(postures))
-        errors = self.chain.errors(rows, goals[which], None if turns is None else turns[which])
-        reached = np.all(errors < _TOLERANCES, axis=1)
-        told = [
-            Posture(dict(zip(self.chain.joints, row, strict=True)), away, turned, there)
-            for row, (away, turned), there in zip(rows.tolist(), errors.tolist(), reached.tolist(), strict=True)
-        ]
-        ends = np.cumsum([len(ways) for ways in postures]).tolist()
-        return [told[end - len(ways) : end] for end, ways in zip(ends, postures, strict=True)]
+    def _postures(self, found: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:
+        """Return each target's rows (n, joints) as postures, with their errors."""
+        which = np.repeat(np.arange(len(goals)), [len(rows) for rows in found])
+        every = self.chain.limited(np.concatenate(found))
+        errors = self.chain.errors(every, goals[which], None if turns is None else turns[which])
+        postures = iter(
+            Posture(dict(zip(self.chain.joints, row, strict=True)), *error)
+            for row, error in zip(every.tolist(), errors.tolist(), strict=True)
+        )
+        return [list(itertools.islice(postures, len(rows))) for rows in found]
 
 
 def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
-    """Positions (n, 3) and orientations (n, 3, 3) of targets, None if any will do."""
+    """Return positions (n, 3) and orientations (n, 3, 3) of targets, None if any will do."""
     goals = np.array([position for position, _ in targets], dtype=np.float64)
     turns = [turn for _, turn in targets if turn is not None]
     return goals, geometry.to_matrices(np.array(turns)) if turns else None
 
 
 def _distinct(found: Array, home: Array) -> Array:
-    """Postures that differ from each other, nearest to another first."""
-    return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MOST)
+    """Return postures that differ from each other, nearest to ``home`` first."""
+    return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MAX_POSTURES)
 
 
 def _different(found: Array, most: int) -> Array:
-    """The first of postures (n, joints) that are alike."""
+    """Return the first of postures (n, joints) that are alike."""
     kept: list[Array] = []
     left = found
     while len(left) and len(kept) < most:

@@ -1,6 +1,6 @@
 """How links move with joints, for many postures at once: products of exponentials about axes as they stand.
 
-Where the links are in one posture is read from the engine; a joint then carries all that hangs on it about its axis
+Where the links are in one posture is read from the engine; a joint then moves all that hangs on it about its axis
 (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.2). It doesn't matter what the
 other joints are at, or where the robot stands.
 """
@@ -37,29 +37,29 @@ class Articulation:
 
     Attributes:
         joints: the same, parents before their children.
-        carriers: for each link the number of the joint that carries it, -1 where none does.
+        drivers: for each link the number of the joint that moves it, -1 where none does.
     """
 
     def __init__(self, engine: Engine, body: Body, urdf: Urdf, joints: Collection[str]) -> None:
-        self.joints, self.carriers = _carriers(urdf, joints)
+        self.joints, self.drivers = _drivers(urdf, joints)
         moving = [urdf.joint(name) for name in self.joints]
-        self._parents = [self.carriers[joint.parent] for joint in moving]
+        self._parents = [self.drivers[joint.parent] for joint in moving]
         points, orientations = engine.link_frames(body, [joint.child for joint in moving])
         axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), axes)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
-        self._parts = screws.parts_of(axes, points, slides)
+        self._parts = screws.constant_parts(axes, points, slides)
         self._now = np.array([engine.joint(body, name) for name in self.joints])
 
-    def moved(self, postures: Sequence[Mapping[str, float]]) -> Array:
-        """How joints carry what hangs on them.
+    def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
+        """Return how joints move what hangs on them.
 
         Args:
             postures: joint values in rad or m by name; what isn't named stays.
 
         Returns:
-            (n, joints + 1, 4, 4): for each posture, transforms from where things are to where each joint carries them;
-            the last is for what no joint carries.
+            (n, joints + 1, 4, 4): for each posture, transforms from where things are to where each joint moves them;
+            the last is for what no joint moves.
         """
         now = self._now.tolist()
         values = [list(map(posture.get, self.joints, now)) for posture in postures]
@@ -70,19 +70,19 @@ class Articulation:
         for index, parent in enumerate(self._parents):
             if parent >= 0:
                 moved[index] = moved[parent] @ moved[index]
-        carried: Array = moved.transpose(1, 0, 2, 3)
-        return carried
+        by_posture: Array = moved.transpose(1, 0, 2, 3)
+        return by_posture
 
 
-def _carriers(urdf: Urdf, joints: Collection[str]) -> tuple[tuple[str, ...], dict[str, int]]:
-    """Joints in the order of the URDF's links, and for each link the number of the one that carries it."""
+def _drivers(urdf: Urdf, joints: Collection[str]) -> tuple[tuple[str, ...], dict[str, int]]:
+    """Return joints in the order of the URDF's links, and for each link the number of the one that moves it."""
     ordered: list[str] = []
-    carriers: dict[str, int] = {}
+    drivers: dict[str, int] = {}
     for link in urdf.links:  # parents come before their children
         joint = urdf.parent_joint(link)
         if joint is not None and joint.name in joints:
-            carriers[link] = len(ordered)
+            drivers[link] = len(ordered)
             ordered.append(joint.name)
         else:
-            carriers[link] = -1 if joint is None else carriers[joint.parent]
-    return tuple(ordered), carriers
+            drivers[link] = -1 if joint is None else drivers[joint.parent]
+    return tuple(ordered), drivers

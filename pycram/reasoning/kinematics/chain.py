@@ -1,4 +1,4 @@
-"""A chain of joints with a tool at its end: where the tool is in many postures at once, and how far from targets.
+"""Forward kinematics of a chain of joints with a tool at its end, in many postures at once.
 
 Arithmetic on the URDF, no engine. Postures are rows of arrays, a column for each joint that may move.
 """
@@ -68,7 +68,7 @@ class Chain:
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
         self.sliding = np.flatnonzero(slides).tolist()
-        self._parts = self._before[:, None] @ screws.parts_of(self._axes, np.zeros_like(self._axes), slides)
+        self._parts = self._before[:, None] @ screws.constant_parts(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
         self.bounded = np.isfinite(lower)
         self.lower = np.where(self.bounded, lower, -np.pi)
@@ -78,17 +78,17 @@ class Chain:
         self.length = float(links + np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum())
 
     def poses(self, postures: Array) -> Array:
-        """Poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
-        poses: Array = self._carried(postures)[-1] @ self._tool
+        """Return poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
+        poses: Array = self._transforms(postures)[-1] @ self._tool
         return poses
 
     def at_zero(self) -> tuple[Array, Array, Array]:
-        """In the base link where all joints are zero: (joints, 3) points of axes, (joints, 3) axes, the tool's pose."""
-        (poses, turning) = self._frames(np.zeros((1, len(self.joints))))
-        return poses[:, 0, :3, 3], turning[0].T, poses[-1, 0] @ self._tool
+        """Return for joints at zero points (joints, 3) of axes, axes (joints, 3), and the pose of the tool."""
+        poses, axes = self._frames(np.zeros((1, len(self.joints))))
+        return poses[:, 0, :3, 3], axes[0].T, poses[-1, 0] @ self._tool
 
     def forward(self, postures: Array) -> tuple[Array, Array]:
-        """Where the tool is, and how it moves.
+        """Return the pose of the tool, and the Jacobian.
 
         Args:
             postures: (n, joints).
@@ -96,29 +96,29 @@ class Chain:
         Returns:
             Poses (n, 4, 4) of the tool in the base link, and Jacobians (n, 6, joints): linear, then angular.
         """
-        poses, turning = self._frames(postures)
+        poses, axes = self._frames(postures)
         pose = poses[-1] @ self._tool
         lever = pose[:, :3, 3, None] - poses[:, :, :3, 3].transpose(1, 2, 0)
         linear = np.stack(  # the cross product, spelt out: np.cross is ten times slower on arrays this small
             [
-                turning[:, 1] * lever[:, 2] - turning[:, 2] * lever[:, 1],
-                turning[:, 2] * lever[:, 0] - turning[:, 0] * lever[:, 2],
-                turning[:, 0] * lever[:, 1] - turning[:, 1] * lever[:, 0],
+                axes[:, 1] * lever[:, 2] - axes[:, 2] * lever[:, 1],
+                axes[:, 2] * lever[:, 0] - axes[:, 0] * lever[:, 2],
+                axes[:, 0] * lever[:, 1] - axes[:, 1] * lever[:, 0],
             ],
             axis=1,
         )
         for index in self.sliding:
-            linear[:, :, index] = turning[:, :, index]
-            turning[:, :, index] = 0.0
-        return pose, np.concatenate([linear, turning], axis=1)
+            linear[:, :, index] = axes[:, :, index]
+            axes[:, :, index] = 0.0
+        return pose, np.concatenate([linear, axes], axis=1)
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
-        """Frames (joints, n, 4, 4) behind the joints, and (n, 3, joints) their axes."""
-        poses = self._carried(postures)[1:]
+        """Return frames (joints, n, 4, 4) behind the joints, and their axes (n, 3, joints)."""
+        poses = self._transforms(postures)[1:]
         return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # no joint turns its own axis
 
-    def _carried(self, postures: Array) -> Array:
-        """Poses (joints + 1, n, 4, 4) in the base link: of that itself, and of what each joint carries."""
+    def _transforms(self, postures: Array) -> Array:
+        """Return poses (joints + 1, n, 4, 4) in the base link: of that itself, and of the frame behind each joint."""
         poses = np.empty((len(self.joints) + 1, len(postures), 4, 4))
         poses[0] = np.eye(4)
         for number, moved in enumerate(screws.transforms(self._parts, postures.T)):
@@ -126,13 +126,13 @@ class Chain:
         return poses
 
     def limited(self, postures: Array) -> Array:
-        """Postures (n, joints) brought within the limits; joints without, within half a turn."""
+        """Return postures (n, joints) brought within the limits; joints without limits, within half a turn."""
         wrapped = (postures + np.pi) % (2 * np.pi) - np.pi
         inside: Array = np.where(self.bounded, np.clip(postures, self.lower, self.upper), wrapped)
         return inside
 
     def errors(self, postures: Array, goals: Array, turns: Array | None) -> Array:
-        """How far the tool is from targets.
+        """Return how far the tool is from targets.
 
         Args:
             postures: (n, joints).
@@ -143,37 +143,30 @@ class Chain:
             (n, 2) in m and rad.
         """
         pose = self.poses(postures)
-        missing = np.zeros((len(postures), 2))
-        missing[:, 0] = lengths(pose[:, :3, 3] - goals)
+        errors = np.zeros((len(postures), 2))
+        errors[:, 0] = norms(pose[:, :3, 3] - goals)
         if turns is not None:
-            missing[:, 1] = lengths(turn_left(pose[:, :3, :3], turns))
-        return missing
+            errors[:, 1] = norms(rotation_error(pose[:, :3, :3], turns))
+        return errors
 
 
-def turn_left(now: Array, goal: Array) -> Array:
-    """Rotation vectors (n, 3) in the base link that turn orientations (n, 3, 3) into a goal (3, 3) or (n, 3, 3)."""
+def rotation_error(now: Array, goal: Array) -> Array:
+    """Return rotation vectors (n, 3) that turn orientations (n, 3, 3) into a goal (3, 3) or (n, 3, 3)."""
     difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # row by row
     vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
-    sine = lengths(vector)
+    sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
     # near half a turn the vector vanishes: any axis helps out of there
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
-        sine = lengths(vector)
+        sine = norms(vector)
     error: Array = vector * (angle / np.maximum(sine, 1e-12))[:, None]
     return error
 
 
-def lengths(vectors: Array) -> Array:
-    """Lengths of a few vectors, for which np.linalg.norm takes longer.
-
-    Args:
-        vectors: (n, d).
-
-    Returns:
-        (n,).
-    """
+def norms(vectors: Array) -> Array:
+    """Return the norms (n,) of a few vectors (n, d), for which np.linalg.norm takes longer."""
     found: Array = np.sqrt((vectors * vectors).sum(axis=1))
     return found

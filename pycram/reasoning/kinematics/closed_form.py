@@ -1,10 +1,10 @@
-"""All postures of an arm of seven joints, without searching: shoulder and wrist are points with an elbow between them.
+"""Inverse kinematics in closed form, of arms of seven joints with a spherical shoulder and wrist.
 
 Where axes 2 and 3 meet in a shoulder and axes 5, 6 and 7 in a wrist, as in the PR2's arms, one turn of joint 1 leaves
 at most eight postures for a pose of the tool, and each is a chain of :mod:`pycram.reasoning.kinematics.subproblems`.
-Joint 1 is tried all over its range, in steps of 4 degrees. Where no orientation is asked for, joints 5 and 6 are tried
-over theirs as well, more coarsely. A narrow range of postures can slip through; hence whoever finds none here has the
-nearest misses to search from.
+Joint 1 is sampled all over its range, in steps of 4 degrees. Where no orientation is asked for, joints 5 and 6 are
+sampled as well, more coarsely. A narrow range of postures can slip through; the nearest misses are returned then, to
+search from.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-9  # rad beyond a limit
 _MEET: Final = 1e-6  # m between axes that meet
-_STEPS: Final = 44  # turns of joint 1 that are tried for a pose
-_FINER: Final = 13  # turns of joint 1 that are tried around a miss
-_COARSE: Final = (8, 6, 4)  # turns of joints 1, 5 and 6 that are tried for a position
+_SAMPLES: Final = 44  # of joint 1 for a pose
+_SAMPLES_AROUND_A_MISS: Final = 13  # of joint 1
+_SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # of joints 1, 5 and 6
 
 
 @dataclass(frozen=True, slots=True)
 class ClosedForm:
-    """An arm whose postures can be written down.
+    """The geometry of an arm that has a closed form.
 
     Attributes:
         origins: (7, 3) a point of each axis at zero, in the base link, m.
@@ -46,11 +46,10 @@ class ClosedForm:
         upper: upper limits, rad; pi where there are none.
         bounded: which joints have limits.
         span: least and greatest distance of the wrist from the shoulder, m.
-        shoulders: (n, 3) where joint 1 brings the shoulder all over its range.
-        swing: m by which the shoulder moves at most from one of these to where it is between them.
-        spread: (n,) values of joint 1 that are tried, all over its range.
+        shoulders: (n, 3) positions of the shoulder for samples of joint 1.
+        swing: m by which the shoulder is away at most from the nearest of these.
         elbow: how joint 4 opens the distance between the shoulder and the wrist.
-        turning: (7, 3, 3, 3) of what each joint's rotation is made (:mod:`pycram.reasoning.kinematics.screws`).
+        rotations: (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.screws`).
         hand: (2, 3) unit vectors across the last axis at zero, the second a quarter of a turn after the first.
     """
 
@@ -65,16 +64,15 @@ class ClosedForm:
     span: tuple[float, float]
     shoulders: Array
     swing: float
-    spread: Array
     elbow: subproblems.Hinge
-    turning: Array
+    rotations: Array
     hand: Array
 
     @classmethod
     def of(
         cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
     ) -> ClosedForm | None:
-        """Of an arm's geometry at zero; None if its axes don't meet as they have to.
+        """Return it for an arm's geometry at zero; None if its axes don't meet as they have to.
 
         Args:
             origins: (n, 3) a point of each axis.
@@ -92,12 +90,12 @@ class ClosedForm:
             return None
         if float(np.linalg.norm(np.cross(wrist - origins[6], axes[6]))) > _MEET or _parallel(axes[5], axes[6]):
             return None
-        q4 = np.linspace(lower[3], upper[3], _STEPS)
+        q4 = np.linspace(lower[3], upper[3], _SAMPLES)
         bent = subproblems.turned(axes[3], q4, (wrist - origins[3])[:, None])
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
-        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between those that are looked at
+        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between samples
         span = float(spans.min()) - slack, float(spans.max()) + slack
-        q1 = np.linspace(lower[0], upper[0], _STEPS)
+        q1 = np.linspace(lower[0], upper[0], _SAMPLES)
         shoulders = (subproblems.turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
         swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
         across = _across(axes[6])
@@ -113,14 +111,13 @@ class ClosedForm:
             span=span,
             shoulders=shoulders,
             swing=swing,
-            spread=np.linspace(lower[0], upper[0], _STEPS, endpoint=bool(bounded[0])),
             elbow=_hinge(origins[3], axes[3], wrist[:, None], shoulder),
-            turning=screws.parts_of(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3],
+            rotations=screws.constant_parts(axes, origins, np.zeros(7, dtype=bool))[:, :3, :3, :3],
             hand=np.array([across, np.cross(axes[6], across)]),
         )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
-        """Postures for targets.
+        """Return postures for targets, also those that miss.
 
         Args:
             positions: (m, 3) of the tool in the base link, m.
@@ -132,11 +129,11 @@ class ClosedForm:
             how many rad are missing or beyond limits.
         """
         if turns is None:
-            return self._judged(len(positions), *self._at_positions(positions, home))
-        return self._judged(len(positions), *self._at_poses(positions, turns, self._tried_first(home)))
+            return self._by_target(len(positions), *self._at_positions(positions, home))
+        return self._by_target(len(positions), *self._at_poses(positions, turns, self._samples(0, _SAMPLES, home)))
 
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
-        """Those of :meth:`postures` without strain, in a fraction of the time: what already failed isn't bent on.
+        """Return those of :meth:`postures` without strain, in a fraction of the time: what failed isn't solved on.
 
         Args:
             positions: (m, 3) of the tool in the base link, m.
@@ -146,7 +143,7 @@ class ClosedForm:
         Returns:
             For each target postures (n, 7).
         """
-        rotations, wrists, q1 = self._wrists(positions, turns, self._tried_first(home))
+        rotations, wrists, q1 = self._wrists(positions, turns, self._samples(0, _SAMPLES, home))
         rows = q1.shape[1]
         q1, goals = q1.ravel(), np.repeat(wrists.T, rows, axis=1)
         away, q4, strain = self._bent(q1, self.elbow, goals)
@@ -167,7 +164,7 @@ class ClosedForm:
         return [found[target == number] for number in range(len(positions))]
 
     def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
-        """Looks between the values of joint 1 that :meth:`postures` tried.
+        """Return postures for values of joint 1 between the samples of :meth:`postures`.
 
         Args:
             position: (3,) of the tool in the base link, m.
@@ -177,25 +174,25 @@ class ClosedForm:
         Returns:
             Postures (n, 7) and their strains (n,).
         """
-        values = (misses[:, :1] + np.linspace(-self._step, self._step, _FINER)).ravel()
-        tried = np.unique(np.clip(values, self.lower[0], self.upper[0]))
-        (found,), (strain,) = self._judged(1, *self._at_poses(position[None], turn[None], tried))
+        values = (misses[:, :1] + np.linspace(-self._step, self._step, _SAMPLES_AROUND_A_MISS)).ravel()
+        samples = np.unique(np.clip(values, self.lower[0], self.upper[0]))
+        (found,), (strain,) = self._by_target(1, *self._at_poses(position[None], turn[None], samples))
         return found, strain
 
-    def _judged(self, targets: int, ways: int, found: Array, strain: Array) -> tuple[Array, Array]:
-        """Groups by target what goes through all targets for one way to bend the arm, then for the next way."""
+    def _by_target(self, targets: int, branches: int, found: Array, strain: Array) -> tuple[Array, Array]:
+        """Group by target what is ordered by branches of the solution, then by targets; strain grows beyond limits."""
         found = self._wrapped(found)
         beyond = np.maximum(np.maximum(self.lower - found, found - self.upper) - _ROUNDING, 0.0)
         strain = strain + beyond @ self.bounded
         each = targets, -1
-        shape = ways, targets, len(found) // (ways * targets)
+        shape = branches, targets, len(found) // (branches * targets)
         return (
             found.reshape(*shape, 7).transpose(1, 0, 2, 3).reshape(*each, 7),
             strain.reshape(shape).transpose(1, 0, 2).reshape(each),
         )
 
     def miss(self, positions: Array, turns: Array | None) -> Array:
-        """How far the tool stays away from targets at least, whatever the posture; 0 where nothing is known.
+        """Return a lower bound of how far the tool stays away from targets; 0 where nothing is known.
 
         With an orientation it is the wrist that counts, and that the orientation is exact.
 
@@ -217,37 +214,40 @@ class ClosedForm:
         missed: Array = np.maximum(np.maximum(far.min(axis=1) - long, short - far.max(axis=1)) - slack, 0.0)
         return missed
 
-    def _at_poses(self, positions: Array, turns: Array, tried: Array) -> tuple[int, Array, Array]:
-        """Number of ways to bend the arm, postures, and their strains, for given values of joint 1."""
-        rotations, wrists, q1 = self._wrists(positions, turns, tried)
+    def _at_poses(self, positions: Array, turns: Array, samples: Array) -> tuple[int, Array, Array]:
+        """Return the number of branches of the solution, postures, and their strains, for samples of joint 1."""
+        rotations, wrists, q1 = self._wrists(positions, turns, samples)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
         target = np.tile(np.repeat(np.arange(len(positions)), rows), 4)
         wrist, short = self._to_turn(arm, rotations, target)
         return 8, np.concatenate([np.tile(arm, (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
-    def _wrists(self, positions: Array, turns: Array, tried: Array) -> tuple[Array, Array, Array]:
-        """For poses of the tool the rotations from zero, the wrists, and the values of joint 1 that are tried."""
+    def _wrists(self, positions: Array, turns: Array, samples: Array) -> tuple[Array, Array, Array]:
+        """Return for poses of the tool the rotations from zero, the wrists, and values (m, n) of joint 1."""
         rotations = turns @ self.tool[:3, :3].T
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
-        return rotations, wrists, self._towards(wrists, tried)
+        return rotations, wrists, self._with_straight(wrists, samples)
 
     def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Values (2n, 3) of the wrist's joints that turn the hand as targets (n,) have it, and their strain (n,)."""
+        """Return values (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strain (n,)."""
         w = self.axes
-        first, second, third, fourth = screws.transforms(self.turning[:4], arm.T)
+        first, second, third, fourth = screws.transforms(self.rotations[:4], arm.T)
         # what the wrist has to turn: the rotation that is left when joints 1 to 4 are taken back
         left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
         q5, q6, short = subproblems.two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
-        outer, inner = screws.transforms(self.turning[4:6], np.array([q5.ravel(), q6.ravel()]))
+        outer, inner = screws.transforms(self.rotations[4:6], np.array([q5.ravel(), q6.ravel()]))
         side = np.concatenate([left @ self.hand[0]] * 2)
         across, beside = self.hand @ ((outer @ inner).transpose(0, 2, 1) @ side[:, :, None])[:, :, 0].T
         return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
+        """As :meth:`_at_poses`, for any orientation."""
         w = self.axes
-        wrist = [self._tried(joint, steps, home) for joint, steps in zip((4, 5), _COARSE[1:], strict=True)]
-        q1 = self._towards(positions, self._tried(0, _COARSE[0], home))
+        q1, *wrist = (
+            self._samples(joint, n, home) for joint, n in zip((0, 4, 5), _SAMPLES_FOR_A_POSITION, strict=True)
+        )
+        q1 = self._with_straight(positions, q1)
         q5, q6 = (np.tile(grid.ravel(), q1.size) for grid in np.meshgrid(*wrist, indexing="ij"))
         q1 = np.repeat(q1.ravel(), len(q5) // q1.size)
         tool = (self.tool[:3, 3] - self.wrist)[:, None]
@@ -259,21 +259,21 @@ class ClosedForm:
         return 4, np.column_stack([arm, *rest]), strain
 
     def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
-        """What brings a point of the forearm at zero to goals: values (4n, 4) of joints 1 to 4, and their strain."""
+        """Return values (4n, 4) of joints 1 to 4 that bring a forearm's point at zero to goals, and their strain."""
         elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
         away, q4, strain = self._bent(q1, elbow, goals)
         q2, q3, short = self._pointed(q4, subproblems.twice(point), subproblems.twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 
     def _bent(self, q1: Array, elbow: subproblems.Hinge, goals: Array) -> tuple[Array, Array, Array]:
-        """Ways (3, n) from the shoulder to goals, joint 1 taken back; values (2n,) of joint 4 for them, and strain."""
+        """Return vectors (3, n) from shoulder to goals, joint 1 taken back; values (2n,) of joint 4; their strain."""
         base = self.origins[0][:, None]
         away = base + subproblems.turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
         q4, strain = subproblems.opened(elbow, np.sqrt((away * away).sum(axis=0)))
         return away, q4.ravel(), np.concatenate([strain, strain])
 
     def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
-        """Values (2n,) of joints 2 and 3 that bring a point of the forearm to ways (3, n), and their strain."""
+        """Return values (2n,) of joints 2 and 3 that bring a forearm's point to vectors (3, n), and their strain."""
         elbow = self.origins[3][:, None]
         bent = subproblems.turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
         q2, q3, short = subproblems.two_turns(self.axes[1], self.axes[2], bent, away)
@@ -281,36 +281,32 @@ class ClosedForm:
 
     @property
     def _step(self) -> float:
-        """From one value of joint 1 that is tried to the next, rad."""
-        return float(self.upper[0] - self.lower[0]) / (_STEPS - 1)
+        """Distance of samples of joint 1, rad."""
+        return float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)
 
-    def _tried(self, joint: int, steps: int, home: Array) -> Array:
-        """Values of a joint all over its range, and the one that it has."""
+    def _samples(self, joint: int, count: int, home: Array) -> Array:
+        """Return values of a joint all over its range, and the one that it has."""
         low, high = float(self.lower[joint]), float(self.upper[joint])
-        spread = np.linspace(low, high, steps, endpoint=bool(self.bounded[joint]))
-        return np.append(spread, np.clip(home[joint], low, high))
+        spread = np.linspace(low, high, count, endpoint=bool(self.bounded[joint]))
+        return np.append(spread, min(max(float(home[joint]), low), high))
 
-    def _tried_first(self, home: Array) -> Array:
-        """Values of joint 1 all over its range, and the one that it has."""
-        return np.append(self.spread, min(max(home[0], self.lower[0]), self.upper[0]))
-
-    def _towards(self, points: Array, tried: Array) -> Array:
-        """Values (m, n) of joint 1 that are tried: also that which points straight at the target."""
+    def _with_straight(self, points: Array, samples: Array) -> Array:
+        """Return values (m, n) of joint 1: the samples, and that which points straight at each target."""
         base = self.origins[0][:, None]
         straight = subproblems.angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
-        values = np.empty((len(points), len(tried) + 1))
-        values[:, :-1] = tried
+        values = np.empty((len(points), len(samples) + 1))
+        values[:, :-1] = samples
         values[:, -1] = np.minimum(np.maximum(straight, self.lower[0]), self.upper[0])
         return values
 
     def _wrapped(self, postures: Array, joints: slice = slice(None)) -> Array:
-        """The same angles of some joints, by full turns as near the middle of the joints' ranges as they can be."""
+        """Return the same angles of some joints, by full turns as near the middle of the joints' ranges as possible."""
         middle = (self.lower[joints] + self.upper[joints]) / 2
         nearest: Array = middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
         return nearest
 
     def _within(self, postures: Array, joints: slice) -> Flags:
-        """Which values (n, joints) of some joints are all within limits."""
+        """Return which rows of values (n, joints) of some joints are within limits."""
         beyond = np.maximum(self.lower[joints] - postures, postures - self.upper[joints]) > _ROUNDING
         beyond &= self.bounded[joints]
         within: Flags = ~np.any(beyond, axis=1)
@@ -318,7 +314,7 @@ class ClosedForm:
 
 
 def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None:
-    """Where two axes meet."""
+    """Return the point where two axes meet."""
     if _parallel(along_a, along_b):
         return None
     (s, t), *_ = np.linalg.lstsq(np.column_stack([along_a, -along_b]), b - a, rcond=None)
@@ -327,12 +323,12 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
 
 
 def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> subproblems.Hinge:
-    """How an axis opens the distance between points (3, n) that it turns and another."""
+    """Return how an axis opens the distance between points (3, n) that it turns and another."""
     return subproblems.hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
 def _radius(point: Array, origin: Array, axis: Array) -> float:
-    """Distance of a point from an axis."""
+    """Return the distance of a point from an axis."""
     return float(np.linalg.norm(np.cross(point - origin, axis)))
 
 
@@ -341,7 +337,7 @@ def _parallel(a: Array, b: Array) -> bool:
 
 
 def _across(axis: Sequence[float] | Array) -> Array:
-    """A unit vector perpendicular to another."""
+    """Return a unit vector perpendicular to another."""
     x, y, z = axis
     vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
     unit: Array = np.array(vector) / math.hypot(*vector)

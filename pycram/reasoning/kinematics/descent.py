@@ -1,4 +1,4 @@
-"""Searching for postures by damped least squares, from many at once, always within the joints' limits.
+"""Inverse kinematics by damped least squares, from many starts at once, always within the joints' limits.
 
 The method is that of Buss, Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least
 Squares Methods, 2004. Everything is deterministic: starting postures are spread by a Halton sequence.
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.kinematics.chain import lengths, turn_left
+from pycram.reasoning.kinematics.chain import norms, rotation_error
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,16 +24,16 @@ POSITION_TOLERANCE: Final = 1e-3  # m
 TURN_TOLERANCE: Final = 1e-2  # rad
 _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
-_LONGEST_STEP: Final = 0.5  # rad or m a joint moves in one iteration
-_LONGEST_PULL: Final = 0.6  # m or rad of error that are made up for at once
-_STALE: Final = (8, 0.9)  # iterations in which the nearest start's error has to fall by so much, or the search ends
+_MAX_STEP: Final = 0.5  # rad or m a joint moves in one iteration
+_MAX_ERROR: Final = 0.6  # m or rad of error that are corrected at once
+_STALE: Final = (8, 0.9)  # iterations in which the least error has to fall to this share of itself, or the search ends
 _CLOSE: Final = 0.02  # m or rad of error below which a search is never given up
 
 
 def descend(
     chain: Chain, start: Array, goal: Array, turn: Array | None, *, stop_early: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Searches for postures.
+    """Search for postures.
 
     Args:
         chain: whose tool is to get there.
@@ -54,50 +54,44 @@ def descend(
         pose, jacobian = chain.forward(postures)
         error = np.zeros((len(postures), rows))
         error[:, :3] = goal - pose[:, :3, 3]
-        near = lengths(error[:, :3]) < 0.5 * POSITION_TOLERANCE
+        near = norms(error[:, :3]) < 0.5 * POSITION_TOLERANCE
         if turn is not None:
-            error[:, 3:] = turn_left(pose[:, :3, :3], turn)
-            near &= lengths(error[:, 3:]) < 0.5 * TURN_TOLERANCE
+            error[:, 3:] = rotation_error(pose[:, :3, :3], turn)
+            near &= norms(error[:, 3:]) < 0.5 * TURN_TOLERANCE
         reached = near
         if near.all() or (stop_early and near.any()):
             break
-        length = lengths(error)[:, None]
+        length = norms(error)[:, None]
         if iteration % _STALE[0] == 0:
             nearest = float(length.min())
             if nearest > _STALE[1] * best and nearest > _CLOSE:
                 break
             best = nearest
-        pull = error * np.minimum(1.0, _LONGEST_PULL / np.maximum(length, 1e-9))
+        correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
         j = jacobian[:, :rows]
         # a joint at its limit that wants to go beyond takes no part
-        gradient = np.einsum("nrj,nr->nj", j, pull)
+        gradient = np.einsum("nrj,nr->nj", j, correction)
         stuck = chain.bounded & (
             ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
         )
         j = np.where(stuck[:, None, :], 0.0, j)
         scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
-        inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, pull[:, :, None])
+        inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
         step = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
-        step *= np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
+        step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
         postures = chain.limited(np.where(near[:, None], postures, postures + step))
     return postures, reached
 
 
 def spread(chain: Chain, start: int, count: int) -> Array:
-    """Postures (count, joints) all over a chain's range: a Halton sequence.
-
-    Args:
-        chain: the chain.
-        start: how many of the sequence are left out.
-        count: how many are wanted.
-    """
+    """Return postures (count, joints) all over a chain's range, from number ``start`` of a Halton sequence on."""
     postures: Array = chain.lower + _halton(start, count, len(chain.joints)) * (chain.upper - chain.lower)
     return postures
 
 
 @cache
 def _halton(start: int, count: int, dimensions: int) -> Array:
-    """Points (count, dimensions) of the Halton sequence."""
+    """Return points (count, dimensions) of the Halton sequence."""
     primes: list[int] = []
     number = 2
     while len(primes) < dimensions:

@@ -1,7 +1,7 @@
-"""How joints carry things, for many values at once: a product of exponentials is a sum of matrices that stay.
+"""Screw motions of joints for many values at once.
 
-The transform of a joint has one part that stays, one for the cosine of its value, one for the sine, and one for the
-value itself (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
+The transform of a joint is a sum of constant matrices: one, one times the cosine of its value, one times the sine, and
+one times the value itself (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 
-def parts_of(axes: Array, points: Array, slides: Flags) -> Array:
-    """What the transforms of joints are made of.
+def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
+    """Return the constant matrices that the transforms of joints are sums of.
 
     Args:
         axes: (joints, 3) unit vectors.
         points: (joints, 3) on the axes, m.
-        slides: (joints,) which of them slide along their axis, instead of turning about it.
+        slides: (joints,) which of them are prismatic: they slide along their axis instead of turning about it.
 
     Returns:
-        (joints, 4, 4, 4): the matrices that stay, and those for cosine, sine and value.
+        (joints, 4, 4, 4): the matrices for 1, cosine, sine and value.
     """
     x, y, z = axes.T
     zero = np.zeros_like(x)
@@ -45,10 +45,10 @@ def parts_of(axes: Array, points: Array, slides: Flags) -> Array:
 
 
 def transforms(parts: Array, values: Array) -> Array:
-    """The transforms of joints.
+    """Return the transforms of joints.
 
     Args:
-        parts: (joints, 3 or 4, m, m) of them; without that for the value where no joint slides.
+        parts: (joints, 3 or 4, m, m) matrices; without that for the value where no joint slides.
         values: (joints, n), rad or m.
 
     Returns:

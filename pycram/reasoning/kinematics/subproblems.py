@@ -1,9 +1,9 @@
-"""Paden and Kahan's subproblems, for many rows at once: by which angles must axes turn to bring a point somewhere?
+"""Paden and Kahan's subproblems, for many rows at once: angles by which axes turn a point to where it is wanted.
 
 Arms whose axes meet in shoulder and wrist are solved by a chain of these (Murray, Li, Sastry: A Mathematical
 Introduction to Robotic Manipulation, 1994, section 3.3.2). Points and vectors are the columns of arrays (3, n) or
-(3, 1); axes are unit vectors (3,); angles are (n,) in rad. Where no angle does it, the nearest is given, with a strain:
-about how many rad are missing, 0 for solutions.
+(3, 1); axes are unit vectors (3,); angles are (n,) in rad. Where no angle does it, the nearest is returned, with a
+strain: about how many rad are missing, 0 for solutions.
 """
 
 from __future__ import annotations
@@ -20,57 +20,51 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Hinge = tuple[Array, Array, Array]
 
-_SLACK: Final = 1e-9  # of a cosine: rounding, no miss
+_ROUNDING: Final = 1e-9  # of a cosine: no miss
 
 
 def turned(axis: Array, angle: Array, vector: Array) -> Array:
-    """Vectors turned about an axis through the origin.
-
-    Args:
-        axis: of the turn.
-        angle: by how much.
-        vector: what is turned.
-    """
-    along, unrecorded, beside = _parts(axis, vector)
-    result: Array = along + np.cos(angle) * unrecorded + np.sin(angle) * beside
+    """Return vectors turned about an axis through the origin (Rodrigues' formula)."""
+    along, across, beside = _parts(axis, vector)
+    result: Array = along + np.cos(angle) * across + np.sin(angle) * beside
     return result
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """What of vectors lies along an axis, what across it, and the latter turned on by a right angle."""
-    along, unrecorded, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
-    return along, unrecorded, beside
+    """Return the parts of vectors along an axis and across it, and the latter turned on by a right angle."""
+    along, across, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
+    return along, across, beside
 
 
 @lru_cache(maxsize=256)
 def _split(axis: bytes) -> Array:
-    """The matrix (9, 3) of these parts, for an axis that comes again and again."""
+    """Return the matrix (9, 3) of these parts, for an axis that comes again and again."""
     x, y, z = unit = np.frombuffer(axis)
     along = np.outer(unit, unit)
     return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
 
 
 def _dot(some: Array, others: Array) -> Array:
-    """Scalar products, column by column."""
+    """Return scalar products, column by column."""
     products: Array = np.einsum("in,in->n", some, others)
     return products
 
 
 def angle_between(axis: Array, start: Array, end: Array) -> Array:
-    """Subproblem 1: the angle about an axis through the origin that turns a vector's direction into another's.
+    """Return the angle about an axis through the origin that turns a vector's direction into another's: subproblem 1.
 
     Args:
         axis: of the turn.
         start: the vector before.
         end: the vector after; what of both lies along the axis doesn't count.
     """
-    _, unrecorded, beside = _parts(axis, start)
-    result: Array = np.arctan2(_dot(beside, end), _dot(unrecorded, end))
+    _, across, beside = _parts(axis, start)
+    result: Array = np.arctan2(_dot(beside, end), _dot(across, end))
     return result
 
 
 def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
-    """Subproblem 2: angles about two axes through the origin, which aren't parallel, that bring a vector to another.
+    """Return angles about two axes through the origin, not parallel, that turn a vector into another: subproblem 2.
 
     Args:
         first: the outer axis.
@@ -85,13 +79,13 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
     # the vector before, and after, each by its parts beside the other axis, across both axes, and along its own axis
     x, y, z = inner_frame @ start
-    unrecorded = x * x + y * y
-    lengths = unrecorded + z * z
+    squares = x * x + y * y
+    lengths = squares + z * z
     ends = outer_frame @ end
     u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
     # between both turns it has the parts along both axes, and either of two across them
     inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
-    rest = unrecorded - inner * inner
+    rest = squares - inner * inner
     across = np.sqrt(np.maximum(rest, 0.0))
     inner, outer = np.arctan2(across, inner), np.arctan2(across, outer)
     before, after = np.arctan2(y, x), np.arctan2(v, u)
@@ -99,49 +93,30 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     return (
         np.array([after - outer, after + outer]),
         np.array([-inner - before, inner - before]),
-        np.sqrt(np.maximum(short - _SLACK, 0.0)),
+        np.sqrt(np.maximum(short - _ROUNDING, 0.0)),
     )
 
 
 @lru_cache(maxsize=64)
 def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
-    """The cosine and the sine between two axes, and frames (3, 3) around each: towards the other, across, along it."""
-    one, other = np.frombuffer(first), np.frombuffer(second)
-    cosine = float(one @ other)
+    """Return cosine and sine between two axes, and frames (3, 3) around each: towards the other, across, along it."""
+    a, b = np.frombuffer(first), np.frombuffer(second)
+    cosine = float(a @ b)
     sine = math.sqrt(1.0 - cosine * cosine)
     frames = []
-    for axis, beside in ((one, other), (other, one)):
+    for axis, beside in ((a, b), (b, a)):
         towards = (beside - cosine * axis) / sine
         frames.append(np.stack([towards, np.cross(axis, towards), axis]))
     return cosine, sine, frames[0], frames[1]
 
 
 def twice(vectors: Array) -> Array:
-    """The same vectors once more beside themselves.
-
-    Args:
-        vectors: (3, n), or (3, 1) that goes with all.
-    """
+    """Return vectors (3, n) once more beside themselves, (3, 1) as they are."""
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 
-def to_distance(axis: Array, start: Array, end: Array, distance: Array) -> tuple[Array, Array]:
-    """Subproblem 3: the angle about an axis through the origin that brings a point to a distance from another.
-
-    Args:
-        axis: of the turn.
-        start: the point that turns.
-        end: the point that stays.
-        distance: wanted between them, (n,), m.
-
-    Returns:
-        Angles (2, n) of both solutions, and their strain (n,).
-    """
-    return opened(hinge(axis, start, end), distance)
-
-
 def hinge(axis: Array, start: Array, end: Array) -> Hinge:
-    """What of subproblem 3 doesn't depend on the distance.
+    """Return what of subproblem 3 doesn't depend on the distance.
 
     Args:
         axis: of the turn.
@@ -161,14 +136,17 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
 
 
 def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
-    """Subproblem 3 for points that are known: see :func:`to_distance`.
+    """Return the angle about an axis that brings a point to a distance from another: subproblem 3.
 
     Args:
-        hinge: what is known of them.
+        hinge: of the axis and both points.
         distance: wanted between them, (n,), m.
+
+    Returns:
+        Angles (2, n) of both solutions, and their strain (n,).
     """
     straight, mean, half = hinge
     cosine = (mean - distance * distance) / np.maximum(half, 1e-12)
-    unrecorded = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
-    strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _SLACK, 0.0))
-    return np.array([straight + unrecorded, straight - unrecorded]), strain
+    away = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
+    strain = np.sqrt(2.0 * np.maximum(np.abs(cosine) - 1.0 - _ROUNDING, 0.0))
+    return np.array([straight + away, straight - away]), strain

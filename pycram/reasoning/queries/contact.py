@@ -4,59 +4,79 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from pycram.reasoning.queries.query import Verdict, query
 
+if TYPE_CHECKING:
     from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
 
 MARGIN: Final = 1e-3
 """m; bodies at rest keep up to half a millimetre of air in the engine, which a person would call touching."""
 
 
-def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
-    """Where two objects touch.
+@query
+def contact(object1: Object, object2: Object, world: BulletWorld | None = None, *, margin: float = 0.0) -> Verdict:
+    """Return whether two objects touch now (thesis 4.4.2); nothing is stepped.
 
     Args:
-        a: one.
-        b: the other.
-        margin: m up to which a gap counts as touching.
+        object1: one.
+        object2: the other.
+        world: their world.
+        margin: gap in m that counts as touching, beyond the millimetre of the engine.
 
     Returns:
-        The touches; none of an object with itself.
+        The answer; the evidence names the links and points.
     """
-    if a is b:
-        return []  # the engine would tell how a body overlaps itself
-    engine = a.world.engine
-    return [touch for touch in engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
+    found = touches(object1, object2, MARGIN + margin)
+    return Verdict(found, evidence(found))
 
 
-def evidence(found: list[ClosestPoint]) -> dict[str, object]:
-    """Links, points and depths of touches, for the record."""
-    return {
-        "links": sorted({(touch.link_a, touch.link_b) for touch in found}),
-        "points": [touch.position_b for touch in found],
-        "distance": min((touch.distance for touch in found), default=None),
-    }
-
-
-def supports(lower: Object, upper: Object) -> tuple[bool, Mapping[str, object]]:
-    """Whether one object carries another from below.
+@query
+def supporting(object1: Object, object2: Object, world: BulletWorld | None = None) -> Verdict:
+    """Return whether the first object carries the second from below (thesis 4.4.7).
 
     The normals of their contacts have to point up: to compare origins would call a wall the support of what leans
     against it, and would miss the hook that a cup hangs on.
 
     Args:
-        lower: the one that would carry.
-        upper: the one that would be carried.
+        object1: the one that would carry.
+        object2: the one that would be carried.
+        world: their world.
 
     Returns:
-        The answer, and the links and normals that it rests on.
+        The answer; the evidence names the links that carry and the normals there.
     """
-    found = touches(lower, upper)
+    found = touches(object1, object2)
     carrying = [touch for touch in found if touch.carries]
-    return bool(carrying), {
-        "links": sorted({touch.link_a for touch in carrying}),
-        "normals": [[-x for x in touch.normal] for touch in carrying],
-        "touches": len(found),
+    return Verdict(
+        carrying,
+        {
+            "links": sorted({touch.link_a for touch in carrying}),
+            "normals": [[-x for x in touch.normal] for touch in carrying],
+            "touches": len(found),
+        },
+    )
+
+
+def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
+    """Return where two objects touch; nowhere if they are the same.
+
+    Args:
+        a: an object.
+        b: an object of the same world.
+        margin: m up to which a gap counts as touching.
+    """
+    if a is b:
+        return []  # the engine would report how a body overlaps itself
+    engine = a.world.engine
+    return [touch for touch in engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
+
+
+def evidence(found: list[ClosestPoint]) -> dict[str, object]:
+    """Return links, points and depth of touches, for the record."""
+    return {
+        "links": sorted({(touch.link_a, touch.link_b) for touch in found}),
+        "points": [touch.position_b for touch in found],
+        "distance": min((touch.distance for touch in found), default=None),
     }

@@ -1,41 +1,49 @@
 """What every reasoning query has in common: it leaves no trace, and its answer goes on record.
 
-While a query runs, the world's lock is held and the world refuses changes, so that a query that tries one by mistake is
-told. Queries may ask each other; each public call is one record, unless it was asked wrongly.
+While a query runs, the world's lock is held and the world refuses changes. Queries may ask each other; each call is one
+record, unless it was asked wrongly.
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
 import time
-from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
+from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
-from pycram.handle import unwrap
+from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 from recorder import records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from typing import Self
 
 T = TypeVar("T")
+P = ParamSpec("P")
 
 
 class Verdict(int):
-    """Yes or no, and why.
+    """Yes or no, and why: behaves as a bool.
 
-    Behaves as the bool that it is; ``evidence`` holds what it rests on.
+    Attributes:
+        evidence: what the answer rests on.
+        picture: what the camera saw, if one was asked.
     """
 
     evidence: Mapping[str, object]
+    picture: records.Picture | None
 
-    def __new__(cls, answer: object, evidence: Mapping[str, object] | None = None) -> Self:
-        """Makes it from anything that is true or false."""
+    def __new__(
+        cls, answer: object, evidence: Mapping[str, object] | None = None, picture: records.Picture | None = None
+    ) -> Self:
+        """Make it from anything that is true or false."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})
+        verdict.picture = picture
         return verdict
 
     def __repr__(self) -> str:
@@ -49,51 +57,98 @@ class Verdict(int):
 
 
 class Found(list[T], Generic[T]):
-    """The objects found, and why; behaves as the list that it is."""
+    """What was found, and why: behaves as a list.
 
-    def __init__(self, items: Iterable[T] = (), evidence: Mapping[str, object] | None = None) -> None:
+    Attributes:
+        evidence: what the answer rests on.
+        picture: what the camera saw, if one was asked.
+    """
+
+    def __init__(
+        self,
+        items: Iterable[T] = (),
+        evidence: Mapping[str, object] | None = None,
+        picture: records.Picture | None = None,
+    ) -> None:
         super().__init__(items)
         self.evidence: Mapping[str, object] = dict(evidence or {})
+        self.picture = picture
 
 
-@dataclass(slots=True)
-class Asking:
-    """A query that is running; it sets ``answer``, and ``picture`` if it looked at something."""
-
-    answer: object = None
-    evidence: dict[str, object] = field(default_factory=dict)
-    picture: records.Picture | None = None
+Answer = TypeVar("Answer", bound="Verdict | Found[Any]")
 
 
-@contextmanager
-def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> Iterator[Asking]:
-    """Runs its block as a query.
+def _not_negative(name: str, value: object) -> float:
+    return checks.in_range(name, value, 0.0)
+
+
+_RECORDED: Final = {"gripper_name": "gripper"}  # what records call arguments whose parameter has another name
+_OBJECTS: Final = ("object", "object1", "object2", "robot")
+_CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
+    "margin": _not_negative,
+    "threshold": _not_negative,
+    "pose": checks.vector,
+    "orientation": lambda name, value: None if value is None else checks.quaternion(name, value),
+    "ignoring": lambda _, value: [unwrap(body) for body in value],
+}
+
+
+def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
+    """Make a query of a function that answers about a world.
+
+    The function gets results in place of futures, and arguments that have been checked. Which checks, the names of its
+    parameters say: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` are of one world, which is
+    ``world`` if that is given; ``gripper_name`` is a link of the robot. A ``robot`` beside a ``camera`` says whose
+    frame the camera is, by default the world's robot's. All parameters but ``world`` go on record, in order.
 
     Args:
-        name: of the query.
-        world: the world that it is about.
-        arguments: what was asked, for the record.
-
-    Yields:
-        Where the answer is put.
-
-    Raises:
-        WorldClosed: the world has ended.
+        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` makes no record.
     """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def ask(*args: P.args, **kwargs: P.kwargs) -> Answer:
+        try:
+            bound = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise TypeError(f"{function.__name__}(): {error}") from None
+        bound.apply_defaults()
+        arguments = {name: unwrap(value) for name, value in bound.arguments.items()}
+        return _answer(function, _check(arguments), arguments)
+
+    return ask
+
+
+def _check(arguments: dict[str, Any]) -> BulletWorld:
+    """Check arguments, put what the checks return in their place, and return the world that they are about."""
+    for name, check in _CHECKS.items():
+        if name in arguments:
+            arguments[name] = check(name, arguments[name])
+    camera, robot = arguments.get("camera"), arguments.get("robot")
+    optional = "robot" not in arguments or (robot is None and "camera" in arguments)
+    if not optional and not (isinstance(robot, Object) and robot.is_robot):
+        raise BadArgument("robot", robot, 'an object of type "robot"')
+    bodies = [arguments[name] for name in _OBJECTS if name in arguments and (name != "robot" or robot is not None)]
+    world = world_of(*bodies, *arguments.get("ignoring", ()), world=arguments["world"])
+    if "camera" in arguments:
+        arguments["robot"] = (robot or world.robot) if isinstance(camera, str) else None
+    if "gripper_name" in arguments:
+        arguments["robot"].check_link(checks.text("gripper link", arguments["gripper_name"]))
+    return world
+
+
+def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
+    """Call a query's function with the world locked against changes, and record the answer."""
     start = time.perf_counter_ns()
+    answer: Answer | None = None
+    error: BaseException | None = None
     with world.lock:
         transactions = world.transactions
-        outer = transactions.query
-        transactions.query = ""  # asked inside another query: that one is fine
+        outer, transactions.query = transactions.query, ""  # asked inside another query: that one is fine
         try:
-            transactions.check(f"ask {name}")
-        finally:
-            transactions.query = outer
-        transactions.query = name
-        asked = Asking()
-        error: BaseException | None = None
-        try:
-            yield asked
+            transactions.check(f"ask {function.__name__}")
+            transactions.query = function.__name__
+            answer = function(**arguments)
         except BaseException as raised:
             error = raised
             raise
@@ -101,37 +156,27 @@ def asking(name: str, world: BulletWorld, arguments: Mapping[str, object]) -> It
             transactions.query = outer
             if journal.recording() and not isinstance(error, UsageError):  # what can't be asked has not been asked
                 record = records.Query(
-                    name=name,
-                    arguments=records.arguments(arguments),
-                    answer_json=records.to_json(asked.answer),
-                    evidence=records.arguments(asked.evidence),
+                    name=function.__name__,
+                    arguments=records.arguments(
+                        (_RECORDED.get(name, name), value)
+                        for name, value in arguments.items()
+                        if name != "world" and (name, value) != ("robot", None)
+                    ),
+                    answer_json=records.to_json(answer),
+                    evidence=records.arguments(answer.evidence if answer is not None else {}),
                     duration_ns=time.perf_counter_ns() - start,
                     failure=records.failure(error) if error is not None else None,
-                    picture=asked.picture,
+                    picture=answer.picture if answer is not None else None,
                 )
                 journal.emit(record, world=world.name, sim_step=world.sim_step)
-
-
-def robot_of(robot: object) -> Object:
-    """A robot that a query is about.
-
-    Args:
-        robot: the robot, or a branch's handle for it.
-
-    Raises:
-        BadArgument: it isn't one.
-    """
-    machine = unwrap(robot)
-    if not isinstance(machine, Object) or not machine.is_robot:
-        raise BadArgument("robot", machine, 'an object of type "robot"')
-    return machine
+    return answer
 
 
 def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
-    """The world that a query is about.
+    """Return the world that objects are in.
 
     Args:
-        bodies: the objects asked about; they are in the same world.
+        bodies: the objects.
         world: the world that was named, if any.
 
     Raises:
@@ -140,17 +185,15 @@ def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
     """
     if world is not None and not isinstance(world, BulletWorld):
         raise BadArgument("world", world, "a BulletWorld")
-    place = world
     for body in bodies:
         if not isinstance(body, Object):
             raise BadArgument("object", body, "an Object of a world")
-        if place is None:
-            place = body.world
-        elif body.world is not place:
-            raise BadArgument("object", body, f"an object of {place.name}; {body.name} is in {body.world.name}")
+        if world is None:
+            world = body.world
+        elif body.world is not world:
+            raise BadArgument("object", body, f"an object of {world.name}; {body.name} is in {body.world.name}")
         _ = body.handle  # a removed one says so
-    if place is None:
-        place = BulletWorld.current_bullet_world
-    if place is None:
+    world = world or BulletWorld.current_bullet_world
+    if world is None:
         raise NoWorld
-    return place
+    return world

@@ -1,78 +1,230 @@
-"""Whether one of some postures will do: near enough to the target, and free where that is asked for (thesis 4.4.5)."""
+"""Whether a robot reaches something with a link (thesis 4.4.5): within joint limits, and collision-free if asked."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, TypeVar
 
+from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
-from pycram.reasoning.queries.query import Verdict
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.grasping.sides import grasp_orientation
+from pycram.reasoning.kinematics.arm import THRESHOLD
+from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.queries.query import Found, Verdict, query
+from pycram.scheduling.future import unwrap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
+    from contextlib import AbstractContextManager
 
-    from pycram.reasoning.collision.checker import CollisionChecker
-    from pycram.reasoning.kinematics.reach import Reach
-    from recorder.geometry import Pose
+    from pycram.reasoning.kinematics.arm import Posture
+    from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
+    from recorder.geometry import Pose, Quaternion
 
 T = TypeVar("T")
 
 
-def judge(
-    options: Sequence[Reach],
-    threshold: float,
-    rehearsal: CollisionChecker | None,
-    *,
-    oriented: bool,
-    base: Pose | None = None,
+def reachable(
+    pose: Object | Sequence[float],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = THRESHOLD,
 ) -> Verdict:
-    """Judges what inverse kinematics found for one target.
+    """Return whether a robot reaches an object or a position with a link (thesis 4.4.5).
 
     Args:
-        options: at least one; if the first doesn't reach, none does.
+        pose: an object, or a position xyz in the world, m.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
         threshold: m that the link may stay away.
-        rehearsal: where the robot may touch nothing, itself neither; None if it may.
-        oriented: all of them bring the link to one orientation.
-        base: where the robot's base is taken to be.
+    """
+    target = unwrap(pose)
+    if isinstance(target, list | tuple) or hasattr(target, "__array__"):
+        return reachable_pose(target, robot, gripper_name, world, threshold)
+    return reachable_object(target, robot, gripper_name, world, threshold)
+
+
+@query
+def reachable_object(
+    object: Object,
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = THRESHOLD,
+    *,
+    grasp: str | None = None,
+    collision_free: bool = False,
+) -> Verdict:
+    """Return whether a robot reaches an object with a link (thesis 4.4.5).
+
+    Args:
+        object: the object.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: their world.
+        threshold: m that the link may stay away.
+        grasp: "front", "top", "left" or "right"; any orientation by default.
+        collision_free: also ask that nothing else is in the way.
+
+    Returns:
+        The answer; the evidence has the joints of the posture.
+    """
+    orientation = None if grasp is None else grasp_orientation(grasp, robot)
+    ignored = [object] if collision_free else None
+    return _reach(robot, gripper_name, center(object), orientation, threshold, ignored)
+
+
+@query
+def reachable_pose(
+    pose: Sequence[float],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = THRESHOLD,
+    *,
+    orientation: Sequence[float] | None = None,
+    collision_free: bool = False,
+) -> Verdict:
+    """Return whether a robot reaches a position with a link (thesis 4.4.5).
+
+    Args:
+        pose: position xyz in the world, m.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: its world.
+        threshold: m that the link may stay away.
+        orientation: xyzw that the link shall have there; any by default.
+        collision_free: also ask that nothing is in the way.
+
+    Returns:
+        The answer; the evidence has the joints of the posture.
+    """
+    return _reach(robot, gripper_name, pose, orientation, threshold, [] if collision_free else None)
+
+
+@query
+def reachable_poses(
+    poses: Sequence[Sequence[float]],
+    robot: Object,
+    gripper_name: str,
+    world: BulletWorld | None = None,
+    threshold: float = THRESHOLD,
+    *,
+    bases: Sequence[tuple[Sequence[float], Sequence[float]]] | None = None,
+    orientations: Sequence[Sequence[float]] | None = None,
+    collision_free: bool = False,
+    ignoring: Sequence[Object] = (),
+) -> Found[Verdict]:
+    """As :func:`reachable_pose`, for many targets or for many poses of the robot, in a fraction of the time.
+
+    Args:
+        poses: positions xyz in the world, m. One of them goes with all bases, one base with all of them; else there
+            are as many of each.
+        robot: the robot.
+        gripper_name: the link, mostly a tool frame.
+        world: its world.
+        threshold: m that the link may stay away.
+        bases: positions and orientations of the robot's base to try; where it stands by default.
+        orientations: xyzw that the link shall have, one or as many as poses; any by default.
+        collision_free: also ask that nothing is in the way, of the base neither.
+        ignoring: objects that aren't in the way, as the one that is to be grasped.
+
+    Returns:
+        The answers in order, each with its evidence.
+
+    Raises:
+        BadArgument: numbers of poses, orientations and bases don't fit.
+    """
+    count = max(len(poses), len(bases or ()), len(orientations or ()))
+    positions = _repeated("poses", [checks.vector("pose", pose) for pose in poses], count)
+    turns: Sequence[Quaternion | None] = [None] * count
+    if orientations is not None:
+        turns = _repeated("orientations", [checks.quaternion("orientation", turn) for turn in orientations], count)
+    stands: Sequence[Pose | None] = [None] * count
+    if bases is not None:
+        checked = [(checks.vector("base", position), checks.quaternion("base", turn)) for position, turn in bases]
+        stands = _repeated("bases", checked, count)
+    targets = list(zip(positions, turns, stands, strict=True))
+    solver = Solver(robot, gripper_name)
+    verdicts: list[Verdict] = []
+    with _checker(robot, solver, ignoring if collision_free else None, all_links=bases is not None) as checker:
+        for target, exact in zip(targets, solver.closed_form(targets), strict=True):
+            postures = exact or solver.search([target], thorough=collision_free, threshold=threshold)[0]
+            oriented = None if orientations is None else gripper_name
+            verdicts.append(_judge(postures, threshold, checker, oriented, target[2]))
+    return Found(
+        verdicts,
+        {"reached": sum(verdicts), "distances": [verdict.evidence["distance"] for verdict in verdicts]},
+    )
+
+
+def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
+    """Return as many as needed: those given, or the only one again and again."""
+    if len(given) not in {1, count}:
+        raise BadArgument(name, len(given), f"1 or {count} of them")
+    return given if len(given) == count else [given[0]] * count
+
+
+def _checker(
+    robot: Object, solver: Solver, ignored: Sequence[Object] | None, *, all_links: bool = False
+) -> AbstractContextManager[CollisionChecker | None]:
+    """Return what looks for collisions; None instead of objects that don't count: nothing does."""
+    return nullcontext() if ignored is None else CollisionChecker(robot, solver.joints, ignored, all_links=all_links)
+
+
+def _reach(
+    robot: Object,
+    link: str,
+    position: Sequence[float],
+    orientation: Sequence[float] | None,
+    threshold: float,
+    ignored: Sequence[Object] | None,
+) -> Verdict:
+    """Return whether a robot reaches one target; ``ignored`` are objects that may be touched, None if all may."""
+    solver = Solver(robot, link)
+    (postures,) = solver.search([(position, orientation, None)], thorough=ignored is not None, threshold=threshold)
+    with _checker(robot, solver, ignored) as checker:
+        return _judge(postures, threshold, checker, None if orientation is None else link)
+
+
+def _judge(
+    found: Sequence[Posture],
+    threshold: float,
+    checker: CollisionChecker | None,
+    oriented: str | None,
+    base: Pose | None = None,
+) -> Verdict:
+    """Return whether one of some postures will do.
+
+    Args:
+        found: at least one; if the first doesn't reach, none does.
+        threshold: m that the link may stay away.
+        checker: where the robot may touch nothing, itself neither; None if it may.
+        oriented: the link, if all postures bring it to one orientation.
+        base: pose of the robot's base; None where it stands.
 
     Returns:
         The answer; the evidence has the posture that will do, or the first that won't and what it touches.
     """
-    ways = [option for option in options if option.reached(threshold)]
-    evidence = (ways or options)[0].evidence()
-    if rehearsal is None or not ways:
-        return Verdict(ways, evidence)
-    settled = rehearsal.settled(ways[0].link if oriented else None)
-    for way, posture in zip(ways, rehearsal.predict([way.posture.positions for way in ways], base), strict=True):
-        rehearsal.take(posture)
-        touched = rehearsal.touched()
-        own = rehearsal.touches_itself()
+    postures = [posture for posture in found if posture.reaches(threshold)]
+    evidence = (postures or found)[0].evidence()
+    if checker is None or not postures:
+        return Verdict(postures, evidence)
+    constant = checker.constant_links(oriented)
+    candidates = checker.predict([posture.positions for posture in postures], base)
+    for posture, candidate in zip(postures, candidates, strict=True):
+        touched, own = checker.touched(candidate), checker.self_collisions(candidate)
         if not touched and not own:
-            return Verdict(True, way.evidence() | {"obstacles": {}})
-        hits: dict[str, object] = {other.name: info for other, info in touched.items()}
+            return Verdict(True, posture.evidence() | {"obstacles": {}})
+        obstacles: dict[str, object] = {body.name: info for body, info in touched.items()}
         if own:
-            hits[rehearsal.robot.name] = {"links": [one for one, _ in own], "by": [other for _, other in own]}
-        evidence.setdefault("obstacles", hits)
-        if any(link in settled for info in touched.values() for link in _links(info)):
+            obstacles[checker.robot.name] = {"links": [a for a, _ in own], "by": [b for _, b in own]}
+        evidence.setdefault("obstacles", obstacles)
+        if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
             break  # no other posture will be better
     return Verdict(False, evidence)
-
-
-def _links(info: Mapping[str, object]) -> list[str]:
-    links = info["links"]
-    return links if isinstance(links, list) else []
-
-
-def as_many(name: str, given: Sequence[T], count: int) -> list[T]:
-    """One for each.
-
-    Args:
-        name: what they are.
-        given: as many as needed, or one that goes with all.
-        count: how many are needed.
-
-    Raises:
-        BadArgument: there are neither one nor that many.
-    """
-    if len(given) not in {1, count}:
-        raise BadArgument(name, len(given), f"1 or {count} of them")
-    return [given[0]] * count if len(given) == 1 else list(given)

@@ -6,12 +6,12 @@ degrees: creep stays an order of magnitude below, a fall goes far beyond. The an
 is passed, or when all that could matter has come to rest (slower than 2 mm/s and 0.02 rad/s, which could not add up to
 the limit in the time left, and not gaining speed) and stands firmly (:mod:`pycram.reasoning.queries.support_polygon`).
 
-What is simulated is a twin, never the world: PyBullet's saved states, even if restored at once, change the last bits of
-what contacts do next. A twin begins with contacts as they are found; the engine keeps some from step to step that it
-would not find again, and in disorderly piles one answer in 25 hangs on these, which no state tells of. In it is
+A clone is simulated, never the world: PyBullet's saved states, even if restored at once, change the last bits of what
+contacts do next. A clone begins with contacts as they are found; the engine keeps some from step to step that it
+would not find again, and in disorderly piles one answer in 25 hangs on these, which no state holds. Simulated is
 whatever could get to the object within that time: nothing gets faster than by falling from the top of the highest thing
-that isn't fixed. Robots cost most of a step and hold their posture. They are in it only if something free leans on one
-or is held together with the object; else they stay out, with what they hold.
+that isn't fixed. Robots cost most of a step and hold their posture. They are simulated only if something free leans on
+one or is held together with the object; else they stay out, with what they hold.
 """
 
 from __future__ import annotations
@@ -19,18 +19,19 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.collision.simulation_clone import twin
-from pycram.reasoning.queries.support_polygon import Thing, firm
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.queries.query import Verdict, query
+from pycram.reasoning.queries.support_polygon import stands_firmly
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from pycram.physics.body import Body
     from pycram.physics.engine import Engine
     from pycram.world.object import Object
-    from recorder.geometry import Pose
+    from pycram.world.world import BulletWorld
 
     Box = tuple[list[float], list[float]]
 
@@ -39,46 +40,49 @@ MOVED: Final = 0.01  # m
 TURNED: Final = math.radians(5)
 _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
-_CHECK: Final = 6  # steps between looks
-_LOOKS: Final = 4  # in a row, at which all must be at rest
-_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # looks after which it is asked whether all stands firmly: not for nothing
+_PERIOD: Final = 6  # steps between samples of the speeds
+_AT_REST: Final = 4  # samples in a row, at which all must be at rest
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which to check whether all stands firmly: it takes time
 _GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
 _NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
 
 
-def simulate(body: Object) -> tuple[bool, Mapping[str, object]]:
-    """Finds out whether an object stays.
+@query
+def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
+    """Return whether an object stays where it is when time runs (thesis 4.4.1).
 
     Args:
-        body: the object.
+        object: the object.
+        world: its world; only for calls as in the thesis.
 
     Returns:
-        The answer; how far (m) and by how much (rad) it moved, after how many steps, in how many that were simulated.
+        False if it would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence says how far (m) and
+        by how much (rad) it moved, after how many steps, in how many that were simulated.
     """
-    if body.fixed:
-        return True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0}
-    cast = _cast(body)
-    robots = any(other.is_robot for other in cast)
-    copy = twin(body.world, "physics with robots" if robots else "physics")
-    bodies = copy.sync(cast, holding=True)
-    free = [other for other in cast if not other.fixed]
-    standing = [other for other in free if not _root(other).fixed]
-    joined = any(other.attachments for other in standing)  # who carries whom there, contacts don't tell
-    things = {other: Thing(bodies[other.name], other.model.path) for other in cast}
+    if object.fixed:
+        return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
+    bodies = _participants(object)
+    robots = any(body.is_robot for body in bodies)
+    clone = clone_of(object.world, "physics with robots" if robots else "physics")
+    copies = clone.sync(bodies, holding=True)
+    free = [body for body in bodies if not body.fixed]
+    on_their_own = [body for body in free if not _root(body).fixed]
+    standing = [copies[body.name] for body in on_their_own]
+    attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
+    models = {copies[body.name]: body.model.path for body in bodies}
 
-    def firmly() -> bool:
-        on_their_own = [things[other] for other in standing]
-        return not joined and firm(copy.engine, list(things.values()), on_their_own, body.world.gravity)
+    def firm() -> bool:
+        return not attached and stands_firmly(clone.engine, models, standing, object.world.gravity)
 
     try:
-        return _watch(copy.engine, bodies[body.name], [bodies[other.name] for other in free], firmly)
+        return _simulate(clone.engine, copies[object.name], [copies[body.name] for body in free], firm)
     finally:
-        copy.disturbed(*bodies)
+        clone.invalidate(*copies)
 
 
-def _cast(body: Object) -> list[Object]:
-    """All that can make an object move before the time is up, and itself."""
+def _participants(body: Object) -> list[Object]:
+    """Return all that can make an object move before the time is up, and itself."""
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
     holders = {other: holder for other in world.objects if (holder := _holder(other)) is not None}
@@ -101,20 +105,20 @@ def _cast(body: Object) -> list[Object]:
 
 
 def _holder(body: Object) -> Object | None:
-    """The robot that holds an object, directly or through other things."""
+    """Return the robot that holds an object, directly or through other things."""
     root = _root(body)  # nothing carries a robot
     return root if root.is_robot and root is not body else None
 
 
 def _root(body: Object) -> Object:
-    """What carries an object in the end; itself if nothing does."""
+    """Return what carries an object in the end; itself if nothing does."""
     while body.carrier is not None:
         body = body.carrier
     return body
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
-    """How far anything could get in the time, m, with the speed of the fastest and of a fall to the object's foot."""
+    """Return how far anything could get in time, m, at the speed of the fastest and of a fall to the object's foot."""
     world = body.world
     strength = math.hypot(*world.gravity)
     down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
@@ -132,41 +136,38 @@ def _reach(body: Object, free: Mapping[Object, Box]) -> float:
 
 
 def _gap(a: Box, b: Box) -> float:
-    """Distance of two boxes, m."""
+    """Return the distance of two boxes, m."""
     return math.hypot(
         *(max(0.0, low_a - high_b, low_b - high_a) for low_a, high_a, low_b, high_b in zip(*a, *b, strict=True))
     )
 
 
-def _watch(
-    engine: Engine, body: Body, movable: list[Body], firmly: Callable[[], bool]
-) -> tuple[bool, Mapping[str, object]]:
+def _simulate(engine: Engine, body: Body, movable: Sequence[Body], firm: Callable[[], bool]) -> Verdict:
+    """Simulate until the answer is certain; ``firm`` says whether all that is at rest stands firmly."""
     start = engine.pose(body)
-    looks: list[list[float]] = []
+    speeds: list[list[float]] = []  # at each sample those of all, as shares of what is slow
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
-        engine.step(_CHECK)
-        steps += _CHECK
-        moved, turned = _change(start, engine.pose(body))
+        engine.step(_PERIOD)
+        steps += _PERIOD
+        position, orientation = engine.pose(body)
+        moved, turned = math.dist(start[0], position), geometry.angle(start[1], orientation)
         if moved > MOVED or turned > TURNED:
-            return False, {"moved": moved, "turned": turned, "moved_after_steps": steps, "simulated_steps": steps}
-        looks.append(
+            evidence = {"moved": moved, "turned": turned, "moved_after_steps": steps, "simulated_steps": steps}
+            return Verdict(False, evidence)
+        speeds.append(
             [max(linear / _SLOW, turn / _SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
         )
-        if len(looks) in _DECISIONS and _at_rest(looks[-_LOOKS:]) and firmly():
+        if len(speeds) in _DECISIONS and _at_rest(speeds[-_AT_REST:]) and firm():
             break
-    return True, {"moved": moved, "turned": turned, "simulated_steps": steps}
+    return Verdict(True, {"moved": moved, "turned": turned, "simulated_steps": steps})
 
 
-def _at_rest(looks: list[list[float]]) -> bool:
-    """Whether all were slow at all looks, and none has gained speed; speeds are shares of what is slow."""
-    gaining = (now > max(before * _GAIN, _NOISE) for before, now in zip(looks[0], looks[-1], strict=True))
-    return max((max(look, default=0.0) for look in looks), default=0.0) < 1.0 and not any(gaining)
-
-
-def _change(before: Pose, after: Pose) -> tuple[float, float]:
-    return math.dist(before[0], after[0]), geometry.angle(before[1], after[1])
+def _at_rest(speeds: Sequence[Sequence[float]]) -> bool:
+    """Return whether all were slow at all samples, and none has gained speed."""
+    gaining = (now > max(before * _GAIN, _NOISE) for before, now in zip(speeds[0], speeds[-1], strict=True))
+    return all(speed < 1.0 for sample in speeds for speed in sample) and not any(gaining)
 
 
 def _speeds(engine: Engine, body: Body) -> tuple[float, float]:

@@ -1,8 +1,8 @@
 """What a camera sees of an object (thesis 4.4.3, 4.4.4).
 
-Two pictures are compared pixel by pixel: of the object alone, and of all that could be before it. They show just the
-part of the image in which the object can be, so that a few thousand pixels decide precisely however far it is. The
-object's pixels outside of the camera's image count as not seen.
+Two images are compared pixel by pixel: of the object alone, and of all that could be before it. They show just the
+part of the image plane in which the object can be, so that a few thousand pixels decide precisely however far it is.
+The object's pixels outside of the camera's image count as not seen.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
-from pycram.reasoning.collision.ray_cast import middle
+from pycram.reasoning.collision.ray_cast import center
+from pycram.reasoning.queries.query import Found, Verdict, query
 from pycram.vision.camera import NEAR, Camera
 from pycram.vision.rasterizer import Window
 from recorder import geometry
@@ -29,13 +30,66 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.vision.camera import Sight
+    from pycram.vision.camera import Rendering
     from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
 
-_PIXELS: Final = 80**2  # of the part that is looked at
-_WIDE: Final = math.radians(60)  # field of view where only a position is given
-_MOST_NAMES: Final = 250  # in a picture; beyond them it shows nothing
+VISIBLE_SHARE: Final = 0.8
+"""Share of an object's pixels that make it visible (thesis 4.4.3)."""
+
+_PIXELS: Final = 80**2  # of the part that is rendered
+_FIELD: Final = math.tan(math.radians(60) / 2)  # of half the field of view where no camera says another
+_MAX_NAMES: Final = 250  # in a picture; beyond them it shows nothing
 _MARGIN: Final = 0.05  # of the part's size around the object
+
+
+@query
+def visible(
+    object: Object,
+    camera: Sequence[float] | str,
+    world: BulletWorld | None = None,
+    *,
+    robot: Object | None = None,
+    threshold: float = VISIBLE_SHARE,
+) -> Verdict:
+    """Return whether an object is seen (thesis 4.4.3).
+
+    Args:
+        object: the object.
+        camera: a position in m (looks at the object), (position, orientation) of an optical frame, or the name of a
+            robot's camera frame, as it is directed now and with its field of view.
+        world: its world.
+        robot: whose camera; the world's robot by default.
+        threshold: share of its pixels that has to be exceeded.
+
+    Returns:
+        The answer; the evidence has the share, the pixels and what hides them.
+
+    Raises:
+        NoWorld: a frame is named, but the world has no robot.
+        UnknownName: the robot has no such frame.
+    """
+    seen = view(object, _camera(camera, object, robot))
+    return Verdict(seen.share > threshold, seen.evidence(), seen.picture())
+
+
+@query
+def occluding(
+    object: Object, camera: Sequence[float] | str, world: BulletWorld | None = None, *, robot: Object | None = None
+) -> Found[Object]:
+    """Return what stands between an object and a camera (thesis 4.4.4).
+
+    Args:
+        object: the object.
+        camera: as for :func:`visible`.
+        world: its world.
+        robot: whose camera; the world's robot by default.
+
+    Returns:
+        The objects in between, most hiding first; the evidence has their shares.
+    """
+    seen = view(object, _camera(camera, object, robot))
+    return Found(map(object.world.get_object, seen.hiding), seen.evidence(), seen.picture())
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +102,8 @@ class View:
         seen: pixels of it that are seen.
         hiding: share of its pixels that each other object hides, most hiding first.
         reason: in words, where nothing is seen.
-        bodies: names of the object and of what is before it; empty if nothing was looked at.
-        pixels: (height, width) what was looked at: 0 where nothing is, n where the n-th body is.
+        bodies: names of the object and of what is before it; empty if nothing was rendered.
+        pixels: (height, width) what was rendered: 0 where nothing is, n where the n-th body is.
     """
 
     share: float
@@ -61,69 +115,51 @@ class View:
     pixels: NDArray[np.uint8] | None = None
 
     def picture(self) -> Picture | None:
-        """What was looked at, as records carry it."""
+        """Return what was rendered, as records carry it."""
         if self.pixels is None:
             return None
         height, width = self.pixels.shape
         return Picture(width=width, height=height, bodies=self.bodies, pixels=zlib.compress(self.pixels.tobytes()))
 
     def evidence(self) -> dict[str, object]:
-        """As records carry it."""
-        told: dict[str, object] = {"share": self.share, "pixels_seen": self.seen, "pixels_alone": self.alone}
-        return told | {"hidden_by": dict(self.hiding)} | ({"reason": self.reason} if self.reason else {})
+        """Return it as records carry it."""
+        counts: dict[str, object] = {"share": self.share, "pixels_seen": self.seen, "pixels_alone": self.alone}
+        return counts | {"hidden_by": dict(self.hiding)} | ({"reason": self.reason} if self.reason else {})
 
 
-def camera_at(where: object, target: Object, robot: Object | None = None) -> Camera:
-    """The camera that a query means.
-
-    Args:
-        where: a position (looks at the target), a pair of position and orientation of an optical frame, or the name of
-            a robot's camera frame.
-        target: what is looked at.
-        robot: whose frame it is; the world's robot by default.
-
-    Raises:
-        NoWorld: a frame is named, but the world has no robot.
-        UnknownName: the robot has no such frame.
-        BadArgument: anything else.
-    """
-    if isinstance(where, str):
-        return _of_robot(where, robot or target.world.robot)
+def _camera(given: object, target: Object, robot: Object | None) -> Camera:
+    """Return the camera that a query means: a frame of the robot, a pose, or a position that looks at the target."""
+    if isinstance(given, str):
+        return _camera_of(robot, given)
     try:
-        parts = list(cast("Iterable[object]", where))
+        parts = list(cast("Iterable[object]", given))
     except TypeError:
-        raise BadArgument("camera", where, "a position, a position and an orientation, or a frame's name") from None
+        raise BadArgument("camera", given, "a position, a position and an orientation, or a frame's name") from None
     if len(parts) == 2:
         pose = (checks.vector("camera position", parts[0]), checks.quaternion("camera orientation", parts[1]))
     else:
         eye = checks.vector("camera position", parts)
-        aim = middle(target)
-        inside = math.dist(eye, aim) < NEAR  # it is seen from nowhere then, whatever the direction
+        aim = center(target)
+        inside = math.dist(eye, aim) < NEAR  # nothing is seen then, whatever the direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
-    wide = math.tan(_WIDE / 2)
-    return Camera(pose, wide, wide)
+    return Camera(pose, _FIELD, _FIELD)
 
 
-def _of_robot(frame: str, robot: Object | None) -> Camera:
+def _camera_of(robot: Object | None, frame: str) -> Camera:
+    """Return the camera in a robot's frame, with its field of view if the robot's description has one."""
     if robot is None:
         raise NoWorld("robot")
     position, orientation = robot.get_link_position_and_orientation(frame)
     pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
     description = robot.description
     if description is None or description.camera is None or description.camera.frame != frame:
-        wide = math.tan(_WIDE / 2)
-        return Camera(pose, wide, wide)
+        return Camera(pose, _FIELD, _FIELD)
     camera = description.camera
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
 
 
 def view(body: Object, camera: Camera) -> View:
-    """Looks at an object.
-
-    Args:
-        body: the object.
-        camera: the camera.
-    """
+    """Return what a camera sees of an object; its world's lock is held."""
     frame = camera.window
     window, reason = _window(body, camera, frame)
     if window is None:
@@ -131,25 +167,27 @@ def view(body: Object, camera: Camera) -> View:
     width, height = window.right - window.left, window.bottom - window.top
     scale = math.sqrt(_PIXELS / (width * height))
     size = (max(8, round(scale * width)), max(8, round(scale * height)))
-    alone = camera.look([body], window, size)
-    mine = alone.bodies == 0
-    pixels = int(mine.sum())
+    alone = camera.render([body], window, size)
+    covered = alone.bodies == 0
+    pixels = int(covered.sum())
     if not pixels:
         return View(0.0, 0, 0, {}, "is out of view or too near" if window == frame else "is too thin to be seen")
     others = [other for other in body.world.objects if other is not body]
-    before = camera.look(others, window, size, float(alone.depth[mine].max()))
-    inside = mine & _inside(window, frame, size)
+    before = camera.render(others, window, size, float(alone.depth[covered].max()))
+    inside = covered & _inside(window, frame, size)
     hidden = inside & (before.depth < alone.depth)
     seen = int(inside.sum() - hidden.sum())
     hiding = _hiding(others, before.bodies[hidden], pixels)
     reason = "" if seen else "is hidden" if hiding else "is out of view"
-    return View(seen / pixels, pixels, seen, hiding, reason, *_seen(body, others, alone, before))
+    return View(seen / pixels, pixels, seen, hiding, reason, *_pixels(body, others, alone, before))
 
 
-def _seen(body: Object, others: Sequence[Object], alone: Sight, before: Sight) -> tuple[list[str], NDArray[np.uint8]]:
-    """Names of the bodies that are looked at, and which of them each pixel shows."""
+def _pixels(
+    body: Object, others: Sequence[Object], alone: Rendering, before: Rendering
+) -> tuple[list[str], NDArray[np.uint8]]:
+    """Return names of the bodies in a picture, and which of them each pixel shows."""
     owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 nothing
-    near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MOST_NAMES]
+    near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
     numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last one is that of -1
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
@@ -163,7 +201,7 @@ def _hiding(others: Sequence[Object], covering: NDArray[np.int64], alone: int) -
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
-    """The part of the image plane that can show the object; None and why if none can."""
+    """Return the part of the image plane that can show the object; None and why if none can."""
     low, high = body.get_AABB()
     if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
         return None, "is around the camera"
@@ -186,7 +224,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
 
 
 def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which pixels of a part lie within the camera's image."""
+    """Return which pixels of a part lie within the camera's image."""
     width, height = size
     x = window.left + (np.arange(width) + 0.5) / width * (window.right - window.left)
     y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)

@@ -8,10 +8,10 @@ import threading
 
 import pytest
 
-from pycram.cancellation import Cancelled, Scope, entered
 from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.language import par
+from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
 
@@ -129,7 +129,7 @@ def test_a_wait_ends_in_time_however_often_the_value_changes() -> None:
 
 def test_waiting_in_a_cancelled_branch_raises_even_if_there_is_a_value() -> None:
     fluent = Fluent(1)
-    scope = Scope()
+    scope = CancelScope()
     scope.cancel()
     with entered(scope):
         with pytest.raises(Cancelled):

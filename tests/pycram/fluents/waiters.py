@@ -9,8 +9,8 @@ import threading
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pycram.cancellation import Scope, entered
 from pycram.fluent import Fluent, network
+from pycram.scheduling.cancellation import CancelScope, entered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -23,7 +23,7 @@ class Running:
     """A function in a thread of its own, within a scope."""
 
     def __init__(self, action: Callable[[], object]) -> None:
-        self.scope = Scope()
+        self.scope = CancelScope()
         self.outcome: object = None
         self.thread = threading.Thread(target=self._run, args=(action,), daemon=True)
         self.thread.start()

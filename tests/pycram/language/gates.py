@@ -6,11 +6,9 @@ when it is cancelled.
 
 from __future__ import annotations
 
-import threading
-
-from pycram.cancellation import wait
 from pycram.failures import BadArgument, LookingFailed, Unreachable
 from pycram.language import State, par, pursue, seq, try_all, try_in_order
+from pycram.scheduling.cancellation import Condition, wait
 
 KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
 
@@ -22,16 +20,32 @@ class Gate:
     """Something to wait for; who is cancelled waits no more."""
 
     def __init__(self) -> None:
-        self.changed = threading.Condition()
+        self.changed = Condition()
         self.is_open = False
 
     def open(self) -> None:
-        with self.changed:
-            self.is_open = True
-            self.changed.notify_all()
+        self.is_open = True
+        self.changed.notify_all()
 
     def pass_through(self, timeout: float | None = None) -> bool:
         return wait(self.changed, lambda: self.is_open, timeout)
+
+
+class Meeting:
+    """Where so many branches wait for each other; each gets a number, in the order in which they came."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.came = 0
+        self.gate = Gate()
+
+    def wait(self) -> int:
+        self.came += 1
+        number = self.came - 1
+        if self.came == self.count:
+            self.gate.open()
+        assert self.gate.pass_through(20), "some don't come"
+        return number
 
 
 def fails() -> None:

@@ -3,21 +3,19 @@
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
-import threading
-
 import pytest
 
 from pycram import tasks
-from pycram.branch import NoResult
 from pycram.failures import Unreachable
 from pycram.fluent import Fluent, whenever
-from pycram.handle import branch_of
 from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_in_order
-from tests.pycram.language.gates import C, F, Gate, S, fails, succeeds
+from pycram.language.branch import NoResult
+from pycram.scheduling.future import branch_of
+from tests.pycram.language.gates import C, F, Gate, Meeting, S, fails, succeeds
 
 
 def test_blocks_in_a_concurrent_body_run_beside_each_other_and_in_order_inside() -> None:
-    meeting = threading.Barrier(3, timeout=20)
+    meeting = Meeting(3)
     order: list[str] = []
     with par as s:
         for name in "ab":

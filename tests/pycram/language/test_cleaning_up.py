@@ -8,10 +8,10 @@ import traceback
 import pytest
 
 from pycram import tasks
-from pycram.cancellation import checkpoint
 from pycram.failures import BadArgument, LookingFailed, NotCleanedUp, Unreachable
 from pycram.language import failure_handling, finally_, par, pursue, timeout, try_all
-from pycram.timeouts import TimedOut
+from pycram.language.timeouts import TimedOut
+from pycram.scheduling.cancellation import checkpoint
 from tests.pycram.language.gates import C, F, Gate, S, fails, fails_to_look, is_wrong, succeeds
 
 

@@ -1,31 +1,53 @@
-"""Ctrl-C ends blocks and their threads, wherever it comes."""
+"""Ctrl-C ends blocks and their branches, wherever it comes, and leaves nothing behind."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
+import gc
 import itertools
 import os
+import random
 import signal
 import sys
 import threading
-from contextlib import _GeneratorContextManager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from greenlet import greenlet
 
-from pycram import nesting, tasks
-from pycram.binding import Binding
-from pycram.cancellation import current_scope
-from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all
-from pycram.nested_blocks import Deferred, _Asked
-from pycram.open_block import current_block
+from pycram import tasks
+from pycram.language import failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
+from pycram.language.body import current_block
+from pycram.language.nesting import Scope
+from pycram.scheduling.cancellation import checkpoint, current_scope
+from pycram.scheduling.schedule import scheduler
 from recorder.tasks import State
-from recorder.tracing import journal
-from recorder.tracing.span import Span, span
-from tests.pycram.language.gates import KINDS, C, F, Gate, S, succeeds
+from recorder.tracing import interrupts, journal
+from recorder.tracing.span import span
+from tests.pycram.language.gates import C, F, Gate, S, fails, succeeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+REPO = Path(__file__).parent.parent.parent.parent
+
+
+def press() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def assert_nothing_left() -> None:
+    assert current_block() is None
+    assert current_scope() is None
+    assert journal.task_id() == 0
+    assert tasks.tree().find(status=State.RUNNING) == []
+    assert not interrupts.is_pending()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert not scheduler().branches
+    with seq as s, seq as t:  # nothing that was left open is in its way
+        t(succeeds)
+    assert s.state is S
 
 
 def test_interrupting_the_body_stops_the_branches() -> None:
@@ -37,171 +59,214 @@ def test_interrupting_the_body_stops_the_branches() -> None:
         assert s.branches[0].state is C
 
 
-@pytest.mark.parametrize("times", range(5))
-def test_ctrl_c_ends_a_block_and_its_threads(times: int) -> None:
-    gate = Gate()
+def test_ctrl_c_in_the_plan_s_own_python_is_raised_at_once() -> None:
+    reached = []
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(Gate().pass_through)
+        press()
+        reached.append("never")
+    assert not reached
+    with pytest.raises(KeyboardInterrupt), seq as s:
+        s(lambda: (press(), reached.append("never")))
+    assert not reached
+    assert_nothing_left()
 
-    def interrupt() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        gate.pass_through()
+
+def test_ctrl_c_in_a_branch_is_raised_where_the_block_is_at_the_branch_s_next_checkpoint() -> None:
+    gate, reached = Gate(), []
+
+    def interrupted() -> None:
+        press()
+        reached.append("goes on")
+        checkpoint()
+        reached.append("never")
 
     with pytest.raises(KeyboardInterrupt), par as s:
         with pursue as t:
             t(gate.pass_through)
         s(gate.pass_through)
-        s(interrupt)
+        s(interrupted)
+    assert reached == ["goes on"]
     assert {branch.state for branch in s.branches} == {C}
+    assert_nothing_left()
 
 
-def test_pressing_ctrl_c_again_leaves_no_thread_either(monkeypatch: pytest.MonkeyPatch) -> None:
-    told = threading.Event()
+def test_ctrl_c_while_all_branches_wait_ends_them() -> None:
+    gate = Gate()
+    main = threading.get_ident()
+    waiting = threading.Event()
+    over = threading.Event()
 
+    def press_when_all_wait() -> None:
+        waiting.wait(20)
+        while not over.wait(0.05):  # one that comes just before the thread goes to sleep is seen later
+            signal.pthread_kill(main, signal.SIGINT)
+
+    thread = threading.Thread(target=press_when_all_wait)
+    thread.start()
+    with pytest.raises(KeyboardInterrupt):
+        try:
+            with par as s:
+                s(gate.pass_through)
+                s(lambda: (waiting.set(), gate.pass_through()))
+        finally:
+            over.set()
+            thread.join()
+    assert {branch.state for branch in s.branches} == {C}
+    assert_nothing_left()
+
+
+def test_pressing_ctrl_c_again_tells_whom_it_waits_for(monkeypatch: pytest.MonkeyPatch) -> None:
     class Screen:
         text = ""
 
         def write(self, text: str) -> None:
             self.text += text
-            told.set()
 
     screen = Screen()
     monkeypatch.setattr(sys, "stderr", screen)
 
     def busy() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        while not s.scope.told:
-            pass
-        while not told.is_set():
-            os.kill(os.getpid(), signal.SIGINT)
-            told.wait(0.05)
+        press()
+        assert not screen.text
+        press()
+        assert "waiting for par-1" in screen.text
 
     with pytest.raises(KeyboardInterrupt), par as s:
         s(busy)
     assert s.branches[0].state is S
-    assert "waiting for par-1" in screen.text
+    screen.text = ""
 
+    def cleans_up_slowly() -> None:
+        with finally_(press):
+            press()
+            checkpoint()
 
-@pytest.mark.parametrize("opened", ["par", "seq in it"])
-def test_ctrl_c_between_a_block_and_its_body_leaves_nothing_waiting(
-    opened: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    left = ["par", "seq in it"]
-
-    def interrupted() -> int:
-        if left and left.pop(0) == opened:
-            raise KeyboardInterrupt
-        return 0
-
-    monkeypatch.setattr(nesting, "_generator", interrupted)
     with pytest.raises(KeyboardInterrupt), par as s:
+        s(cleans_up_slowly)
+    assert "waiting for par-1" in screen.text
+    assert_nothing_left()
+
+
+def test_a_cleanup_is_done_also_after_ctrl_c() -> None:
+    done = []
+
+    def branch() -> None:
+        with finally_(done.append, "cleaned up"):
+            press()
+            checkpoint()
+
+    with pytest.raises(KeyboardInterrupt), par as s:
+        s(branch)
+    assert done == ["cleaned up"]
+
+
+def plan() -> None:
+    """Some of everything."""
+    gate = Gate()
+    with par as s:
+        s(gate.open)
+        s(gate.pass_through)
+        with seq as t:
+            t(succeeds)
+            with pursue as u:
+                u(gate.pass_through)
+                u(checkpoint)
+        s(lambda: try_all(fails, succeeds))
+    with timeout(60), finally_(succeeds), try_in_order as s:
+        with seq as t:
+            t(fails)
         s(succeeds)
-        with seq as q:
-            q(succeeds)
-    assert current_block() is None
-    assert current_scope() is None
-
-
-def plan_of_blocks() -> None:
-    with par as s, seq as q:
-        q(succeeds)
-        s(succeeds)
-
-
-def plan_of_attempts() -> None:
     for attempt in failure_handling(1):
         with attempt:
             succeeds()
 
 
-@pytest.mark.parametrize(
-    ("plan", "kind", "moment", "number"),
-    [
-        *itertools.product([plan_of_blocks], [Binding], ["__enter__", "__exit__"], range(4)),
-        (plan_of_attempts, _GeneratorContextManager, "__exit__", 0),
-        (plan_of_attempts, Span, "__enter__", 0),
-    ],
-)
-def test_ctrl_c_while_context_is_bound_or_freed_leaves_nothing_bound(
-    plan: Callable[[], None], kind: type, moment: str, number: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bind = getattr(kind, moment)
+# What traces stands between the line and its handler: it is made one of our modules, which the handler looks through.
+_TRACER = """
+import signal
+def tracer(folders, number):
     left = [number]
-
-    def interrupted(binding: object, *told: object) -> None:
-        here = threading.current_thread() is threading.main_thread()
-        hit = here and left == [0]
-        if here and left:
+    def trace(frame, event, _):
+        if not frame.f_code.co_filename.startswith(folders):
+            return None
+        if event == "line":
             left[0] -= 1
-        if moment == "__enter__":
-            bind(binding, *told)
-        if hit:
-            signal.raise_signal(signal.SIGINT)
-        if moment == "__exit__":
-            bind(binding, *told)
-
-    monkeypatch.setattr(kind, moment, interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        plan()
-    assert left[0] < 0
-    assert current_block() is None
-    assert current_scope() is None
-    assert journal.task_id() == 0
-    assert tasks.tree().find(status=State.RUNNING) == []
+            if left[0] == 0:
+                signal.raise_signal(signal.SIGINT)
+        return trace
+    return trace, left
+"""
 
 
-def test_ctrl_c_that_a_block_never_hears_of_ends_it_with_the_block_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(block: Deferred, *_: object) -> bool:
-        block._exits.close()
-        raise KeyboardInterrupt
+def interrupted_at(number: int, action: Callable[[], None]) -> bool:
+    """Runs a plan and presses Ctrl-C before a line of the language; whether it came that far."""
+    own: dict[str, Callable[..., tuple[Callable[..., object], list[int]]]] = {"__name__": "pycram.tracer"}
+    exec(compile(_TRACER, "<tracer>", "exec"), own)
+    folders = tuple(str(REPO / folder) for folder in ("pycram/language", "pycram/scheduling", "recorder/span.py"))
+    trace, left = own["tracer"](folders, number)
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        action()
+    finally:
+        sys.settrace(before)
+    return left[0] <= 0
 
-    monkeypatch.setattr(Deferred, "__exit__", interrupted)
-    begun = Gate()
-    with pytest.raises(KeyboardInterrupt), par, seq as q:
-        q(begun.open)
-        begun.pass_through()
+
+@pytest.mark.parametrize("every", [41, pytest.param(1, marks=pytest.mark.slow)])
+def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) -> None:
+    ended = 0
+    for number in itertools.count(1, every):
+        try:
+            came = interrupted_at(number, plan)
+        except KeyboardInterrupt:
+            ended += 1
+        else:
+            if not came:
+                break
+            pytest.fail(f"Ctrl-C at line {number} was lost")
+        assert_nothing_left()
+    assert ended * every > 500
 
 
-@pytest.mark.parametrize("interrupted", [4, 5, 6])
-@pytest.mark.parametrize("name", [*KINDS, "timeout", "attempt", "cleanup"])
-def test_ctrl_c_between_the_end_of_a_body_and_that_of_its_block_ends_all(
-    name: str, interrupted: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gate = Gate()
-    looked = []
+def test_ctrl_c_at_any_moment_leaves_nothing_behind() -> None:
+    main, dice, rounds = threading.get_ident(), random.Random(1), 150
+    go, pressed = threading.Semaphore(0), threading.Semaphore(0)
 
-    def look() -> int:
-        looked.append(name)
-        if len(looked) == interrupted:  # after three beginnings
-            raise KeyboardInterrupt
-        return 0
+    def press_soon() -> None:
+        for _ in range(rounds):
+            go.acquire()
+            sum(range(dice.randrange(60_000)))  # some time, so that it hits anywhere
+            signal.pthread_kill(main, signal.SIGINT)
+            pressed.release()
 
-    openings = {
-        "timeout": lambda: timeout(60),
-        "attempt": lambda: next(iter(failure_handling(1))),
-        "cleanup": lambda: finally_(succeeds),
-    }
-    opening = KINDS.get(name) or openings[name]()
-    monkeypatch.setattr(nesting, "_generator", look)
-    with pytest.raises(KeyboardInterrupt), par as s, opening, pursue as t:
-        s(succeeds)
-        t(gate.pass_through)
-        t(succeeds)
-    assert len(looked) >= interrupted
-    assert {branch.done for branch in (*s.branches, *t.branches)} == {True}
-    assert current_block() is None
-    assert current_scope() is None
-    with seq as s:  # nothing that was left open is in its way
-        s(succeeds)
+    thread = threading.Thread(target=press_soon)
+    thread.start()
+    ended = 0
+    for _ in range(rounds):
+        try:
+            go.release()
+            while True:
+                plan()
+        except KeyboardInterrupt:
+            ended += 1
+        pressed.acquire()
+        assert_nothing_left()
+    thread.join()
+    assert ended == rounds
+    assert not [one for one in gc.get_objects() if type(one) is greenlet and one and one.parent is not None]
 
 
 def test_ctrl_c_that_keeps_a_block_from_ending_is_noticed_by_the_one_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = nesting.Nested.__exit__
+    whole = Scope.__exit__
 
-    def never_called(opening: nesting.Nested[object], *raised: object) -> bool | None:
+    def never_called(opening: Scope[object], *raised: object) -> bool | None:
         if opening is pursue:
             raise KeyboardInterrupt
         return whole(opening, *raised)
 
-    monkeypatch.setattr(nesting.Nested, "__exit__", never_called)
+    monkeypatch.setattr(Scope, "__exit__", never_called)
     gate = Gate()
     with pytest.raises(KeyboardInterrupt), seq, pursue as s:
         s(gate.pass_through)
@@ -225,21 +290,15 @@ def test_ctrl_c_before_the_record_of_a_tasks_end_leaves_no_task_running(monkeypa
     assert tasks.tree().nodes[task.id].status is F
 
 
-@pytest.mark.parametrize("saying", [_Asked.put, _Asked.end])
-def test_ctrl_c_while_a_block_in_another_is_told_something_keeps_no_lock_of_it(
-    saying: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    enter = threading.Condition.__enter__
-    left = [saying.__code__]
-
-    def interrupted(condition: threading.Condition) -> bool:
-        taken = enter(condition)
-        if [sys._getframe(1).f_code] == left:
-            left.clear()
-            signal.raise_signal(signal.SIGINT)
-        return taken
-
-    monkeypatch.setattr(threading.Condition, "__enter__", interrupted)
-    with pytest.raises(KeyboardInterrupt), par, seq as q:
-        q(succeeds)
-    assert not left
+def test_a_handler_of_the_plan_s_own_is_called_and_stays() -> None:
+    told: list[str] = []
+    before = signal.signal(signal.SIGINT, lambda *_: told.append("pressed"))
+    try:
+        with par as s:
+            s(press)
+            s(os.getpid)
+        assert told == ["pressed"]
+        assert signal.getsignal(signal.SIGINT)(0, None) is None
+        assert told == ["pressed", "pressed"]
+    finally:
+        signal.signal(signal.SIGINT, before)

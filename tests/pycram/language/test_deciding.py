@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.cancellation import Cancelled
 from pycram.failures import BadArgument, BranchesFailed, LookingFailed, Unreachable
 from pycram.language import State, par, pursue
+from pycram.scheduling.cancellation import Cancelled
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, fails, fails_to_look, has_a_bug, is_wrong, succeeds
 
 if TYPE_CHECKING:
@@ -170,7 +170,7 @@ def test_a_block_that_is_told_to_stop_by_the_one_around_it(name: str) -> None:
     (s,) = reached
     assert s.state is C
     assert {branch.state for branch in s.branches} == {C}
-    assert len(s.branches) == 1 or s.rule.concurrent
+    assert len(s.branches) == 1 or s.policy.concurrent
 
 
 def test_cancelled_is_what_a_cancelled_branch_sees() -> None:

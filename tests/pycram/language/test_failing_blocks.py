@@ -111,7 +111,7 @@ def test_a_failing_body_is_one_more_that_was_tried() -> None:
     assert len(raised.value.failures) == 2
     gate = Gate()
     with pytest.raises(Unreachable), pursue as s:  # was first
-        s(lambda: gate.pass_through() if not s.scope.told else succeeds())
+        s(lambda: gate.pass_through() if not s.scope.cancel_called else succeeds())
         fails()
     gate = Gate()
     with pytest.raises(Unreachable), par, par as t:  # the same for a block that is read

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from pycram.branch import NoResult
 from pycram.failures import PlanFailure, Unreachable
 from pycram.language import par, pursue
+from pycram.language.branch import NoResult
 from tests.pycram.language.gates import Gate, fails, succeeds
 
 

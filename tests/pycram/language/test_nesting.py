@@ -10,22 +10,22 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import tasks
-from pycram.cancellation import current_scope
 from pycram.failures import UsageError
 from pycram.language import State, failure_handling, finally_, par, seq, timeout
-from pycram.nesting import BlocksMixed
-from pycram.open_block import current_block
+from pycram.language.body import current_block
+from pycram.language.nesting import Misnested
+from pycram.scheduling.cancellation import current_scope
 from tests.pycram.language.gates import C, F, Gate, S, succeeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.language import Kind
-    from pycram.open_block import OpenBlock
+    from pycram.language.block import Block
 
 
 def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
-    def plan(kind: Kind) -> Iterator[OpenBlock]:
+    def plan(kind: Kind) -> Iterator[Block]:
         with kind as s:
             yield s
 
@@ -36,16 +36,16 @@ def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
         if kind is par:
             s(gate.pass_through)
         t(gate.pass_through)
-        with pytest.raises(BlocksMixed, match=f"a {kind} block ends while one"):
+        with pytest.raises(Misnested, match=f"a {kind} block ends while one"):
             list(first)
         assert State.RUNNING not in {branch.state for block in (s, t) for branch in block.branches}
-        with pytest.raises(BlocksMixed):
+        with pytest.raises(Misnested):
             list(second)
         assert current_block() is None
         left = plan(kind)
-        with pytest.raises(BlocksMixed), par:
+        with pytest.raises(Misnested), par:
             next(left)
-        with pytest.raises(BlocksMixed):
+        with pytest.raises(Misnested):
             list(left)
         assert current_block() is None
         with par as u:
@@ -73,9 +73,9 @@ def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_
             first, second = plan(), other()
             next(first)
             next(second)
-            with pytest.raises(BlocksMixed, match=name):
+            with pytest.raises(Misnested, match=name):
                 list(first)
-            with suppress(BlocksMixed):
+            with suppress(Misnested):
                 list(second)
             assert (current_scope(), current_block(), tasks.current()) == (None, None, None)
         assert list(zip(plan(), strict=True)) == [(None,)]
@@ -86,14 +86,14 @@ def test_what_began_in_one_thread_does_not_end_in_another() -> None:
         with timeout(100):
             yield
 
-    with pytest.raises(BlocksMixed, match="a seq block"), seq:  # which ends the timeout
+    with pytest.raises(Misnested, match="a seq block"), seq:  # which ends the timeout
         begun = plan()
         next(begun)
         try:
             par(lambda: list(begun))
         except UsageError as error:
             refused = error
-    assert isinstance(refused, BlocksMixed)
+    assert isinstance(refused, Misnested)
     assert refused.block == "timeout"
     assert current_scope() is None
 
@@ -111,7 +111,7 @@ def test_timeouts_and_cleanups_as_decorators() -> None:
 
 def test_blocks_in_context_managers() -> None:
     @contextmanager
-    def beside(action: Callable[[], object]) -> Iterator[OpenBlock]:
+    def beside(action: Callable[[], object]) -> Iterator[Block]:
         with par as s:
             s(action)
             yield s
@@ -129,7 +129,7 @@ def test_a_block_that_an_exit_stack_ends_before_a_later_one_is_refused() -> None
     gate = Gate()
     stack = ExitStack()
     first = stack.enter_context(par())
-    with pytest.raises(BlocksMixed), seq:
+    with pytest.raises(Misnested), seq:
         first(gate.pass_through)
         stack.close()
     assert [branch.state for branch in first.branches] == [F, C]  # the later one, and what it left waiting

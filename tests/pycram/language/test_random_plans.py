@@ -19,14 +19,15 @@ import recorder
 import replay
 from pycram import tasks
 from pycram.bullet_world import BulletWorld, Object
-from pycram.cancellation import wait
 from pycram.claims import Claims
 from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
 from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.open_block import OpenBlock
+from pycram.language.block import Block
 from pycram.process_module import ProcessModule
+from pycram.scheduling.cancellation import Condition, wait
+from tests.measures import seeded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -114,7 +115,7 @@ class Plan:
         self.dice = random.Random(seed)
         self.world = world
         self.jugglers = jugglers
-        self.nobody = threading.Condition()
+        self.nobody = Condition()
         self.signal = Fluent(0)
 
     def make(self, depth: int, moves: tuple[str, ...] = PARTS) -> Callable[[], object]:  # noqa: PLR0911  one for each sort
@@ -213,7 +214,7 @@ class Plan:
                             t(part)
                 if handles and ways[0] == 1:
                     handles[0].result()  # looks at a result in the body
-            assert isinstance(s, OpenBlock)
+            assert isinstance(s, Block)
             return None
 
         return run
@@ -275,7 +276,6 @@ def test_random_plans(tmp_path: Path) -> None:
     run(30, 0, tmp_path / "plans.mcap")
 
 
-@pytest.mark.slow
-def test_a_thousand_random_plans(tmp_path: Path) -> None:
-    for batch in range(10):
-        run(100, 1000 + 100 * batch, tmp_path / f"{batch}.mcap")
+@seeded("random plans of the plan language", range(1000, 2000), 100, always=2)
+def test_a_thousand_random_plans(tmp_path: Path, seeds: range) -> None:
+    run(len(seeds), seeds[0], tmp_path / "plans.mcap")

@@ -7,7 +7,7 @@ import pytest
 
 from pycram.failures import BadArgument
 from pycram.language import failure_handling, par, timeout
-from pycram.timeouts import TimedOut
+from pycram.language.timeouts import TimedOut
 from tests.pycram.language.gates import C, Gate, succeeds
 
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram.failures import BadArgument
 from pycram.language import NeverOpened, par, try_in_order
-from pycram.open_block import BlockClosed
-from tests.pycram.language.gates import KINDS, fails, succeeds
+from pycram.language.block import BlockClosed
+from tests.pycram.language.gates import KINDS, Meeting, fails, succeeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 
 def test_functions_in_a_body_are_branches() -> None:
-    meeting = threading.Barrier(2, timeout=20)
+    meeting = Meeting(2)
     with par:
         results = par(meeting.wait, lambda: 3)
         other = try_in_order(fails, meeting.wait)

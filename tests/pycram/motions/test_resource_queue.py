@@ -5,20 +5,20 @@ from __future__ import annotations
 
 import faulthandler
 import signal
-import threading
 from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.branch import NoResult
-from pycram.cancellation import wait
 from pycram.claims import ClaimError, Claims, ResourceQueue
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.open_block import current_block
+from pycram.language.body import current_block
+from pycram.language.branch import NoResult
+from pycram.language.timeouts import TimedOut
 from pycram.process_module import ProcessModule
-from pycram.timeouts import TimedOut
+from pycram.scheduling.cancellation import Condition, join, wait
+from tests.pycram.language.gates import Gate, Meeting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
     from pycram.claims import Ticket
     from pycram.language import Kind
-    from pycram.open_block import OpenBlock
+    from pycram.language.block import Block
 
 
 class Doing(MotionDesignator):
@@ -43,7 +43,7 @@ class Doer(ProcessModule):
 
 
 class CustomModule(ProcessModule):
-    """A process module of a user, with or without claims of its own."""
+    """A module for a type of the user's, which may say what it needs."""
 
     def __init__(self, action: Callable[[], object], needs: Claims | None = None) -> None:
         super().__init__()
@@ -88,7 +88,7 @@ def do(action: Callable[[], object], *moves: str, module: Doer | None = None, **
 
 
 def test_motions_with_the_same_resources_run_in_order_and_others_concurrently() -> None:
-    order, meeting = [], threading.Barrier(2, timeout=20)
+    order, meeting = [], Meeting(2)
     with par:
         do(lambda: (meeting.wait(), order.append(1)), "left-arm")
         do(lambda: order.append(2), "left-arm", "base")
@@ -109,7 +109,7 @@ def test_opposite_orders_of_acquisition_do_not_deadlock() -> None:
                 do(lambda: done.append(1), "right-arm")
                 do(lambda: done.append(1), "left-arm")
     assert len(done) == 80
-    one, two, meeting = Doer(), Doer(), threading.Barrier(2, timeout=20)
+    one, two, meeting = Doer(), Doer(), Meeting(2)
 
     def of(other: Doer, arm: str) -> Callable[[], object]:
         def action() -> None:
@@ -139,23 +139,23 @@ def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
     [lambda _, found: found, lambda _, found: [0.5, {"x": (found,)}], lambda s, found: s(lambda: [found])],
     ids=["a slot", "within a slot", "within a result"],
 )
-def test_a_motion_that_waits_for_a_result_holds_no_resources(where: Callable[[OpenBlock, object], object]) -> None:
-    order, asked = [], threading.Event()
+def test_a_motion_that_waits_for_a_result_holds_no_resources(where: Callable[[Block, object], object]) -> None:
+    order, asked = [], Gate()
 
     def find() -> str:
-        asked.wait(20)
+        asked.pass_through(20)
         do(lambda: order.append(1), "left-arm")
         return "milk"
 
     with par as s:
         found = s(find)
         do(lambda: order.append(2), "left-arm", object=where(s, found))
-        asked.set()
+        asked.open()
     assert order == [1, 2]
 
 
 def test_a_cancelled_motion_leaves_the_queue() -> None:
-    gate = threading.Condition()
+    gate = Condition()
     order = []
     with pursue as s:
         do(lambda: wait(gate, lambda: False), "left-arm")
@@ -180,10 +180,9 @@ def test_a_cancelled_motion_leaves_the_queue() -> None:
 def test_ctrl_c_while_a_motion_is_queued_releases_its_resources(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     arrive = ResourceQueue.arrive
 
-    def interrupted(queue: ResourceQueue, claims: Claims | None, motion: str) -> Ticket:
-        ticket = arrive(queue, claims, motion)
+    def interrupted(queue: ResourceQueue, ticket: Ticket) -> None:
+        arrive(queue, ticket)
         signal.raise_signal(signal.SIGINT)
-        return ticket
 
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt), block:
         patched.setattr(ResourceQueue, "arrive", interrupted)
@@ -229,10 +228,10 @@ def test_a_motion_may_not_move_what_its_parent_needs_at_rest() -> None:
 @pytest.mark.usefixtures("_resolver")
 @pytest.mark.parametrize("kind", ["drive", "moving"])  # of the latter more is known, though nothing of how it is done
 def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
-    order, begun = [], threading.Event()
+    order, begun = [], Gate()
 
     def drive() -> None:
-        begun.set()
+        begun.open()
         order.append("begins")
         do(lambda: order.append("part"), "left-arm", "anything")  # may be made of whatever it likes
         CustomModule(lambda: order.append("unknown part")).perform("drive")
@@ -240,7 +239,7 @@ def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
 
     with par as s:
         CustomModule(drive).perform(kind)
-        s(begun.wait)
+        s(begun.pass_through)
         do(lambda: order.append("later"), "left-arm")
         CustomModule(lambda: order.append("last")).perform("drive")
     assert order == ["begins", "part", "unknown part", "ends", "later", "last"]
@@ -248,7 +247,7 @@ def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
 
 @pytest.mark.usefixtures("_resolver")
 def test_a_motion_claims_what_its_module_or_its_command_needs() -> None:
-    meeting = threading.Barrier(2, timeout=20)
+    meeting = Meeting(2)
     for kind, needs in (("drive", Claims(frozenset({"head"}))), ("my-looking", None)):  # cmd "looking" moves the head
         order = []
         with par:
@@ -259,17 +258,17 @@ def test_a_motion_claims_what_its_module_or_its_command_needs() -> None:
 
 
 def test_a_motion_whose_solution_needs_more_resources_waits_for_them() -> None:
-    order, begun, resolved = [], threading.Event(), threading.Event()
+    order, begun, resolved = [], Gate(), Gate()
 
     def resolve(designator: MotionDesignator) -> Iterator[dict[str, object]]:
         if designator.type == "looking":
-            begun.wait(20)  # until the arm moves, which this one doesn't seem to need
-            resolved.set()
+            begun.pass_through(20)  # until the arm moves, which this one doesn't seem to need
+            resolved.open()
             yield {"cmd": "point"}
 
     def move_arm() -> None:
-        begun.set()
-        resolved.wait(20)
+        begun.open()
+        resolved.pass_through(20)
         order.append("arm")
 
     pointing = CustomModule(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
@@ -335,7 +334,7 @@ def test_a_process_module_executes_one_motion_at_a_time() -> None:
         wait(gate, lambda: len(running) > 1, 0.02)  # for another one, if there may be one
         running.pop()
 
-    gate = threading.Condition()
+    gate = Condition()
     with par:
         for arm in ("left-arm", "right-arm", "head"):
             do(action, arm, module=module)
@@ -355,36 +354,36 @@ def test_alternatives_may_need_the_same_arm() -> None:
 def test_a_cancelled_branch_stops_before_its_next_transaction_but_completes_its_motion(
     world: BulletWorld,
 ) -> None:
-    begun, ended, gate = threading.Event(), [], threading.Condition()
+    begun, ended, gate = Gate(), [], Condition()
 
     def wander() -> None:
         while True:
             world.set_gravity([0, 0, -1])
-            begun.set()
+            begun.open()
 
     with pursue as s:
         s(wander)
-        s(lambda: begun.wait(20))
+        s(lambda: begun.pass_through(20))
     assert [branch.state for branch in s.branches] == [State.CANCELLED, State.SUCCEEDED]
 
     def motion() -> None:
-        begun.set()
-        while not s.scope.told:  # the other branch decides while this is under way
-            world.set_gravity([0, 0, -2])
+        begun.open()
+        world.set_gravity([0, 0, -2])
+        join(s.scope, lambda: s.scope.cancel_called)  # the other branch decides while this is under way
         world.set_gravity([0, 0, -3])
         ended.append(True)
 
-    begun.clear()
+    begun.is_open = False
     with pursue as s:
         do(motion, "base")
-        s(lambda: begun.wait(20))
+        s(lambda: begun.pass_through(20))
         s(lambda: wait(gate, lambda: False))
     assert ended == [True]
     assert world.gravity == (0, 0, -3)
 
 
 def test_timeouts_in_simulated_time(world: BulletWorld) -> None:
-    gate = threading.Condition()
+    gate = Condition()
 
     def simulate() -> None:
         for _ in range(100):

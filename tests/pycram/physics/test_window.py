@@ -34,6 +34,7 @@ print("ended")
 """
 
 
+@pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_opens_and_simulates_as_without_one(display: str) -> None:
     ended = subprocess.run(

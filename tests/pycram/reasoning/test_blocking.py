@@ -1,4 +1,4 @@
-"""What blocks, against the slow way: every posture of every grasp, every link against every thing, without boxes."""
+"""What blocks, against brute force: every posture of every grasp, every link against every thing, without boxes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,16 @@ from scipy.optimize import linprog
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.reasoning.collision import boxes, checker
-from pycram.reasoning.collision.simulation_clone import twin
+from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import grasps
-from pycram.reasoning.kinematics import reach
+from pycram.reasoning.kinematics.solver import Solver
 from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+
+    from pycram.reasoning.collision.simulation_clone import SimulationClone
 
 LEFT, RIGHT = "l_gripper_tool_frame", "r_gripper_tool_frame"
 FILES = ["milk", "cup", "bowl", "spoon", "apple", "plate", "bottle", "breakfast_cereal", "pot", "glass", "knife"]
@@ -63,20 +65,21 @@ def clutter(world: BulletWorld, seed: int) -> list[Object]:
     return things
 
 
-def slowly(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[float, ...]]:
-    """The grasp that touches least, and what it costs; without a grasp if none is reached without bending too far."""
+def by_brute_force(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[float, ...]]:
+    """The grasp that touches least, and what it costs; without a grasp if none is reached without self-collision."""
     arm = robot.description.arm_of(link)
-    solver = reach.Solver(robot, link)
+    solver = Solver(robot, link)
     options = grasps.candidates(body, robot, arm)
-    found = solver.at_once([(grasp.position, grasp.orientation, None) for grasp in options])
+    targets = [(grasp.position, grasp.orientation, None) for grasp in options]
+    found = solver.closed_form(targets)
     if not any(found):
-        found = [solver.postures(grasp.position, grasp.orientation) for grasp in options]
+        found = [solver.search([target])[0] for target in targets]
     opened = arm.gripper.positions("open")
-    copy = twin(robot.world, "reach")
-    bodies = copy.sync()
+    clone = clone_of(robot.world, "reach")
+    bodies = clone.sync()
     moving = carried.moved_links(robot.urdf, [*solver.joints, *opened])
     held = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
-    place = {
+    pose_in_hand = {
         other: geometry.multiply(
             geometry.invert(robot.get_link_position_and_orientation(at)), other.get_position_and_orientation()
         )
@@ -84,40 +87,41 @@ def slowly(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[fl
     }
     best: tuple[tuple[float, ...], str | None] = ((math.inf,), None)
     try:
-        for grasp, ways in zip(options, found, strict=True):
-            for way in ways:
-                if not way.reached(reach.THRESHOLD):
+        for grasp, postures in zip(options, found, strict=True):
+            for posture in postures:
+                if not posture.reaches():
                     continue
-                copy.engine.pose_joints(bodies[robot.name], {**way.posture.positions, **opened})
+                clone.engine.pose_joints(bodies[robot.name], {**posture.positions, **opened})
                 for other, at in held:
-                    pose = copy.engine.link_pose(bodies[robot.name], at)
-                    copy.engine.set_pose(bodies[other.name], geometry.multiply(pose, place[other]))
-                depths = overlaps(copy, robot, moving, [other for other, at in held if at in moving], [*place], bodies)
+                    pose = clone.engine.link_pose(bodies[robot.name], at)
+                    clone.engine.set_pose(bodies[other.name], geometry.multiply(pose, pose_in_hand[other]))
+                swung = [other for other, at in held if at in moving]
+                depths = overlaps(clone, robot, moving, swung, [*pose_in_hand], bodies)
                 counted = {other: depth for other, depth in depths.items() if other is not body}
                 furniture = sum(other.fixed for other in counted)
                 cost = (body in depths, furniture, len(counted) - furniture, sum(counted.values()))
-                if cost < best[0] and not bends(copy, robot, [*solver.joints, *opened], moving, bodies):
+                if cost < best[0] and not hits_itself(clone, robot, [*solver.joints, *opened], moving, bodies):
                     best = cost, grasp.name
     finally:
-        copy.disturbed()
+        clone.invalidate()
     return best[1], best[0]
 
 
 def overlaps(
-    copy: object, robot: Object, moving: list[str], swung: list[Object], held: list[Object], bodies: Mapping
+    clone: SimulationClone, robot: Object, moving: list[str], swung: list[Object], held: list[Object], bodies: Mapping
 ) -> dict[Object, float]:
     depths: dict[Object, float] = {}
     movers = [(robot, link) for link in moving] + [(other, link) for other in swung for link in other.links]
     for (mover, link), other in itertools.product(movers, robot.world.objects):
         if other is robot or other in held:
             continue
-        for touch in copy.engine.link_closest_points(bodies[mover.name], link, bodies[other.name]):
+        for touch in clone.engine.link_closest_points(bodies[mover.name], link, bodies[other.name]):
             if touch.distance <= -checker.DEPTH:
                 depths[other] = max(depths.get(other, 0.0), -touch.distance)
     return depths
 
 
-def bends(copy: object, robot: Object, joints: list[str], moving: list[str], bodies: Mapping) -> bool:
+def hits_itself(clone: SimulationClone, robot: Object, joints: list[str], moving: list[str], bodies: Mapping) -> bool:
     depth = {
         link: sum(joint.name in joints for joint in robot.urdf.chain(robot.urdf.root, link)) for link in robot.links
     }
@@ -125,7 +129,7 @@ def bends(copy: object, robot: Object, joints: list[str], moving: list[str], bod
     return any(
         touch.distance <= -0.02 and abs(depth[link] - depth[touch.link_b]) > 3
         for link in moving
-        for touch in copy.engine.link_closest_points(body, link, body)
+        for touch in clone.engine.link_closest_points(body, link, body)
     )
 
 
@@ -135,7 +139,7 @@ def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int
     things = clutter(kitchen, seed)
     try:
         for body, link in itertools.product(things[:2], (LEFT, RIGHT)):
-            grasp, cost = slowly(body, robot, link)
+            grasp, cost = by_brute_force(body, robot, link)
             found = btr.blocking(body, robot, link)
             assert found.evidence["reached"] is (grasp is not None)
             if grasp is None:
@@ -153,7 +157,7 @@ def test_the_posture_that_touches_least_is_found(kitchen: BulletWorld, seed: int
 
 
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 2, 3, 4, 5))])
-def test_what_is_touched_elsewhere_is_what_the_engine_says(kitchen: BulletWorld, seed: int) -> None:
+def test_collisions_at_another_pose_are_those_that_the_engine_finds(kitchen: BulletWorld, seed: int) -> None:
     """The whole robot at other places, also leaning, with its load and other values of the joints."""
     robot, rng = kitchen.robot, random.Random(seed)
     things = clutter(kitchen, seed)
@@ -168,20 +172,22 @@ def test_what_is_touched_elsewhere_is_what_the_engine_says(kitchen: BulletWorld,
         joints = {name: min(max(value, low_high[name][0]), low_high[name][1]) for name, value in joints.items()}
         lean = rng.uniform(-0.05, 0.05) if seed % 2 else 0.0
         base = (rng.uniform(0.3, 1.2), rng.uniform(0.3, 1.2), 0.0), geometry.from_rpy(lean, 0, rng.uniform(-3, 3))
-        found = checker.in_the_way(robot, joints, base=base, everything=True)
-        place = {other: at for other, _, at in checker._held(robot)}
-        copy = twin(kitchen, "reach")
-        bodies = copy.sync()
-        copy.engine.set_pose(bodies[robot.name], base)
-        copy.engine.pose_joints(bodies[robot.name], joints)
-        for other, link, at in checker._held(robot):
-            pose = geometry.multiply(copy.engine.link_pose(bodies[robot.name], link), at)
-            copy.engine.set_pose(bodies[other.name], pose)
-        depths = overlaps(copy, robot, list(robot.links), [*place], [*place], bodies)
-        copy.disturbed()
+        found = checker.touched(robot, joints, base, all_links=True)
+        clone = clone_of(kitchen, "reach")
+        bodies = clone.sync()
+        clone.engine.set_pose(bodies[robot.name], base)
+        clone.engine.pose_joints(bodies[robot.name], joints)
+        for load in robot.carried:
+            hand = clone.engine.link_pose(bodies[robot.name], load.carrier_link)
+            clone.engine.set_pose(bodies[load.body.name], geometry.multiply(hand, load.pose))
+        loads = [load.body for load in robot.carried]
+        depths = overlaps(clone, robot, list(robot.links), loads, loads, bodies)
+        clone.invalidate()
         floor = kitchen.get_object("floor")  # the wheels stand on it
-        told = {other: info["depth"] for other, info in found.items() if other is not floor}
-        assert told == pytest.approx({other: depth for other, depth in depths.items() if other is not floor}, abs=1e-6)
+        predicted = {other: info["depth"] for other, info in found.items() if other is not floor}
+        assert predicted == pytest.approx(
+            {other: depth for other, depth in depths.items() if other is not floor}, abs=1e-6
+        )
     finally:
         for body in (held, *reversed(things)):
             if body.attachments:
@@ -230,7 +236,7 @@ def alone() -> Iterator[Object]:
 
 @pytest.mark.parametrize("arm", [pytest.param(LEFT, marks=pytest.mark.slow), RIGHT])
 @pytest.mark.parametrize(("around", "grasp", "expected"), KNOWN)
-def test_what_is_known_to_be_in_the_way_is(
+def test_blocking_finds_known_obstacles(
     alone: Object, around: list[tuple], grasp: str | None, expected: list[int], arm: str
 ) -> None:
     """For the right arm in a mirror; the robot stands somewhere else, turned, each time."""
@@ -244,8 +250,8 @@ def test_what_is_known_to_be_in_the_way_is(
 
     milk = put("milk", "milk", "milk.stl", (0.6, 0.3, 0.8), UPRIGHT)
     walls = [
-        put(f"wall {number}", "environment" if number else "box", "breakfast_cereal.stl", *place)
-        for number, place in enumerate(around)
+        put(f"wall {number}", "environment" if number else "box", "breakfast_cereal.stl", *pose)
+        for number, pose in enumerate(around)
     ]
     if arm == RIGHT and grasp in {"left", "right"}:
         grasp = "left" if grasp == "right" else "right"
@@ -254,13 +260,13 @@ def test_what_is_known_to_be_in_the_way_is(
         assert found.evidence["reached"] is True
         assert sorted(found, key=walls.index) == [walls[number] for number in expected]
         assert all(body.type == ("environment" if walls.index(body) else "box") for body in found)
-        assert all(link.startswith(arm[0]) for told in found.evidence["obstacles"].values() for link in told["links"])
+        assert all(link.startswith(arm[0]) for info in found.evidence["obstacles"].values() for link in info["links"])
     finally:
         for body in (milk, *walls):
             body.remove()
 
 
-def test_a_load_is_in_the_way_of_others_but_nothing_that_is_held_is(alone: Object) -> None:
+def test_a_load_collides_with_others_but_nothing_held_is_an_obstacle(alone: Object) -> None:
     alone.set_position_and_orientation([0, 0, 0], [0, 0, 0, 1])
     milk = Object("milk", "milk", "milk.stl", [0.6, 0.3, 0.8])
     shelf = Object("shelf", "environment", "breakfast_cereal.stl", [0.6, 0.3, 0.62], list(geometry.from_rpy(*FLAT)))
@@ -281,15 +287,15 @@ def test_a_load_is_in_the_way_of_others_but_nothing_that_is_held_is(alone: Objec
             body.remove()
 
 
-turns = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda rpy: geometry.to_matrix(geometry.from_rpy(*rpy)))
-places = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
+rotations = st.tuples(*[st.floats(-3, 3)] * 3).map(lambda rpy: geometry.to_matrix(geometry.from_rpy(*rpy)))
+positions = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
 sizes = st.tuples(*[st.floats(0.005, 0.4)] * 3).map(np.array)
 
 
 @settings(max_examples=150, deadline=None)
-@given(places, turns, sizes, places, st.one_of(st.none(), turns), sizes, st.floats(-1e-7, 1e-7))
+@given(positions, rotations, sizes, positions, st.one_of(st.none(), rotations), sizes, st.floats(-1e-7, 1e-7))
 @pytest.mark.slow
-def test_boxes_meet_where_some_point_is_in_both(
+def test_boxes_overlap_where_some_point_is_in_both(
     at: np.ndarray,
     turn: np.ndarray,
     half: np.ndarray,
@@ -299,13 +305,13 @@ def test_boxes_meet_where_some_point_is_in_both(
     skew: float,
 ) -> None:
     """None for a turn: nearly that of the other box, off by what rounding does."""
-    unrecorded = turn @ (np.eye(3) + skew * (1.0 - np.eye(3))) if other_turn is None else other_turn
-    others = boxes.Boxes(("other",), other_at[None], unrecorded[None], other_half[None])
-    met = boxes.meeting(at[None, None], turn[None, None], half[None], others)
-    planes = np.vstack([turn.T, -turn.T, unrecorded.T, -unrecorded.T])
-    room = np.concatenate([turn.T @ at + half, half - turn.T @ at, unrecorded.T @ other_at + other_half])
-    room = np.concatenate([room, other_half - unrecorded.T @ other_at])
+    other_axes = turn @ (np.eye(3) + skew * (1.0 - np.eye(3))) if other_turn is None else other_turn
+    others = boxes.Boxes(("other",), other_at[None], other_axes[None], other_half[None])
+    found = boxes.overlaps(at[None, None], turn[None, None], half[None], others)
+    planes = np.vstack([turn.T, -turn.T, other_axes.T, -other_axes.T])
+    room = np.concatenate([turn.T @ at + half, half - turn.T @ at, other_axes.T @ other_at + other_half])
+    room = np.concatenate([room, other_half - other_axes.T @ other_at])
     solved = linprog([0, 0, 0, 1], np.column_stack([planes, -np.ones(12)]), room, bounds=[(None, None)] * 4)
     assume(solved.status == 0)
     if abs(solved.x[3]) > 1e-5:  # m by which the boxes have to grow to share a point
-        assert bool(len(met[0])) is bool(solved.x[3] < 0)
+        assert bool(len(found[0])) is bool(solved.x[3] < 0)

@@ -1,4 +1,4 @@
-"""Queries leave no trace: not now, not later, not when they fail, not when many ask at once."""
+"""Queries leave no trace: neither now nor later, nor when they fail, nor when many threads ask at once."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ FILES = ["milk", "cup", "bowl", "spoon", "apple", "plate", "bottle"]
 
 def bits(world: BulletWorld) -> list[bytes]:
     """The whole state as raw numbers."""
-    told = []
+    packed = []
     for body in world.objects:
         position, turn = world.engine.pose(body.handle)
         joints, speeds = world.engine.joints(body.handle)
         numbers = [*position, *turn, *world.engine.velocity(body.handle), *joints, *speeds]
-        told.append(struct.pack(f"{len(numbers)}d", *numbers))
-    return told
+        packed.append(struct.pack(f"{len(numbers)}d", *numbers))
+    return packed
 
 
 def build(seed: int, *, robot: bool) -> BulletWorld:
@@ -43,16 +43,15 @@ def build(seed: int, *, robot: bool) -> BulletWorld:
     Object("floor", "environment", "plane.urdf")
     for index in range(6):
         file = rng.choice(FILES)
-        place = [rng.uniform(0.3, 0.9), rng.uniform(-0.4, 0.4), rng.uniform(0.1, 1.0)]
+        position = [rng.uniform(0.3, 0.9), rng.uniform(-0.4, 0.4), rng.uniform(0.1, 1.0)]
         turn = geometry.from_rpy(rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-3, 3))
-        Object(f"{file}_{index}", file, f"{file}.stl", place, list(turn))
-    one, other = rng.sample(world.objects[1:], 2)
-    one.attach(other)
+        Object(f"{file}_{index}", file, f"{file}.stl", position, list(turn))
+    a, b = rng.sample(world.objects[1:], 2)
+    a.attach(b)
     if robot:
-        machine = Object("pr2", "robot", "pr2.urdf", [rng.uniform(-0.2, 0.1), 0, 0])
-        world.robot = machine
-        held = Object("held", "cup", "cup.stl", machine.get_link_position(LEFT))
-        machine.attach(held, LEFT)
+        pr2 = world.robot = Object("pr2", "robot", "pr2.urdf", [rng.uniform(-0.2, 0.1), 0, 0])
+        held = Object("held", "cup", "cup.stl", pr2.get_link_position(LEFT))
+        pr2.attach(held, LEFT)
     world.simulate(rng.uniform(0.05, 0.3))
     return world
 
@@ -64,21 +63,21 @@ def ask(world: BulletWorld, seed: int, count: int) -> list[object]:
     robot = world.robot
     answers: list[object] = []
     for _ in range(count):
-        one, other = rng.sample(things, 2)
+        a, b = rng.sample(things, 2)
         eye = [rng.uniform(-1, 2), rng.uniform(-1, 1), rng.uniform(0, 2)]
         choices: list[Callable[[], object]] = [
-            lambda one=one: btr.stable(one),
-            lambda one=one, other=other: btr.contact(one, other, margin=rng.uniform(0, 0.1)),
-            lambda one=one, other=other: btr.supporting(one, other),
-            lambda one=one, eye=eye: btr.visible(one, eye),
-            lambda one=one, eye=eye: btr.occluding(one, eye),
+            lambda a=a: btr.stable(a),
+            lambda a=a, b=b: btr.contact(a, b, margin=rng.uniform(0, 0.1)),
+            lambda a=a, b=b: btr.supporting(a, b),
+            lambda a=a, eye=eye: btr.visible(a, eye),
+            lambda a=a, eye=eye: btr.occluding(a, eye),
         ]
         if robot is not None:
             choices += [
-                lambda one=one: btr.visible(one, FRAME),
+                lambda a=a: btr.visible(a, FRAME),
                 lambda eye=eye: btr.reachable_pose(eye, robot, LEFT, collision_free=rng.random() < 0.5),
-                lambda one=one: btr.reachable_object(one, robot, LEFT, grasp=rng.choice(["front", "top", None])),
-                lambda one=one: btr.blocking(one, robot, LEFT),
+                lambda a=a: btr.reachable_object(a, robot, LEFT, grasp=rng.choice(["front", "top", None])),
+                lambda a=a: btr.blocking(a, robot, LEFT),
                 lambda eye=eye: btr.reachable_poses([eye], robot, LEFT, bases=[([*eye[:2], 0], [0, 0, 0, 1])] * 2),
             ]
         answers.append(rng.choice(choices)())
@@ -89,7 +88,7 @@ def ask(world: BulletWorld, seed: int, count: int) -> list[object]:
     ("seed", "robot"),
     [(1, False), *(pytest.param(seed, seed % 2, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))],
 )
-def test_a_world_that_was_asked_goes_on_as_one_that_was_not(seed: int, robot: bool) -> None:
+def test_a_world_evolves_bit_for_bit_as_without_queries(seed: int, robot: bool) -> None:
     futures = []
     for asks in (0, 12):
         with build(seed, robot=robot) as world:
@@ -106,30 +105,30 @@ def test_a_world_that_was_asked_goes_on_as_one_that_was_not(seed: int, robot: bo
 @pytest.mark.slow
 def test_one_worlds_queries_leave_others_alone() -> None:
     with build(5, robot=False) as first, build(6, robot=False) as second:
-        told = bits(first), bits(second)
+        before = bits(first), bits(second)
         alone = [repr(answer) for answer in ask(first, 7, 8)]
         ask(second, 8, 8)
         assert [repr(answer) for answer in ask(first, 7, 8)] == alone
-        assert (bits(first), bits(second)) == told
+        assert (bits(first), bits(second)) == before
         second.simulate(0.5)
-        assert bits(first) == told[0]
+        assert bits(first) == before[0]
 
 
-def test_many_ask_at_once_and_get_the_same_answers() -> None:
+def test_threads_that_ask_at_once_get_the_same_answers() -> None:
     with build(9, robot=False) as world:
         before = bits(world)
         expected = [[repr(answer) for answer in ask(world, seed, 5)] for seed in range(4)]
-        told: dict[int, list[str]] = {}
+        answers: dict[int, list[str]] = {}
 
         def run(seed: int) -> None:
-            told[seed] = [repr(answer) for answer in ask(world, seed, 5)]
+            answers[seed] = [repr(answer) for answer in ask(world, seed, 5)]
 
         threads = [threading.Thread(target=run, args=(seed,)) for seed in range(4)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        assert [told[seed] for seed in range(4)] == expected
+        assert [answers[seed] for seed in range(4)] == expected
         assert bits(world) == before
 
 
@@ -146,7 +145,7 @@ def test_branches_ask_while_others_change_the_world() -> None:
 
 
 FAILING: list[tuple[object, str, Callable[[BulletWorld, Object], object]]] = [
-    (stability, "_watch", lambda world, body: btr.stable(body)),
+    (stability, "_simulate", lambda world, body: btr.stable(body)),
     (visibility, "_inside", lambda world, body: btr.visible(body, [2, 2, 2])),
     (contact, "evidence", lambda world, body: btr.contact(body, world.get_object("floor"))),
 ]
@@ -173,11 +172,13 @@ def test_a_query_that_fails_in_the_middle_leaves_nothing_behind(
         assert body.get_position() == pytest.approx([0, 0, 3])
 
 
-def test_a_reach_that_fails_in_the_middle_leaves_the_robot(scene: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reach_that_fails_in_the_middle_leaves_nothing_behind(
+    scene: BulletWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     before, right = bits(scene), btr.blocking(milk, robot, LEFT).evidence
     with monkeypatch.context() as patch:
-        patch.setattr(checker.CollisionChecker, "touched", lambda _: 1 / 0)
+        patch.setattr(checker.CollisionChecker, "touched", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             btr.blocking(milk, robot, LEFT)
     assert bits(scene) == before

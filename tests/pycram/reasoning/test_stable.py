@@ -1,4 +1,4 @@
-"""Whether things stay: asked first, then the truth is looked at by letting the whole world run."""
+"""Stability: the query is asked first, then the whole world is simulated to see what is true."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ QUICK = SCENES[:4]  # for the inner loop
     [*QUICK, *(pytest.param(scene, marks=pytest.mark.slow) for scene in SCENES[len(QUICK) :])],
     ids=lambda scene: scene.__name__,
 )
-def test_the_answer_is_what_comes_true(floor: Object, scene: Callable[[], tuple[Object, bool]]) -> None:
+def test_the_answer_is_what_then_happens(floor: Object, scene: Callable[[], tuple[Object, bool]]) -> None:
     body, expected = scene()
     verdict = btr.stable(body)
     assert stays(body) is expected, "the scene is not what it is meant to be"
@@ -209,13 +209,13 @@ def test_the_answer_is_what_comes_true(floor: Object, scene: Callable[[], tuple[
     ],
     ids=lambda scene: scene.__name__,
 )
-def test_the_same_question_gets_the_same_bits_whatever_was_asked_between(
+def test_the_same_query_gets_the_same_bits_whatever_was_asked_between(
     floor: Object, scene: Callable[[], tuple[Object, bool]]
 ) -> None:
     body, _ = scene()
     things = [other for other in body.world.objects if not other.fixed]
-    told = {other: btr.stable(other).evidence for other in things}
-    assert {other: btr.stable(other).evidence for other in reversed(things)} == told
+    evidence = {other: btr.stable(other).evidence for other in things}
+    assert {other: btr.stable(other).evidence for other in reversed(things)} == evidence
 
 
 def test_a_held_thing_is_stable_until_it_is_let_go(scene: BulletWorld) -> None:
@@ -242,7 +242,7 @@ def test_what_lies_on_a_robots_arms_is_carried_by_them(world: BulletWorld, floor
     assert stays(tray)
 
 
-def test_what_is_far_away_takes_no_part(floor: Object) -> None:
+def test_what_is_far_away_is_not_waited_for(floor: Object) -> None:
     milk = settled("milk", "milk.stl", [0, 0, MILK + 0.001])
     alone = btr.stable(milk).evidence["simulated_steps"]
     Object("falling", "box", "milk.stl", [30, 0, 0.5])
@@ -263,14 +263,14 @@ def test_what_is_at_rest_may_be_about_to_fall_or_to_roll(
     assert bool(verdict) == stays(body)
 
 
-def test_firm_things_are_known_after_a_few_steps(world: BulletWorld, floor: Object) -> None:
+def test_what_stands_firmly_is_stable_after_a_few_steps(world: BulletWorld, floor: Object) -> None:
     pile = settled("pot", "pot.stl", [1, 0, 0.08]), settled("plate", "plate.stl", [1, 0, 0.17])
     for body in (settled("milk", "milk.stl", [0, 0, MILK + 0.001]), settled("bowl", "bowl.stl", [0.4, 0, 0.04]), *pile):
         assert btr.stable(body)
         assert btr.stable(body).evidence["simulated_steps"] <= 48, body
 
 
-def test_a_spoon_that_leans_on_a_bowl_is_known_after_a_few_steps(floor: Object) -> None:
+def test_a_spoon_that_leans_on_a_bowl_is_stable_after_a_few_steps(floor: Object) -> None:
     """Three points carry it, none of them on flat ground."""
     spoon, _ = spoon_in_a_bowl()
     assert btr.stable(spoon).evidence["simulated_steps"] <= 48
@@ -282,8 +282,8 @@ def test_a_spoon_that_leans_on_a_bowl_is_known_after_a_few_steps(floor: Object) 
 def test_in_piles_the_answer_is_that_of_the_whole_scene(world: BulletWorld, floor: Object, seed: int) -> None:
     """What lies anyhow on, in and against each other, some of it still moving.
 
-    Contacts that the engine keeps from step to step are nothing that a state tells of, and a few such answers hang on
-    them: both sides begin with contacts as they are found.
+    Contacts that the engine keeps from step to step are no part of a state, and a few such answers depend on them: both
+    sides begin with contacts as they are found.
     """
     rng = random.Random(seed)
     things, height = [], 0.15
@@ -306,8 +306,8 @@ def test_in_piles_the_answer_is_that_of_the_whole_scene(world: BulletWorld, floo
     turned = dict.fromkeys(things, 0.0)
     for _ in range(80):
         world.simulate(0.025)
-        for body, (place, way) in before.items():
+        for body, (old_position, old_orientation) in before.items():
             position, orientation = body.get_position_and_orientation()
-            moved[body] = max(moved[body], math.dist(place, position))
-            turned[body] = max(turned[body], geometry.angle(way, orientation))
+            moved[body] = max(moved[body], math.dist(old_position, position))
+            turned[body] = max(turned[body], geometry.angle(old_orientation, orientation))
     assert said == {body: moved[body] <= 0.01 and turned[body] <= math.radians(5) for body in things}

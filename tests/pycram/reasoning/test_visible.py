@@ -72,14 +72,14 @@ def test_the_camera_decides(milk: Object, view: object, expected: float, reason:
 def test_half_out_of_the_image_is_half_seen(milk: Object) -> None:
     edge = math.radians(30)  # half of the field of view where only a pose is given
     eye = [-5.0, 0.0, 1.0]
-    for unrecorded, expected in ((0.0, 0.5), (-0.0175, 0.25), (0.0175, 0.75)):
-        direction = edge - unrecorded / 5
+    for offset, expected in ((0.0, 0.5), (-0.0175, 0.25), (0.0175, 0.75)):
+        direction = edge - offset / 5
         at = [eye[0] + math.cos(direction), eye[1] + math.sin(direction), 1.0]
         assert share(milk, camera(eye, at)) == pytest.approx(expected, abs=0.06)
 
 
 @pytest.mark.parametrize("step", [4, *(pytest.param(step, marks=pytest.mark.slow) for step in range(10) if step != 4)])
-def test_shares_are_those_of_a_picture_with_fifty_times_the_pixels(
+def test_shares_are_those_of_an_image_with_fifty_times_the_pixels(
     milk: Object, monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
     """Milk behind cereal, from hardly to wholly hidden."""
@@ -150,7 +150,7 @@ def test_what_is_nearer_than_the_near_plane_is_not_seen(world: BulletWorld) -> N
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[tuple[Object, Object]]:
+def milk_and_plate() -> Iterator[tuple[Object, Object]]:
     with BulletWorld() as world:
         milk = Object("milk", "milk", "milk.stl", MILK)
         wall = Object("wall", "environment", "plate.stl", [5, 0, 0])
@@ -166,10 +166,10 @@ def stage() -> Iterator[tuple[Object, Object]]:
     st.floats(-0.05, 0.05),
 )
 def test_shares_are_shares_and_fall_as_the_occluder_grows(
-    stage: tuple[Object, Object], distances: list[float], y: float, z: float
+    milk_and_plate: tuple[Object, Object], distances: list[float], y: float, z: float
 ) -> None:
     """A plate grows in the picture as it comes nearer to the eye along the same line of sight."""
-    milk, wall = stage
+    milk, wall = milk_and_plate
     shares = []
     for x in sorted(distances, reverse=True):  # ever nearer to the eye
         scale = (x - EYE[0]) / (MILK[0] - EYE[0])
@@ -193,7 +193,7 @@ def test_a_camera_looks_out_of_its_housing_whatever_lies_in_its_plane(world: Bul
     ProcessModule.perform(MotionDesignator({"type": "detecting", "object-type": "milk"}))
 
 
-def test_a_corner_in_the_plane_of_the_camera_is_no_matter(world: BulletWorld) -> None:
+def test_corners_in_the_plane_of_the_camera_change_nothing(world: BulletWorld) -> None:
     Object("kitchen", "environment", "kitchen.urdf")
     cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
     for wall in (-0.5, 0.0, 0.5):  # faces of boxes that lie in the plane through the eye
@@ -213,7 +213,7 @@ def test_a_camera_of_another_worlds_robot_sees_nothing_here(world: BulletWorld) 
                 query(milk, "wide_stereo_optical_frame", robot=milk)
 
 
-def test_things_without_a_shape_are_no_matter(world: BulletWorld, tmp_path: Path) -> None:
+def test_objects_without_a_shape_are_never_seen_and_hide_nothing(world: BulletWorld, tmp_path: Path) -> None:
     file = tmp_path / "frame.urdf"
     file.write_text('<robot name="frame"><link name="nothing"/></robot>')
     frame = Object("frame", "frame", file)

@@ -8,7 +8,7 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, ChangeRefused, UnknownName, WorldClosed
-from pycram.reasoning.queries.query import asking
+from pycram.reasoning.queries.query import Verdict, query
 
 
 def test_setting_a_pose_is_exact_and_no_time_passes(world: BulletWorld) -> None:
@@ -88,6 +88,11 @@ def test_methods_of_a_removed_object_raise_world_closed(world: BulletWorld) -> N
 
 def test_changes_are_refused_during_a_query(world: BulletWorld) -> None:
     body = Object("cup", "cup", "cup.stl")
-    with pytest.raises(ChangeRefused, match=r"move body.*inspect"), asking("inspect", world, {}):
-        body.set_position([1, 0, 0])
+
+    @query
+    def inspect(object: Object, world: BulletWorld | None = None) -> Verdict:  # noqa: A002
+        return Verdict(object.set_position([1, 0, 0]))
+
+    with pytest.raises(ChangeRefused, match=r"move body.*inspect"):
+        inspect(body)
     body.set_position([1, 0, 0])

@@ -1,4 +1,4 @@
-"""What an arm reaches, proved by going there; what it doesn't, against dense sampling; and what is in its way."""
+"""What an arm reaches, proved by going there; what it doesn't, against dense sampling; and what blocks it."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from pycram.reasoning.queries.query import Verdict
     from recorder.geometry import Pose
 
 LEFT, RIGHT = "l_gripper_tool_frame", "r_gripper_tool_frame"
@@ -31,11 +32,11 @@ DRAWER = "sink_area_left_upper_drawer_main_joint"
 def robot() -> Iterator[Object]:
     """Alone in the world."""
     with BulletWorld() as world:
-        machine = Object("pr2", "robot", "pr2.urdf", [0.3, -0.2, 0], list(geometry.from_rpy(0, 0, 0.7)))
-        for arm in machine.description.arms.values():
-            machine.set_joint_positions(arm.posture("park"))
+        pr2 = Object("pr2", "robot", "pr2.urdf", [0.3, -0.2, 0], list(geometry.from_rpy(0, 0, 0.7)))
+        for arm in pr2.description.arms.values():
+            pr2.set_joint_positions(arm.posture("park"))
         assert world.robot is None
-        yield machine
+        yield pr2
 
 
 def arm_of(robot: Object, link: str) -> Chain:
@@ -47,14 +48,14 @@ def in_world(robot: Object, pose: tuple[Sequence[float], Sequence[float]]) -> Po
     return geometry.multiply(robot.get_link_position_and_orientation("torso_lift_link"), pose)
 
 
-def goes_there(robot: Object, link: str, verdict: btr.Verdict) -> Pose:
+def goes_there(robot: Object, link: str, verdict: Verdict) -> Pose:
     """Applies the evidence in a copy of the robot; setting refuses what is beyond limits."""
-    with BulletWorld() as copy:
-        twin = Object("copy", "robot", "pr2.urdf", *robot.get_position_and_orientation())
-        assert twin.world is copy
-        twin.set_joint_positions(robot.get_joint_positions())
-        twin.set_joint_positions(verdict.evidence["joints"])
-        position, orientation = twin.get_link_position_and_orientation(link)
+    with BulletWorld() as world:
+        copy = Object("copy", "robot", "pr2.urdf", *robot.get_position_and_orientation())
+        assert copy.world is world
+        copy.set_joint_positions(robot.get_joint_positions())
+        copy.set_joint_positions(verdict.evidence["joints"])
+        position, orientation = copy.get_link_position_and_orientation(link)
     return tuple(position), tuple(orientation)
 
 
@@ -107,13 +108,14 @@ def test_the_arms_are_mirrors_and_solutions_hold(
 ) -> None:
     left = in_world(robot, ((x, y, z), geometry.from_rpy(0, pitch, yaw)))
     right = in_world(robot, ((x, -y, z), geometry.from_rpy(0, pitch, -yaw)))
-    one = btr.reachable_pose(left[0], robot, LEFT, orientation=left[1])
-    other = btr.reachable_pose(right[0], robot, RIGHT, orientation=right[1])
-    if abs(one.evidence["distance"] - other.evidence["distance"]) < 1e-3:  # not at the edge of what counts as reached
-        assert bool(one) is bool(other)
-    if one:
+    by_left = btr.reachable_pose(left[0], robot, LEFT, orientation=left[1])
+    by_right = btr.reachable_pose(right[0], robot, RIGHT, orientation=right[1])
+    difference = abs(by_left.evidence["distance"] - by_right.evidence["distance"])
+    if difference < 1e-3:  # not at the edge of what counts as reached
+        assert bool(by_left) is bool(by_right)
+    if by_left:
         arm = arm_of(robot, LEFT)
-        values = np.array([[one.evidence["joints"][name] for name in arm.joints]])
+        values = np.array([[by_left.evidence["joints"][name] for name in arm.joints]])
         there = arm.poses(values)[0]
         assert math.dist(in_world(robot, (there[:3, 3], (0, 0, 0, 1)))[0], left[0]) < 0.0101
         limits = [robot.joint_limits(name) for name in arm.joints]
@@ -171,7 +173,7 @@ def test_collisions_count_if_asked(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_many_at_once_are_as_one_by_one(scene: BulletWorld) -> None:
+def test_many_targets_are_answered_as_one_by_one(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     at = milk.get_position()
     rng = np.random.default_rng(2)
@@ -220,12 +222,12 @@ def test_blocking_names_what_is_hit_by_which_links(scene: BulletWorld) -> None:
     assert cereal in btr.blocking(milk, robot, LEFT, grasp="front")
     assert btr.blocking(milk, robot, LEFT, grasp="front").evidence["obstacles"]["cereal"]["by"] == ["breakfast_cereal"]
     cereal.set_position([x, y - 0.5, z + 0.015])
-    # what is behind it or beside the way isn't
+    # what is behind it or beside it isn't
     bowl.set_position([x + 0.2, y, 0.886])
     assert btr.blocking(milk, robot, LEFT) == []
 
 
-def test_blocking_counts_what_is_held_but_not_against_the_hand(scene: BulletWorld) -> None:
+def test_blocking_never_names_what_is_held(scene: BulletWorld) -> None:
     robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
     robot.set_joint_positions(btr.reachable_object(bowl, robot, RIGHT).evidence["joints"])
     bowl.set_position(robot.get_link_position(RIGHT))
@@ -236,7 +238,7 @@ def test_blocking_counts_what_is_held_but_not_against_the_hand(scene: BulletWorl
     assert tall not in btr.blocking(milk, robot, LEFT)
 
 
-def test_what_the_other_hand_holds_meets_nothing_by_this_reach(scene: BulletWorld) -> None:
+def test_what_the_other_hand_holds_is_no_obstacle(scene: BulletWorld) -> None:
     robot, cereal = scene.robot, scene.get_object("cereal")
     tall = Object("tall", "cereal", "breakfast_cereal.stl", [1.5, 1.4, 0.85])  # half in the counter
     robot.attach(tall, LEFT)
@@ -254,7 +256,7 @@ def test_out_of_reach_nothing_blocks_and_the_evidence_says_so(scene: BulletWorld
     assert found.evidence["distance"] > 0.5
 
 
-def test_what_only_a_contorted_arm_reaches_is_not_reached_and_the_pick_up_says_why(world: BulletWorld) -> None:
+def test_what_only_self_collision_reaches_is_out_of_reach_and_the_pick_up_says_why(world: BulletWorld) -> None:
     robot = world.robot = Object("pr2", "robot", "pr2.urdf")
     cup = Object("cup", "cup", "cup.stl", [0.1, 0, 0.6])  # before its belly
     found = btr.blocking(cup, robot, LEFT)

@@ -34,15 +34,15 @@ import functools
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.actions import run
-from pycram.attempts import Attempts, Parameters, told_to_stop
-from pycram.failed_blocks import leaves_uncleaned
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
+from pycram.language.actions import run
+from pycram.language.attempts import Attempts, Parameters, is_cancelled
+from pycram.language.failures import leaves_uncleaned
 
 if TYPE_CHECKING:
-    from typing_extensions import Self
+    from typing import Self
 
-    from pycram.attempts import Attempt
+    from pycram.language.attempts import Attempt
 
 Result: TypeAlias = Any
 #: Gets a failure, does something about it, and may give parameters that the next attempt is to have.
@@ -84,18 +84,18 @@ class FailureHandling:
         return self
 
     @property
-    def told(self) -> dict[str, object]:
-        """What its node of the task tree tells of it."""
+    def fields(self) -> dict[str, object]:
+        """The parameters of its node of the task tree."""
         kinds = [kind.__name__ for kind in self.kinds]
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
         """Whether there is to be another attempt after an error, if one is left.
 
-        None after a cleaning up that failed because the handling itself is told to stop: being stopped again would
+        None after a cleaning up that failed because the handling itself is cancelled: being stopped again would
         hide it.
         """
-        hidden = error is not None and told_to_stop() and leaves_uncleaned(error)
+        hidden = error is not None and is_cancelled() and leaves_uncleaned(error)
         return isinstance(error, self.kinds) and not hidden
 
     def recover(self, failure: BaseException) -> Parameters:

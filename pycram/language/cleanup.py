@@ -1,4 +1,4 @@
-"""Cleaning up: what a plan does at the end of a stretch, however that ended, also when it was cancelled.
+"""Cleaning up: what a plan does at the end of a scope, however that ended, also when it was cancelled.
 
 Python's own ``finally`` runs too when a branch is cancelled, but the motions in it are stopped like all others. What is
 done here is shielded from that.
@@ -8,21 +8,21 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from pycram.actions import name_of, run
-from pycram.attempts import Retry
-from pycram.cancellation import Cancelled, shielded
-from pycram.failed_blocks import NotCleanedUp
 from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
-from pycram.nesting import stretch
-from pycram.open_block import alone
+from pycram.language.actions import name_of, run
+from pycram.language.attempts import Retry
+from pycram.language.body import sequential
+from pycram.language.failures import NotCleanedUp
+from pycram.language.nesting import scope
+from pycram.scheduling.cancellation import Cancelled, shielded
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
-@stretch
+@scope
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
     """Does something when its block has ended, however it did. In the block actions happen one after the other.
 
@@ -42,7 +42,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     if not callable(action):
         raise BadArgument("action", action, "a function")
     first: BaseException | None = None
-    with alone() as settle:
+    with sequential() as settle:
         try:
             yield
             settle()

@@ -1,8 +1,8 @@
-"""Timeouts: a stretch of the plan that has to be done within a time.
+"""Timeouts: a part of the plan that has to be done within a time.
 
-When the time is up, what runs in it is told to stop, and stops where that is safe (:mod:`pycram.cancellation`): at its
-next action, change of the world or wait. Then the stretch fails with :class:`TimedOut`, which a plan may handle or try
-again after. A stretch that got to its end meanwhile has succeeded.
+When the time is up, what runs in it is cancelled and stops where that is safe, at its next checkpoint
+(:mod:`pycram.scheduling`). Then it fails with :class:`TimedOut`, which a plan may handle or try again after. What got
+to its end meanwhile has succeeded.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from pycram.cancellation import Cancelled, Scope, checkpoint, current_scope, entered
 from pycram.foundation.checks import number
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
-from pycram.nesting import stretch
-from pycram.open_block import alone
+from pycram.language.body import sequential
+from pycram.language.nesting import scope
+from pycram.scheduling.cancellation import Cancelled, CancelScope, current_scope, entered, raise_if_cancelled
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import span
 
@@ -39,7 +39,7 @@ class TimedOut(PlanFailure):
         self.clock = clock
 
 
-@stretch
+@scope
 def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     """Gives its block so much time. In the block actions happen one after the other.
 
@@ -57,29 +57,29 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     if limit < 0:
         raise BadArgument("seconds", seconds, "a number from 0 up")
     clock = "simulated" if simulated else "wall"
-    with alone() as settle, _watch(limit) if simulated else _timer(limit) as scope:
+    with sequential() as settle, _watch(limit) if simulated else _timer(limit) as cancel_scope:
         outer = current_scope()
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}):
             try:
-                with entered(scope):
-                    checkpoint()
+                with entered(cancel_scope):
+                    raise_if_cancelled()
                     yield
                     settle()
             except Cancelled as stopped:
-                if scope.overdue and not (outer is not None and outer.cancelled):
+                if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
                     raise TimedOut(limit, clock) from stopped
                 raise
 
 
 @contextmanager
-def _timer(seconds: float) -> Iterator[Scope]:
+def _timer(seconds: float) -> Iterator[CancelScope]:
     """A scope whose deadline is on the clock."""
     end = time.monotonic() + seconds
-    yield Scope(current_scope(), lambda: max(0.0, end - time.monotonic()))
+    yield CancelScope(current_scope(), lambda: max(0.0, end - time.monotonic()))
 
 
 @contextmanager
-def _watch(seconds: float) -> Iterator[Scope]:
+def _watch(seconds: float) -> Iterator[CancelScope]:
     """A scope whose deadline is on the current world's time."""
     from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
 
@@ -88,9 +88,9 @@ def _watch(seconds: float) -> Iterator[Scope]:
         raise NoWorld
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
     remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
-    scope = Scope(current_scope(), remaining)
-    world.time_listeners.add(scope.wake)
+    made = CancelScope(current_scope(), remaining)
+    world.time_listeners.add(made.notify_all)
     try:
-        yield scope
+        yield made
     finally:
-        world.time_listeners.discard(scope.wake)
+        world.time_listeners.discard(made.notify_all)

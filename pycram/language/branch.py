@@ -5,17 +5,17 @@ from __future__ import annotations
 from contextvars import Context, copy_context
 from typing import TYPE_CHECKING, Final
 
-from pycram.cancellation import checkpoint, wait
 from pycram.foundation.failures import UsageError
-from pycram.handle import unwrap
+from pycram.scheduling.cancellation import join, raise_if_cancelled, wait
+from pycram.scheduling.future import unwrap
 from recorder.tasks import State
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
-    import threading
     from collections.abc import Callable
 
-    from pycram.actions import Result
+    from pycram.language.actions import Result
+    from pycram.scheduling.schedule import Condition
 
 
 class NoResult(UsageError):
@@ -42,22 +42,23 @@ _NOWHERE: Final = Context()
 class Branch:
     """One action of a block, and what came of it.
 
-    It runs in a copy of the context in which it was asked for, in whatever thread the block gives it.
+    It runs in a copy of the context in which it was asked for.
 
     Attributes:
-        name: what people call it; its thread's name too.
+        name: what people call it.
         action: what it does; its result is the branch's. Let go of at the end, as it may be the block's own.
         ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
         context: where it was asked for; likewise.
         span: its node of the task tree.
-        thread: the thread that was made for it; None where it runs in that of others, and when it has ended.
+        state: how far it is.
+        error: what it raised; None while it runs, when it succeeded and when it was cancelled.
     """
 
     def __init__(
         self,
         name: str,
         action: Callable[[], Result],
-        changed: threading.Condition,
+        changed: Condition,
         *,
         ordered: bool = False,
         dropped: Callable[[], None] = _nothing,
@@ -78,28 +79,17 @@ class Branch:
         self.ordered = ordered
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
+        self.state = State.CREATED
+        self.error: BaseException | None = None
         self._dropped = dropped
         self._begun = False
         self._changed = changed
-        self.thread: threading.Thread | None = None
-        self._state = State.CREATED
         self._result: Result = None
-        self._error: BaseException | None = None
-
-    @property
-    def state(self) -> State:
-        """How far it is."""
-        return self._state
 
     @property
     def done(self) -> bool:
         """Whether it has ended."""
-        return self._state not in (State.CREATED, State.RUNNING)
-
-    @property
-    def error(self) -> BaseException | None:
-        """What it raised; None while it runs, when it succeeded and when it was cancelled."""
-        return self._error
+        return self.state not in (State.CREATED, State.RUNNING)
 
     def begin(self) -> Result:
         """Does its action.
@@ -108,7 +98,7 @@ class Branch:
             What that returned.
         """
         self._begun = True
-        self._state = State.RUNNING
+        self.state = State.RUNNING
         return unwrap(self.action())
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
@@ -122,9 +112,9 @@ class Branch:
         if not self._begun:
             self._dropped()
         self.action, self.context, self._dropped = _nothing, _NOWHERE, _nothing
-        with self._changed:
-            self._state, self._result, self._error = state, result, error
-            self._changed.notify_all()
+        self._result, self.error = result, error
+        self.state = state  # last: other threads may look at it
+        self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
         """Waits for its end.
@@ -140,10 +130,9 @@ class Branch:
         """
         return wait(self._changed, lambda: self.done, timeout)
 
-    def outlast(self) -> None:
+    def join(self) -> None:
         """Waits for its end, whoever is told to stop."""
-        with self._changed:
-            self._changed.wait_for(lambda: self.done)
+        join(self._changed, lambda: self.done)
 
     def result(self, timeout: float | None = None) -> Result:
         """Waits for its result.
@@ -162,12 +151,12 @@ class Branch:
         """
         if not self.wait(timeout):
             raise TimeoutError(f"{self.name} still runs after {timeout} s")
-        if self._state is State.CANCELLED:
-            checkpoint()
+        if self.state is State.CANCELLED:
+            raise_if_cancelled()
             raise NoResult(self.name)
-        if self._error is not None:
-            raise self._error
+        if self.error is not None:
+            raise self.error
         return self._result
 
     def __repr__(self) -> str:
-        return f"Branch({self.name!r}, {self._state.word})"
+        return f"Branch({self.name!r}, {self.state.word})"

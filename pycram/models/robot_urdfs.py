@@ -6,6 +6,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pycram.foundation.failures import AssetError
+from recorder.extras import hint
 
 _DISTRIBUTION = "example-robot-data"
 
@@ -19,7 +20,8 @@ def pr2_urdf() -> Path:
     try:
         files = metadata.files(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError as error:
-        raise AssetError("pr2.urdf", f"comes with the package {_DISTRIBUTION}, which isn't installed") from error
+        cause = f"comes with the package {_DISTRIBUTION}, which isn't installed; {hint('executor')}"
+        raise AssetError("pr2.urdf", cause) from error
     for file in files:
         if file.name == "pr2.urdf":
             return Path(str(file.locate())).resolve()

@@ -5,25 +5,24 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from pycram.cancellation import current_scope
 from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import PlanFailure, UsageError
-from pycram.nesting import Nested
-from pycram.open_block import alone
+from pycram.language.body import sequential
+from pycram.language.nesting import Scope
+from pycram.scheduling.binding import Binding
+from pycram.scheduling.cancellation import current_scope
 from recorder.records import format_error
 from recorder.tracing.call_site import call_site
-from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
-    from types import TracebackType
 
-    from pycram.retries import FailureHandling
+    from pycram.language.retries import FailureHandling
 
 Parameters: TypeAlias = Mapping[str, Any]
 
@@ -81,7 +80,7 @@ def retry(**changed: object) -> NoReturn:
     raise Retry(attempt, changed, error)
 
 
-class Attempt(Nested["Attempt"]):
+class Attempt(Scope["Attempt"]):
     """One run of what may be tried again.
 
     Attributes:
@@ -115,51 +114,29 @@ class Attempt(Nested["Attempt"]):
         if self.used:
             raise UsageError(f"attempt {self.number} has been made already; the loop gives the next one")
         self.used = True
-        return _Run(self, self._attempts)
+        return self._run()
 
-
-class _Run:
-    """The body of an attempt."""
-
-    def __init__(self, attempt: Attempt, attempts: Attempts) -> None:
-        self._attempt = attempt
-        self._attempts = attempts
-        self._span: Span | None = None
-        self._exits = ExitStack()
-
-    def __enter__(self) -> Attempt:
-        made = self._attempt
+    @contextmanager
+    def _run(self) -> Iterator[Attempt]:
+        raised: BaseException | None = None
+        handled: BaseException | None = None  # what it failed with: another one where the body said ``retry``
+        changed: Parameters | None = None
         try:
-            with ExitStack() as entering:
-                entering.enter_context(self._attempts.entered())
-                name = f"attempt {made.number}"
-                with Uninterrupted():  # what has begun is known to be
-                    self._span = Span("attempt", name, parameters=made.parameters, attempt=made.number)
-                    entering.enter_context(self._span)
-                    token = _attempt.set(made)
-                    entering.callback(lambda: _attempt.reset(token))
-                    self._exits = entering.pop_all()
-        except BaseException as stopped:
-            with Uninterrupted():
-                if self._span is not None:
-                    self._span.finish(stopped)
-                self._exits.close()
+            with self._attempts.entered():
+                span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
+                with span, Binding(_attempt, self):
+                    try:
+                        yield self
+                    except BaseException as error:  # noqa: BLE001  raised below, unless it is handled
+                        raised = handled = span.error = error
+                        if isinstance(error, Retry) and error.attempt is self:
+                            handled, changed = error.error or error, error.changed
+                            span.error = handled
+        except BaseException as stopped:  # it has not begun, or can't be recorded
             self._attempts.finish(stopped)
             raise
-        return made
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
-        handled = error
-        changed: Parameters | None = None
-        if isinstance(error, Retry) and error.attempt is self._attempt:
-            handled, changed = error.error or error, error.changed
-        with Uninterrupted():  # an exit stack that is broken off forgets what it was about to end
-            if self._span is not None:
-                self._span.finish(handled)
-            self._exits.close()
-        return self._attempts.ended(error, handled, changed)
+        if not self._attempts.ended(raised, handled, changed) and raised is not None:
+            raise_unchanged(raised)
 
 
 class Attempts:
@@ -181,9 +158,9 @@ class Attempts:
     @contextmanager
     def entered(self) -> Iterator[None]:
         """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
-        with alone():
+        with sequential():
             if self._span is None:
-                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.told)
+                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.fields)
                 self._span.start()
             with self._span.entered():
                 yield
@@ -227,9 +204,9 @@ class Attempts:
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
-            if last is not None and not told_to_stop():
-                told = f"the loop was left after attempt {self._number} had failed: {format_error(last)}"
-                warnings.warn_explicit(told, FailureLeft, *call_site())
+            if last is not None and not is_cancelled():
+                text = f"the loop was left after attempt {self._number} had failed: {format_error(last)}"
+                warnings.warn_explicit(text, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
         """Ends the row.
@@ -242,7 +219,7 @@ class Attempts:
             self._span.finish(error)
 
 
-def told_to_stop() -> bool:
+def is_cancelled() -> bool:
     """Whether the code here is to end, by a block around it or a timeout."""
     scope = current_scope()
-    return scope is not None and scope.cancelled
+    return scope is not None and scope.is_cancelled

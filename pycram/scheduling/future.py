@@ -1,6 +1,6 @@
-"""Handles: what a plan gets at once for an action that may still run.
+"""Futures: what a plan gets at once for an action that may still run.
 
-A handle can be used as the result itself: looking at its attributes, comparing, calculating, printing or iterating
+A future can be used as the result itself: looking at its attributes, comparing, calculating, printing or iterating
 waits for the branch to end and then works on the result. Where the type matters (``is``, ``json.dumps``, ``str.join``),
 :func:`unwrap` gives the result.
 """
@@ -10,30 +10,44 @@ from __future__ import annotations
 import copy
 import operator
 import os
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from recorder.tasks import State
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.branch import Branch
 
 Result: TypeAlias = Any
 
 
-class Handle:
+class Pending(Protocol):
+    """What a future stands for, as far as its result is concerned: a branch of a block."""
+
+    name: str
+    state: State
+    ordered: bool
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended."""
+
+    def result(self, timeout: float | None = None) -> Result:
+        """Wait for its result."""
+
+
+class Future:
     """Stands for the result of a branch; everything that is done with it is done with the result, once it is there.
 
-    Its own is only :meth:`result`. When the branch failed, using the handle raises what the branch raised. What it is
+    Its own is only :meth:`result`. When the branch failed, using the future raises what the branch raised. What it is
     the result of tells :func:`branch_of`.
     """
 
     __slots__ = ("__weakref__", "_branch")
-    _branch: Branch
+    _branch: Pending
 
-    def __init__(self, branch: Branch) -> None:
-        """Makes a handle.
+    def __init__(self, branch: Pending) -> None:
+        """Makes a future.
 
         Args:
             branch: whose result it stands for.
@@ -41,7 +55,7 @@ class Handle:
         object.__setattr__(self, "_branch", branch)
 
     def result(self, timeout: float | None = None) -> Result:
-        """Waits for the result itself; see :meth:`Branch.result`."""
+        """Waits for the result itself; see :meth:`pycram.language.branch.Branch.result`."""
         return self._branch.result(timeout)
 
     def __record__(self) -> object:
@@ -162,7 +176,7 @@ class Handle:
 def _operation(name: str) -> Callable[..., Result]:
     function = getattr(operator, name.replace("__r", "__", 1) if name in _REFLECTED else name)
 
-    def operate(self: Handle, *others: object) -> Result:
+    def operate(self: Future, *others: object) -> Result:
         values = [self.result(), *(unwrap(other) for other in others)]
         return function(*(reversed(values) if name in _REFLECTED else values))
 
@@ -196,22 +210,22 @@ for _name in (
     "__invert__",
     "__index__",
 ):
-    setattr(Handle, _name, _operation(_name))
+    setattr(Future, _name, _operation(_name))
 
 
-def is_handle(value: object) -> bool:
-    """Whether this is a handle, without waiting for what it stands for."""
-    return issubclass(type(value), Handle)
+def is_future(value: object) -> bool:
+    """Whether this is a future, without waiting for what it stands for."""
+    return issubclass(type(value), Future)
 
 
-def branch_of(value: object) -> Branch | None:
-    """The branch whose result a handle stands for; None for anything else. Doesn't wait."""
-    branch: Branch | None = object.__getattribute__(value, "_branch") if is_handle(value) else None
+def branch_of(value: object) -> Pending | None:
+    """The branch whose result a future stands for; None for anything else. Doesn't wait."""
+    branch: Pending | None = object.__getattribute__(value, "_branch") if is_future(value) else None
     return branch
 
 
-def branches_in(value: object) -> Iterator[Branch]:
-    """The branches of all handles in a value: of itself, and of those in lists, tuples and dictionaries, however deep.
+def branches_in(value: object) -> Iterator[Pending]:
+    """The branches of all futures in a value: of itself, and of those in lists, tuples and dictionaries, however deep.
 
     Doesn't wait. Who waits for each before asking for the next gets those in their results too.
 
@@ -232,10 +246,10 @@ def branches_in(value: object) -> Iterator[Branch]:
 
 
 def unwrap(value: Result) -> Result:
-    """The thing itself where a handle stands for it; anything else unchanged.
+    """The thing itself where a future stands for it; anything else unchanged.
 
     Args:
-        value: a handle, or not.
+        value: a future, or not.
 
     Returns:
         The result; waits for it.
@@ -243,6 +257,6 @@ def unwrap(value: Result) -> Result:
     Raises:
         BaseException: what the branch raised.
     """
-    while is_handle(value):
+    while is_future(value):
         value = value.result()
     return value

@@ -1,0 +1,129 @@
+"""The five words of the plan language: each opens a block, or runs functions as the branches of one."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, Final, TypeAlias, overload
+
+from pycram.foundation.failures import BadArgument
+from pycram.language.block import Block, Policy
+from pycram.language.body import current_block
+from pycram.language.nesting import Scope
+from recorder.tasks import State
+from recorder.tracing.call_site import call_site
+
+Result: TypeAlias = Any
+Action: TypeAlias = Callable[..., Result]
+
+
+class NeverOpened(RuntimeWarning):
+    """A block was given a list for failures, and no body."""
+
+
+class Opening(Scope[Block]):
+    """Opens a block when a ``with`` statement begins; may be used again, in other threads and within itself."""
+
+    def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
+        """Makes an opening.
+
+        Args:
+            policy: what kind of block.
+            failures: where failures of its branches go; None to raise them.
+        """
+        super().__init__(policy.name)
+        self._policy = policy
+        self._failures = failures
+
+    def _opened(self) -> Block:
+        return Block(self._policy, self._failures)
+
+
+class Collecting(Opening):
+    """Opens a block whose failures go into a list; one that never does is a ``with`` that somebody forgot."""
+
+    def __init__(self, policy: Policy, failures: list[BaseException]) -> None:
+        """Makes an opening; see :class:`Opening`."""
+        super().__init__(policy, failures)
+        self._asked_for = call_site()
+        self._used = False
+
+    def __enter__(self) -> Block:
+        self._used = True
+        return super().__enter__()
+
+    def __del__(self) -> None:
+        if not self._used:
+            text = f"{self._policy.name}(failures) opens no block; write `with {self._policy.name}(failures) as s:`"
+            warnings.warn_explicit(text, NeverOpened, *self._asked_for)
+
+
+class Nothing(Opening, list[Result]):
+    """What ``par()`` gives: it opens a block; and it is the empty list of the results of ``par(*[])``."""
+
+    def __init__(self, policy: Policy) -> None:
+        """Makes an opening; see :class:`Opening`."""
+        list.__init__(self)
+        super().__init__(policy)
+
+
+class Kind(Opening):
+    """One of the five words: opens a block with or without parentheses, or runs functions."""
+
+    @overload
+    def __call__(self) -> Opening: ...
+    @overload
+    def __call__(self, failures: list[BaseException], /) -> Opening: ...
+    @overload
+    def __call__(self, *branches: Action) -> Result: ...
+    def __call__(self, *branches: Action | list[BaseException]) -> Result:
+        """Opens a block, or runs functions as its branches.
+
+        Args:
+            branches: nothing; one list, which gets the failures of the block's branches; or functions.
+
+        Returns:
+            What to use with ``with``; or the functions' results as a list, of ``pursue``, ``try_all`` and
+            ``try_in_order`` the result of the one that decided it; in the body of a block a future for that. Without
+            functions what is given serves as both, as an empty list of results.
+
+        Raises:
+            BadArgument: something else.
+            BranchesFailed: the block failed.
+        """
+        if not branches:
+            return Nothing(self._policy)
+        if len(branches) == 1 and isinstance(branches[0], list):
+            return Collecting(self._policy, branches[0])
+        actions = [branch for branch in branches if callable(branch)]
+        if len(actions) != len(branches):
+            wrong = next(branch for branch in branches if not callable(branch))
+            raise BadArgument("branch", wrong, "a function, or one list for failures")
+        host = current_block()
+        return self._run(actions) if host is None else host.start(self._policy.name, lambda: self._run(actions))
+
+    def _run(self, actions: list[Action]) -> Result:
+        with self as block:
+            futures = [block(action) for action in actions]
+        if self._policy.first_success:
+            return block.decider.result() if block.decider is not None else None
+        return [future.result() for future in futures]
+
+    def __repr__(self) -> str:
+        return self._policy.name
+
+
+par: Final = Kind(Policy("par", concurrent=True, decided_by=frozenset()))
+"""Runs branches side by side to their ends; fails if any fails."""
+
+pursue: Final = Kind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
+"""Runs branches side by side; the first that ends decides, the others are cancelled."""
+
+try_all: Final = Kind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
+"""Runs branches side by side; the first that succeeds decides, the others are cancelled."""
+
+seq: Final = Kind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
+"""Runs branches in order up to the first that fails."""
+
+try_in_order: Final = Kind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
+"""Runs branches in order up to the first that succeeds."""

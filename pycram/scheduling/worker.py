@@ -1,0 +1,60 @@
+"""Workers: threads in which a branch has something done that would block all branches of its own thread."""
+
+from __future__ import annotations
+
+import threading
+from contextvars import copy_context
+from typing import TYPE_CHECKING, TypeVar
+
+from pycram.scheduling.cancellation import join, raise_if_cancelled
+from pycram.scheduling.schedule import Condition
+from recorder import threads
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+Result = TypeVar("Result")
+
+
+def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
+    """Calls a function in a worker thread, while other branches of the plan go on.
+
+    For what blocks outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long calculation that lets
+    go of the interpreter. A branch that is cancelled meanwhile stops when the function has returned: give it a timeout
+    of its own. What it changes in a world comes at no fixed place in the plan's order.
+
+    Args:
+        function: what to call, with the context of the branch.
+        args: its arguments.
+        kwargs: its named arguments.
+
+    Returns:
+        What it returned.
+
+    Raises:
+        BaseException: what it raised.
+        Cancelled: the branch has been told to stop meanwhile.
+        LockHeld: the caller holds a lock.
+    """
+    ended = Condition()
+    results: list[Result] = []
+    errors: list[BaseException] = []
+
+    def work() -> None:
+        try:
+            results.append(function(*args, **kwargs))
+        except BaseException as error:  # noqa: BLE001  raised in the branch
+            errors.append(error)
+        ended.notify_all()
+
+    name = f"{threads.name()} {getattr(function, '__name__', 'function')}"
+    # a daemon's: only Ctrl-C outside of all branches leaves it behind, and then the process may end
+    threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
+    join(ended, lambda: bool(results or errors))
+    try:
+        if errors:
+            raise errors[0]
+        raise_if_cancelled()
+        return results[0]
+    finally:
+        errors.clear()  # what was raised refers to this frame

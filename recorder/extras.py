@@ -1,0 +1,72 @@
+"""What isn't installed everywhere: which extra of pyproject.toml brings it, and what to type.
+
+Recordings are read with the base dependencies alone. The engine, the viewer and pictures are extras; where one is
+missing, commands end with one line that says so. It speaks of a checkout, as PyPI's project of this name is another's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
+_EXTRAS: Final = {
+    "pybullet": "executor",
+    "pybullet_data": "executor",
+    "scipy": "executor",
+    "trimesh": "executor",
+    "collada": "executor",
+    "example-robot-data": "executor",
+    "PIL": "render",
+    "pyarrow": "viewer",
+    "rerun": "viewer",
+    "rerun_cli": "viewer",
+    "rerun_sdk": "viewer",
+}
+
+
+class NotInstalled(ModuleNotFoundError):
+    """Something isn't installed that one of the extras brings.
+
+    Attributes:
+        name: the module.
+        extra: the extra.
+    """
+
+    def __init__(self, name: str, extra: str) -> None:
+        super().__init__(f"{name} isn't installed; {hint(extra)}", name=name)
+        self.extra = extra
+
+
+def hint(extra: str) -> str:
+    """Return what to type to install an extra.
+
+    Args:
+        extra: its name in pyproject.toml.
+    """
+    return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
+
+
+@contextlib.contextmanager
+def needed(extra: str | None = None) -> Iterator[None]:
+    """Import something within that may not be installed.
+
+    Args:
+        extra: the extra that is to be installed; by default the first that brings the module.
+
+    Raises:
+        NotInstalled: an extra brings it.
+        ModuleNotFoundError: it is missing, and none does.
+    """
+    try:
+        yield
+    except NotInstalled:
+        raise
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in _EXTRAS:
+            raise
+        raise NotInstalled(name, extra or _EXTRAS[name]) from error

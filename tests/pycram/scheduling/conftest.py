@@ -1,0 +1,25 @@
+"""No test of the scheduler hangs, or leaves anything running."""
+
+from __future__ import annotations
+
+import faulthandler
+import threading
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import tasks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@pytest.fixture(autouse=True)
+def _watched() -> Iterator[None]:
+    """Nothing hangs, no thread outlives its block, and nothing runs on in the task tree."""
+    faulthandler.dump_traceback_later(60, exit=True)
+    before = threading.active_count()
+    yield
+    faulthandler.cancel_dump_traceback_later()
+    assert threading.active_count() == before
+    assert all(node.finished for node in tasks.tree().nodes.values())

@@ -1,0 +1,136 @@
+"""Every reading verb works where neither the engine nor the viewer is installed.
+
+Here, what the extras bring is hidden from the commands. ``make test-reading`` runs this file where it isn't installed: so
+it imports nothing but what reading needs, and has no fixtures of others. ``PYCRAM_RECORDINGS`` names a folder with more
+recordings to read, such as those of the demos, which can't be made there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import pytest
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+HERE = Path(__file__).parent
+REPO = HERE.parents[1]
+EXTRAS = (
+    "pybullet",
+    "pybullet_data",
+    "trimesh",
+    "scipy",
+    "collada",
+    "PIL",
+    "rerun",
+    "rerun_cli",
+    "rerun_sdk",
+    "pyarrow",
+)
+LOGS = [
+    *sorted((HERE / "golden").glob("*.mcap")),
+    *sorted(Path(os.environ.get("PYCRAM_RECORDINGS", os.devnull)).glob("*.mcap")),
+]
+READING = [
+    ("info",),
+    ("log",),
+    ("show", "last"),
+    ("tree",),
+    ("state", "last"),
+    ("diff", "8", "last"),
+    ("blame", "milk"),
+    ("why",),
+]
+HIDING = f"""
+import sys
+
+class Hidden:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {EXTRAS!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Hidden())
+"""
+CALLING = """
+import contextlib, io, json, sys
+from importlib import import_module
+
+for module, *words in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = import_module(module).main(words)
+    print(json.dumps([code, out.getvalue(), err.getvalue()]))
+"""
+
+
+class Told(NamedTuple):
+    """What a command has said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def run(*calls: Sequence[str], hiding: bool = True) -> list[Told]:
+    """Runs commands in a process of their own, in which what the extras bring isn't found.
+
+    Args:
+        calls: of each the module and the words.
+        hiding: False to let it find all that is installed.
+    """
+    command = [sys.executable, "-c", (HIDING if hiding else "") + CALLING, json.dumps(calls)]
+    environment = os.environ | {"PYTHONPATH": str(REPO)}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    return [Told(*json.loads(line)) for line in ended.stdout.splitlines()]
+
+
+def replay(verb: str, log: Path, *words: str) -> tuple[str, ...]:
+    return ("replay.cli.main", verb, str(log), *words)
+
+
+@pytest.mark.parametrize("log", LOGS, ids=lambda log: log.stem)
+def test_reading_verbs(log: Path) -> None:
+    calls = [replay(verb, log, *words, *more) for verb, *words in READING for more in ((), ("--json",))]
+    for call, told in zip(calls, run(*calls), strict=True):
+        assert told.code == 0, (call, told.err)
+        assert told.out, call
+        assert not told.err, call
+
+
+@pytest.mark.skipif(find_spec("pybullet") is None, reason="nothing to compare with: only the base is installed")
+def test_they_say_the_same_as_where_all_is_installed() -> None:
+    calls = [replay(verb, LOGS[0], *words) for verb, *words in READING]
+    assert run(*calls) == run(*calls, hiding=False)
+
+
+def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
+    calls = {
+        replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),
+        replay("verify", LOGS[0]): ("pycram-replay: verify: ", "executor"),
+        replay("restore", LOGS[0], "last", "--shell"): ("pycram-replay: restore: ", "executor"),
+        replay("view", LOGS[0], "--save", str(tmp_path / "log.rrd")): ("pycram-replay: view: ", "viewer"),
+        ("pycram.cli", "demo", "--log", str(tmp_path / "demo.mcap")): ("pycram: ", "executor"),
+    }
+    for (begin, extra), told in zip(calls.values(), run(*calls), strict=True):
+        assert told.code == 2
+        assert not told.out
+        (line,) = told.err.splitlines()
+        assert line.startswith(begin)
+        assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
+
+
+def test_the_version_is_told() -> None:
+    for name, told in zip(
+        ("pycram-replay", "pycram"), run(("replay.cli.main", "--version"), ("pycram.cli", "--version")), strict=True
+    ):
+        assert told.code == 0
+        assert told.out.startswith(f"{name} 0.")
+        assert not told.err
