@@ -1,6 +1,6 @@
 """Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
 
-The plan tries each arm from two places and gives up. Its recording is material for debugging:
+The plan tries each arm from two positions and gives up. Its recording is an example for debugging:
 ``pycram run demos/fails_to_reach.py --log fails.mcap`` and then
 ``pycram-replay why fails.mcap``.
 """

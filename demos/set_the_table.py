@@ -42,7 +42,7 @@ def build_scene() -> Object:
 
 
 def perform(**slots: object) -> object:
-    """Performs a motion; underscores in names of slots stand for hyphens."""
+    """Performs a motion; hyphens in names of slots are written as underscores."""
     return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
 
 

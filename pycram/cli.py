@@ -24,40 +24,34 @@ if TYPE_CHECKING:
 
     from recorder import Recording
 
-_DONE, _FAILED, _USAGE, _INTERRUPTED = 0, 1, 2, 130
+_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
 def demos() -> Path:
-    """The folder with the demos."""
+    """Return the folder with the demos."""
     here = Path(__file__).parent
     installed = here / "demos"
     return installed if installed.is_dir() else here.parent / "demos"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a command.
-
-    Args:
-        argv: the arguments; the process' own by default.
+    """Run a command, by default with the process' arguments, and return its exit code.
 
     Returns:
-        0 if the plan succeeded, 1 if it failed, 2 for wrong usage.
+        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if it was interrupted; else the plan's own.
     """
     parser = _parser()
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
-    given, arguments = given[:cut], given[cut + 1 :]  # argparse would take our options for the plan's
-    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # it would take the plan for its value
+    given, arguments = given[:cut], given[cut + 1 :]  # argparse would parse the plan's options as ours
+    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # and the plan as the option's value
     if given == ["--version"]:
         print(f"pycram {versions()['pycram']}")
-        return _DONE
+        return _SUCCEEDED
     options, unknown = parser.parse_known_args(given)
     if unknown:
-        parser.error(f"unrecognized arguments: {' '.join(unknown)}; what is for the plan comes after --")
-    if options.command == "demo":  # noqa: SIM108  reads better
-        plan = demos() / f"{options.name}.py"
-    else:
-        plan = Path(options.plan)
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
+    plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
     log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
@@ -66,13 +60,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="pycram", description="Runs robot plans and records everything that happens.")
-    parser.add_argument("--version", action="store_true", help="print the version and end")
+    parser.add_argument("--version", action="store_true", help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True)
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
     plan = commands.add_parser(
-        "run", help="run a plan", description="Runs a plan: any Python file. What follows -- goes to the plan."
+        "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
     )
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for command in (demo, plan):
@@ -81,8 +75,8 @@ def _parser() -> argparse.ArgumentParser:
             "--rerun",
             metavar="VIEWER",
             type=_viewer,
-            help="show it live: --rerun opens a viewer, --rerun=connect or =connect:URL takes one that is started "
-            "elsewhere, --rerun=serve makes a page for the browser",
+            help="show it live: --rerun opens a viewer, --rerun=connect or =connect:URL uses a running one, "
+            "--rerun=serve serves a page for the browser",
         )
     return parser
 
@@ -96,23 +90,20 @@ def _viewer(text: str) -> str:
 
 
 def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None = None) -> int:
-    """Runs a plan as a program of its own and records it.
+    """Run a plan as a main program, record it, and return the exit code, as :func:`main` does.
 
     Args:
-        plan: the Python file.
-        log: the recording.
-        arguments: of the plan.
-        live: who shows it live; see :func:`recorder.record`.
-
-    Returns:
-        The exit code: 0, 1 if the plan failed, 2 if it can't be recorded or ends with a wrong usage.
+        plan: The Python file.
+        log: The recording.
+        arguments: Of the plan.
+        live: The live viewer; see :func:`recorder.record`.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(plan), *arguments]
     sys.path.insert(0, str(plan.parent.resolve()))
-    file = log.absolute()  # a plan may change its folder
+    file = log.absolute()  # a plan may change the working directory
     recording: Recording | None = None
-    code = _DONE
+    code = _SUCCEEDED
     try:
         with record(file, live, name=plan.stem, arguments=arguments, source=plan) as recording:
             try:
@@ -121,14 +112,14 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
                 _wait_for_threads()
     except RecordingError as error:
         print(f"pycram: {error}", file=sys.stderr)
-        code = _USAGE
+        code = _WRONG_USAGE
     except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else _DONE if end.code is None else _FAILED
+        code = end.code if isinstance(end.code, int) else _SUCCEEDED if end.code is None else _FAILED
         if not isinstance(end.code, int | None):
             print(end.code, file=sys.stderr)
     except NotInstalled as error:
         print(f"pycram: {error}", file=sys.stderr)
-        return _USAGE
+        return _WRONG_USAGE
     except PlanFailure as failure:
         traceback.print_exc()
         print(f"\npycram: the plan failed: {format_error(failure)}", file=sys.stderr)
@@ -144,14 +135,14 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
     finally:
         sys.argv, sys.path[:] = before
     if recording is not None and file.is_file():
-        _say_where(log, file.stat().st_size / 1e6, code)
+        _print_next_steps(log, file.stat().st_size / 1e6, code)
         if live == Kind.SERVE.value and code != _INTERRUPTED:
             _keep_page(recording)
     return code
 
 
 def _keep_page(recording: Recording) -> None:
-    """Where somebody sits at a terminal, the page can be opened until they have seen enough."""
+    """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
     if recording.viewer is None or not sys.stdin.isatty():
         return
     print("pycram: the page stays until Ctrl-C", file=sys.stderr)
@@ -160,15 +151,15 @@ def _keep_page(recording: Recording) -> None:
 
 
 def _wait_for_threads() -> None:
-    """Waits for what the plan has left running, as Python does at its end: that is part of the plan."""
+    """Wait for threads that the plan has left running, as Python does at its end: they are part of the plan."""
     for thread in threading.enumerate():
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join()
 
 
-def _say_where(log: Path, size: float, code: int) -> None:
+def _print_next_steps(log: Path, size: float, code: int) -> None:
     print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
-    for verb in ("info", "tree", "view") if code == _DONE else ("why", "tree", "view"):
+    for verb in ("info", "tree", "view") if code == _SUCCEEDED else ("why", "tree", "view"):
         print(f"  pycram-replay {verb} {shlex.quote(str(log))}", file=sys.stderr)
 
 

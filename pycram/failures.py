@@ -1,4 +1,4 @@
-"""Everything that can go wrong, in two families: :class:`PlanFailure` (the world said no) and :class:`UsageError`."""
+"""All failures, in two families: :class:`PlanFailure` (the world refused) and :class:`UsageError`."""
 
 from pycram.foundation.failures import (
     AccessFailed,

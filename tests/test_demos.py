@@ -1,4 +1,4 @@
-"""The demos as a person runs them: real processes, and what their recordings say."""
+"""The demos and the command line, run as processes, and what they record."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def pycram(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
+def test_the_demo_sets_the_table_and_records_it(tmp_path: Path) -> None:
     ended = pycram("demo", cwd=tmp_path)
     assert ended.returncode == 0, ended.stderr
     assert "the table is set" in ended.stdout
@@ -66,7 +66,7 @@ def test_the_table_is_set_and_the_recording_tells_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_failing_demo_leaves_a_closed_recording_of_its_failure(tmp_path: Path) -> None:
+def test_the_failing_demo_records_its_failure(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)
     assert ended.returncode == 1
     assert all(f"{arm} arm can't reach" in ended.stderr for arm in ("left", "right"))
@@ -102,7 +102,7 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("code", "exit_code", "told"),
+    ("code", "exit_code", "message"),
     [
         ("raise SystemExit(3)", 3, ""),
         ("from pycram.bullet_world import BulletWorld; BulletWorld().set_gravity([1])", 1, "3 finite numbers"),
@@ -114,11 +114,11 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.slow
-def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, told: str) -> None:
+def test_run_exits_with_the_code_of_the_plan(tmp_path: Path, code: str, exit_code: int, message: str) -> None:
     (tmp_path / "plan.py").write_text(code)
     ended = pycram("run", "plan.py", cwd=tmp_path)
     assert ended.returncode == exit_code
-    assert told in ended.stderr
+    assert message in ended.stderr
     assert "pycram: recorded to plan.mcap" in ended.stderr
     with replay.open(tmp_path / "plan.mcap") as log:
         assert log.complete
@@ -134,7 +134,7 @@ def test_run_ends_as_the_plan_ended(tmp_path: Path, code: str, exit_code: int, t
 
 
 @pytest.mark.slow
-def test_what_a_plan_s_threads_do_after_its_end_is_recorded(tmp_path: Path) -> None:
+def test_threads_that_outlive_the_main_thread_are_recorded(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text(
         "import threading\n"
         "from pycram.bullet_world import BulletWorld, Object\n"
@@ -148,7 +148,7 @@ def test_what_a_plan_s_threads_do_after_its_end_is_recorded(tmp_path: Path) -> N
         assert list(log.state_at(-1).world().bodies) == ["late"]
 
 
-def test_a_recording_that_cannot_be_written_stops_the_plan_at_once(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_written_stops_the_plan(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text("print('ran unrecorded')")
     ended = pycram("run", "plan.py", "--log", "nowhere/out.mcap", cwd=tmp_path)
     assert ended.returncode == 2

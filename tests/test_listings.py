@@ -1,4 +1,4 @@
-"""The thesis' listings 5.1 to 5.5 run as printed, but for the places of files."""
+"""The thesis' listings 5.1 to 5.5 run as printed, but for the locations of files."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_listing_5_3_moves_base_arms_and_head_in_branches(sink: MemorySink, list
     assert threads == {"par-1 move-arm-joints", "par-2 moving", "par-3 looking"}
 
 
-def test_three_branches_move_the_base_and_each_arm(sink: MemorySink, listing_5_1: dict[str, Object]) -> None:
+def test_three_branches_move_base_and_arms(sink: MemorySink, listing_5_1: dict[str, Object]) -> None:
     robot = listing_5_1["pr2"]
     parked = stretched_out(robot)
     sink.records.clear()
@@ -142,7 +142,7 @@ def test_three_branches_move_the_base_and_each_arm(sink: MemorySink, listing_5_1
     ]
 
 
-def test_what_blocks_is_named_and_can_be_moved_first(listing_5_1: dict[str, Object]) -> None:
+def test_an_obstacle_is_named_by_blocking_and_can_be_moved(listing_5_1: dict[str, Object]) -> None:
     """A box before the milk: blocking names it, and when it is gone the way is free (Listing 5.4)."""
     robot, milk, cereal = listing_5_1["pr2"], listing_5_1["milk"], listing_5_1["cereal"]
     robot.set_position([0.65, 0.7, 0])

@@ -1,1 +1,1 @@
-"""What fluents are made of: terms that have values, waiting for them, and the terms that follow a world."""
+"""Fluents: expressions with values, their pulses, waiting for them, and those that follow a world."""

@@ -1,16 +1,16 @@
-"""Terms: what the value of a fluent comes from.
+"""Expressions: where the value of a fluent comes from.
 
-Leaves hold what can change: a variable its value, an account the pulses that nobody has handled. Operations hold
-nothing; their value is worked out from a state, the values of all their leaves at one moment. So a network never shows
-a mix that never was, and always fits its operands.
+Leaves hold what can change: a variable its value, a pulse counter the pulses that aren't handled yet. Operations hold
+nothing; their value is computed from a state, the values of all their leaves at one moment. So a network never shows a
+mix of two moments, and always fits its operands.
 
-Who knows whom: an operation its operands, an account the term whose pulses it counts; never the other way round, but
-for weak references. What is dropped is gone.
+An operation refers to its operands, a counter to the expression whose pulses it counts; only weak references lead the
+other way, so that dropped networks are freed.
 
-One lock guards all leaves of the process, for the few assignments of a change. With it held no user code runs: no
-function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value. It comes after a world's lock
-and before a journal's, so the order of the log is the order of the changes. It is re-entrant, since the garbage
-collector may run finalizers anywhere, and they may set fluents.
+One lock guards all leaves of the process, for the few assignments of a change. While it is held no user code runs: no
+function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value. It is acquired after a
+world's lock and before a journal's, so the order of the records is the order of the changes. It is re-entrant, since
+the garbage collector may run finalizers anywhere, and they may set fluents.
 """
 
 from __future__ import annotations
@@ -26,112 +26,108 @@ from pycram.scheduling.locks import Lock
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
 
-    from pycram.fluents.pulses import Account
+    from pycram.fluents.pulses import PulseCounter
 
-#: What fluents hold is whatever the plan gives.
+#: Any value that a plan gives to a fluent.
 Value: TypeAlias = Any
-#: Values of leaves at one moment; operations put theirs beside, so that each is worked out once.
-State: TypeAlias = dict["Term", Value]
+#: Values of leaves at one moment; operations add theirs, so that each is computed once.
+State: TypeAlias = dict["Expression", Value]
 
 lock: Final = Lock()
-_DEEPEST: Final = 4  # operations within each other that a name spells out
-_HIGHEST: Final = 100  # operations within each other that are worked out by calls within each other
+_MAX_NAME_DEPTH: Final = 4  # nested operations that a name spells out
+_MAX_RECURSION: Final = 100  # nested operations that are computed by recursive calls
 
 
 class Ended(NamedTuple):
-    """Stands in a leaf for the value that it can't have any more.
+    """What a leaf holds instead of a value when the object or world that it followed is gone.
 
     Attributes:
-        world: name of the world that it followed.
-        what: what is gone, in words.
+        world: Name of the world.
+        what: What is gone, for messages.
     """
 
     world: str
     what: str
 
 
-class Watcher(Protocol):
-    """Somebody who is told of every change of the leaves at which it is registered."""
+class Waiter(Protocol):
+    """Registered at leaves to be notified of all their changes."""
 
-    def see(self) -> None:
-        """Something changed; called with the lock held."""
+    def state_changed(self) -> None:
+        """Notice a change; called with the lock held."""
 
 
-class Term(ABC):
+class Expression(ABC):
     """Something with a value.
 
     Attributes:
-        operands: what its value is worked out from.
-        accounts: those that count its pulses.
-        watchers: those who are told when it changes; only leaves have any.
+        operands: Expressions from which its value is computed.
+        counters: Counters of its pulses.
+        waiters: Notified of its changes; only leaves have any.
     """
 
-    __slots__ = ("__weakref__", "accounts", "operands")
+    __slots__ = ("__weakref__", "counters", "operands")
 
-    watchers: Iterable[Watcher] = ()
+    waiters: Iterable[Waiter] = ()
 
-    def __init__(self, operands: tuple[Term, ...]) -> None:
+    def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands
-        self.accounts: Collection[Account] = ()
+        self.counters: Collection[PulseCounter] = ()
 
     @property
     @abstractmethod
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaves below it, each once; a leaf itself."""
+        """The leaves among its operands, at any depth, each once; a leaf itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
-        """Its value, given those of its leaves.
+        """Return its value, given those of its leaves.
 
         Raises:
-            WorldClosed: something that it follows is gone.
-            Exception: what a function of the network raised.
+            WorldClosed: An object or world that it follows is gone.
+            Exception: Of a function of the network.
         """
 
     @abstractmethod
     def text(self, depth: int = 0) -> str:
-        """What people call it.
-
-        Args:
-            depth: of operations around it.
-        """
+        """Return its name, within ``depth`` operations."""
 
     def state(self) -> State:
-        """The values of its leaves now, all at the same moment."""
+        """Return the present values of its leaves, all of the same moment."""
         with lock:
             return {leaf: leaf.held for leaf in self.leaves}
 
 
-class Leaf(Term):
-    """A term that holds something.
+class Leaf(Expression):
+    """An expression that holds something.
 
     Attributes:
-        held: its value, or that it has ended.
-        watchers: those who are told when it changes.
+        held: Its value, or Ended.
+        waiters: Notified of its changes.
     """
 
-    __slots__ = ("held", "watchers")
+    __slots__ = ("held", "waiters")
 
-    def __init__(self, operands: tuple[Term, ...], held: Value) -> None:
+    def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
         self.held = held
-        self.watchers: list[Watcher] = []
+        self.waiters: list[Waiter] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """Itself; not kept, as what refers to itself is gone only when the garbage collector has found it."""
+        """Itself; not stored, as only the garbage collector would free what refers to itself."""
         return (self,)
 
     def value(self, state: State) -> Value:
-        """Its value in that state."""
+        """Return its value in a state."""
         held = state[self]
         if isinstance(held, Ended):
             raise WorldClosed(held.world, f"follow {self.text()}", held.what)
         return held
 
 
-class Constant(Term):
-    """A plain value among the operands of an operation."""
+class Constant(Expression):
+    """A plain value as an operand."""
 
     __slots__ = ("_value",)
 
@@ -141,78 +137,82 @@ class Constant(Term):
         super().__init__(())
         self._value = value
 
-    def value(self, state: State) -> Value:  # noqa: ARG002  it is the same in all
-        """The value."""
+    def value(self, state: State) -> Value:  # noqa: ARG002  it is constant
+        """Return the value."""
         return self._value
 
     def text(self, depth: int = 0) -> str:  # noqa: ARG002  as above
-        """The value, shortened."""
+        """Return the value, shortened."""
         return reprlib.repr(self._value)
 
 
-class Operation(Term):
-    """A function of other terms' values.
+class Operation(Expression):
+    """A function of other expressions' values.
 
     Attributes:
-        function: takes an iterator over the operands' values, which works out those only that are asked for.
-        form: its text, with ``{}`` for each operand.
-        height: how many operations lie below each other from here down.
+        function: Takes an iterator over the operands' values, which computes only those that are asked for.
+        form: Its name, with ``{}`` for each operand.
+        height: Number of nested operations, this one included.
     """
 
     __slots__ = ("form", "function", "height", "leaves")
 
     leaves: tuple[Leaf, ...]
 
-    def __init__(self, form: str, function: Callable[[Iterator[Value]], Value], operands: tuple[Term, ...]) -> None:
+    def __init__(
+        self, form: str, function: Callable[[Iterator[Value]], Value], operands: tuple[Expression, ...]
+    ) -> None:
         super().__init__(operands)
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form
         self.function = function
-        self.height: int = 1 + max((one.height for one in operands if isinstance(one, Operation)), default=0)
+        self.height: int = 1 + max(
+            (operand.height for operand in operands if isinstance(operand, Operation)), default=0
+        )
 
     def value(self, state: State) -> Value:
-        """What the function makes of the operands' values."""
+        """Return what the function computes from the operands' values."""
         if self not in state:
-            if self.height > _HIGHEST:
-                return self._value_from_below(state)
+            if self.height > _MAX_RECURSION:
+                return self._value_iteratively(state)
             state[self] = self.function(map(methodcaller("value", state), self.operands))
         return state[self]
 
-    def _value_from_below(self, state: State) -> Value:
-        """The same without calls within each other: a function that lacks an operand's value is asked again later."""
-        asked: list[Operation] = [self]
-        while asked:
-            one = asked[-1]
+    def _value_iteratively(self, state: State) -> Value:
+        """Compute it without recursion: a function that needs an operand's value is called again when that is there."""
+        pending: list[Operation] = [self]
+        while pending:
+            operation = pending[-1]
             try:
-                state[one] = one.function(_at_hand(operand, state) for operand in one.operands)
-                asked.pop()
-            except _Lacking as lacking:
-                asked.append(lacking.operation)
+                state[operation] = operation.function(_computed(operand, state) for operand in operation.operands)
+                pending.pop()
+            except _NotComputed as missing:
+                pending.append(missing.operation)
         return state[self]
 
     def text(self, depth: int = 0) -> str:
-        """The operation spelt out, in parentheses inside of another, and cut off where it is too deep to be read."""
-        if depth > _DEEPEST:
+        """Return the operation spelt out, in parentheses inside of another one, cut off where it is nested too deep."""
+        if depth > _MAX_NAME_DEPTH:
             return "..."
-        told = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
-        return f"({told})" if depth and self.form.startswith(("{} ", "NOT ", "-", "+")) else told
+        text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
+        return f"({text})" if depth and self.form.startswith(("{} ", "NOT ", "-", "+")) else text
 
 
-class _Lacking(BaseException):
-    """A function asks for the value of an operation that is too high to be worked out within it."""
+class _NotComputed(BaseException):
+    """A function asks for the value of an operation that is nested too deep to be computed recursively."""
 
     def __init__(self, operation: Operation) -> None:
         super().__init__()
         self.operation = operation
 
 
-def _at_hand(operand: Term, state: State) -> Value:
-    if isinstance(operand, Operation) and operand.height > _HIGHEST and operand not in state:
-        raise _Lacking(operand)
+def _computed(operand: Expression, state: State) -> Value:
+    if isinstance(operand, Operation) and operand.height > _MAX_RECURSION and operand not in state:
+        raise _NotComputed(operand)
     return operand.value(state)
 
 
-def wake(changed: Iterable[Term]) -> None:
-    """Tells those who watch these terms, each once, that something changed; the lock is held."""
-    for watcher in dict.fromkeys(watcher for term in changed for watcher in term.watchers):
-        watcher.see()
+def notify(changed: Iterable[Expression]) -> None:
+    """Notify the waiters of these expressions, each once; the lock is held."""
+    for waiter in dict.fromkeys(waiter for expression in changed for waiter in expression.waiters):
+        waiter.state_changed()

@@ -1,7 +1,7 @@
 """Pulses: something happened to a fluent, whether or not that changed its value.
 
-What pulses a term pulses all that is made of it. An account counts them until somebody handles them; each change counts
-once, however many ways lead from what changed to the account.
+A pulse of an expression pulses all expressions that have it as an operand. A counter counts pulses until they are
+handled; each change counts once, however many paths lead from what changed to the counter.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ import weakref
 from enum import Enum
 from typing import TYPE_CHECKING, cast
 
-from pycram.fluents.expressions import Ended, Leaf, lock, wake
+from pycram.fluents.expressions import Ended, Leaf, lock, notify
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable
 
-    from pycram.fluents.expressions import State, Term, Value
+    from pycram.fluents.expressions import Expression, State, Value
 
 
 class Behavior(Enum):
-    """What becomes of pulses that come while the body of a ``whenever`` is busy with an earlier one."""
+    """What happens to pulses that come while the body of a ``whenever`` handles an earlier one."""
 
     NEVER = 1
     """They are ignored."""
@@ -29,76 +29,76 @@ class Behavior(Enum):
     """The body runs once more for each of them."""
 
 
-class Account(Leaf):
-    """Counts the pulses of a term that nobody has handled; its value is True while there are any, else None.
+class PulseCounter(Leaf):
+    """Counts the pulses of an expression that aren't handled yet; its value is True while there are any, else None.
 
     Attributes:
-        missed: what becomes of pulses that come while an earlier one is handled.
+        missed: What happens to pulses that come while an earlier one is handled.
     """
 
     __slots__ = ("missed",)
 
-    def __init__(self, of: Term, missed: Behavior) -> None:
+    def __init__(self, of: Expression, missed: Behavior) -> None:
         super().__init__((of,), 0)
         self.missed = missed
         with lock:
-            for term in _below(of):
-                known = term.accounts if isinstance(term.accounts, weakref.WeakSet) else weakref.WeakSet()
+            for expression in _below(of):
+                known = expression.counters if isinstance(expression.counters, weakref.WeakSet) else weakref.WeakSet()
                 known.add(self)
-                term.accounts = known
+                expression.counters = known
 
     def value(self, state: State) -> Value:
-        """True if there are pulses to handle, else None."""
+        """Return True if there are pulses to handle, else None."""
         return True if super().value(state) else None
 
     def text(self, depth: int = 0) -> str:
-        """The text of its term, and that it is pulsed."""
+        """Return the name of its expression with ``.pulsed(...)``."""
         return f"{self.operands[0].text(depth + 1)}.pulsed({self.missed.name})"
 
     def take(self) -> None:
-        """Begins to handle a pulse; without one nothing happens."""
+        """Begin to handle a pulse, if there is one."""
         self._change(lambda count: max(count - 1, 0))
 
     def settle(self) -> None:
-        """Ends what :meth:`take` began: decides about the pulses that came meanwhile."""
+        """End what :meth:`take` began: drop pulses that came meanwhile, as the behavior says."""
         if self.missed is not Behavior.ALWAYS:
-            most = 1 if self.missed is Behavior.ONCE else 0
-            self._change(lambda count: min(count, most))
+            kept = 1 if self.missed is Behavior.ONCE else 0
+            self._change(lambda count: min(count, kept))
 
     def _change(self, pulses: Callable[[int], int]) -> None:
         with lock:
             if not isinstance(self.held, Ended):
                 self.held = pulses(self.held)
-                wake((self,))
+                notify((self,))
 
 
-def _below(term: Term) -> list[Term]:
-    """A term and all terms that its value comes from, each once; accounts have their own pulses."""
-    found = {term: None}
-    queue = [term]
+def _below(expression: Expression) -> list[Expression]:
+    """Return an expression and all from which its value comes, each once; counters have their own pulses."""
+    found = {expression: None}
+    queue = [expression]
     for one in queue:
-        if not isinstance(one, Account):
+        if not isinstance(one, PulseCounter):
             new = [operand for operand in one.operands if operand not in found]
             found.update(dict.fromkeys(new))
             queue += new
     return queue
 
 
-def accounts_on(pulsed: Iterable[Term]) -> list[Account]:
-    """The accounts that get a pulse when these terms do, each once; also those on accounts that get one by that."""
+def counters_on(pulsed: Iterable[Expression]) -> list[PulseCounter]:
+    """Return the counters of pulses of these expressions, and those of pulses of these counters, each once."""
     queue = list(pulsed)
     given = len(queue)
     reached = set(queue)
-    for term in queue:
-        new = [account for account in term.accounts if account not in reached]
+    for expression in queue:
+        new = [counter for counter in expression.counters if counter not in reached]
         reached.update(new)
         queue += new
-    return cast("list[Account]", queue[given:])
+    return cast("list[PulseCounter]", queue[given:])
 
 
-def pulse(pulsed: Collection[Term]) -> None:
-    """Counts one pulse in every account on these terms, and wakes who watches; the lock is held."""
-    accounts = [account for account in accounts_on(pulsed) if not isinstance(account.held, Ended)]
-    for account in accounts:
-        account.held += 1
-    wake((*pulsed, *accounts))
+def pulse(pulsed: Collection[Expression]) -> None:
+    """Count one pulse in every counter of these expressions, and notify waiters; the lock is held."""
+    counters = [counter for counter in counters_on(pulsed) if not isinstance(counter.held, Ended)]
+    for counter in counters:
+        counter.held += 1
+    notify((*pulsed, *counters))

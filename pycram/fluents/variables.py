@@ -1,12 +1,12 @@
-"""Variables: the leaves that are set, by a plan or by what happens in a world; each change is a record."""
+"""Variables: leaves that are set, by a plan or by changes of a world; each assignment is recorded."""
 
 from __future__ import annotations
 
 import itertools
 from typing import TYPE_CHECKING
 
-from pycram.fluents.expressions import Ended, Leaf, lock, wake
-from pycram.fluents.pulses import accounts_on, pulse
+from pycram.fluents.expressions import Ended, Leaf, lock, notify
+from pycram.fluents.pulses import counters_on, pulse
 from recorder import records
 from recorder.tracing import journal
 from recorder.tracing.interrupts import Uninterrupted
@@ -14,7 +14,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from pycram.fluents.expressions import Term, Value
+    from pycram.fluents.expressions import Expression, Value
 
 _numbers = itertools.count(1)
 
@@ -23,9 +23,10 @@ class Variable(Leaf):
     """A value that is set.
 
     Attributes:
-        name: what it is called.
-        source: what of a world it follows, for the record.
-        bodies: names of the objects whose it is.
+        name: Its name.
+        source: What it follows in a world ("pose", "joint", ...), for the record; "" if it is set by the plan.
+        bodies: Names of the objects that it follows.
+        json: Its value as JSON, for the record; None if that isn't known.
     """
 
     __slots__ = ("bodies", "json", "name", "source")
@@ -38,11 +39,11 @@ class Variable(Leaf):
         self.json: str | None = None
 
     def text(self, depth: int = 0) -> str:  # noqa: ARG002  names have no depth
-        """Its name."""
+        """Return its name."""
         return self.name
 
-    def tell(self) -> None:
-        """Makes sure that its value is known as JSON; never with a lock held, as the value says itself what it is."""
+    def serialize(self) -> None:
+        """Convert its value to JSON; never with a lock held, as the value may have a conversion of its own."""
         if self.json is None and not isinstance(self.held, Ended):
             held = self.held
             json = records.to_json(held)
@@ -51,73 +52,65 @@ class Variable(Leaf):
                     self.json = json
 
     def record(self, after: str) -> records.Fluent:
-        """The record of its next value.
-
-        Args:
-            after: that value as JSON.
-        """
+        """Return the record of its next value, given as JSON."""
         return records.Fluent(
             name=self.name, before_json=self.json or "", after_json=after, source=self.source, bodies=self.bodies
         )
 
 
-def change(news: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
-    """Gives variables new values, all at the same moment, records that, and pulses them.
+def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
+    """Give variables new values, all at the same moment, record that, and pulse them.
 
     Args:
-        news: the new values.
-        world: name of the world that they follow.
-        sim_step: simulated steps of that world when they became so.
+        values: The new values.
+        world: Name of the world that they follow.
+        sim_step: Simulated steps of that world when they changed.
 
     Raises:
-        RecordingError: a change can't be recorded; it isn't made then.
+        RecordingError: A change can't be recorded; it isn't made then.
     """
-    told: dict[Variable, str] = {}
+    serialized: dict[Variable, str] = {}
     if journal.recording():
-        for variable, value in news.items():
-            variable.tell()
-            told[variable] = records.to_json(value)
+        for variable, value in values.items():
+            variable.serialize()
+            serialized[variable] = records.to_json(value)
     with Uninterrupted():
-        old = []  # kept until the lock is free
+        old = []  # freed after the lock is released
         with lock:
-            for variable, json in told.items():
+            for variable, json in serialized.items():
                 journal.emit(variable.record(json), world=world, sim_step=sim_step)
-            for variable, value in news.items():
+            for variable, value in values.items():
                 old.append(variable.held)
-                variable.held, variable.json = value, told.get(variable)
-            pulse(news)
+                variable.held, variable.json = value, serialized.get(variable)
+            pulse(values)
 
 
-def touch(term: Term) -> None:
-    """Pulses a term without changing any value; on record as a change to the same.
-
-    Args:
-        term: any.
+def pulse_unchanged(expression: Expression) -> None:
+    """Pulse an expression without changing any value; recorded as an assignment of the same value.
 
     Raises:
-        RecordingError: it can't be recorded; nothing is pulsed then.
+        RecordingError: It can't be recorded; nothing is pulsed then.
     """
     record = None
     if journal.recording():
-        if isinstance(term, Variable):
-            term.tell()
-        record = term.record(term.json or "") if isinstance(term, Variable) else records.Fluent(name=term.text())
+        if isinstance(expression, Variable):
+            expression.serialize()
+        record = (
+            expression.record(expression.json or "")
+            if isinstance(expression, Variable)
+            else records.Fluent(name=expression.text())
+        )
     with Uninterrupted(), lock:
         if record is not None:
             record.before_json = record.after_json
             journal.emit(record)
-        pulse((term,))
+        pulse((expression,))
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """Ends leaves: whoever asks for their values or waits for them is told that they are gone.
-
-    Args:
-        leaves: the leaves.
-        ended: what is gone.
-    """
+    """End leaves: their values can't be read any more, and waiting for them ends with an error."""
     with lock:
-        all_ended = (*leaves, *accounts_on(leaves))
+        all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:
             leaf.held = ended
-        wake(all_ended)
+        notify(all_ended)

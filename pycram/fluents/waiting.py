@@ -1,7 +1,7 @@
-"""Watching: seeing every state of a term, in order, for as long as one waits.
+"""Waiting: a stream of all states of an expression, in order.
 
-Whoever changes a leaf only hands on the new state; it is looked at by the one who waits, in his own thread and without
-a lock. So a slow or broken function of a network harms nobody else, and a moment is long enough to be seen.
+A change of a leaf only appends the new state; values are computed by the waiting thread, without a lock. So a slow or
+failing function of a network harms no other thread, and no state is missed, however short it lasts.
 """
 
 from __future__ import annotations
@@ -18,52 +18,45 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import Self
 
-    from pycram.fluents.expressions import State, Term, Value
+    from pycram.fluents.expressions import Expression, State, Value
 
 
-class Watch:
-    """Sees the state of a term when its block begins, and every one after that until the block ends.
+class StateStream:
+    """The state of an expression when its block begins, and every later one until the block ends."""
 
-    Args:
-        term: what to watch; while nobody does, it costs nothing.
-    """
+    __slots__ = ("_expression", "_news", "_states")
 
-    __slots__ = ("_news", "_states", "_term")
-
-    def __init__(self, term: Term) -> None:
-        self._term = term
+    def __init__(self, expression: Expression) -> None:
+        self._expression = expression
         self._news = Condition()
         self._states: deque[State] = deque()
 
     def __enter__(self) -> Self:
         with lock:
-            for leaf in self._term.leaves:
-                leaf.watchers.append(self)
-            self.see()
+            for leaf in self._expression.leaves:
+                leaf.waiters.append(self)
+            self.state_changed()
         return self
 
     def __exit__(self, *_: object) -> None:
         with lock:
-            for leaf in self._term.leaves:
-                leaf.watchers.remove(self)
+            for leaf in self._expression.leaves:
+                leaf.waiters.remove(self)
 
-    def see(self) -> None:
-        """Notes the state; called with the lock held."""
-        if not self._states:  # otherwise he isn't asleep, or has been woken already
+    def state_changed(self) -> None:
+        """Append the state; called with the lock held."""
+        if not self._states:  # otherwise the waiting thread isn't asleep, or has been notified already
             self._news.notify_all()
-        self._states.append({leaf: leaf.held for leaf in self._term.leaves})
+        self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
 
     def states(self, timeout: float | None = None) -> Iterator[State]:
-        """The states, as they come.
+        """Yield the states, as they come.
 
         Args:
-            timeout: in seconds from now; None to go on for ever.
-
-        Yields:
-            Each state until the time is up, however fast they come.
+            timeout: In seconds from now, however fast states come; None for no limit.
 
         Raises:
-            Cancelled: the branch has been told to stop.
+            Cancelled: The branch is cancelled.
         """
         limit = None if timeout is None else min(timeout, threading.TIMEOUT_MAX)
         end = None if limit is None else time.monotonic() + limit
@@ -78,21 +71,21 @@ class Watch:
             wait(self._news, lambda: bool(self._states), left)
 
 
-def first_value(term: Term, timeout: float | None = None) -> Value:
-    """Waits until the value of a term is not None.
+def first_value(expression: Expression, timeout: float | None = None) -> Value:
+    """Wait until the value of an expression is not None, if only for a moment.
 
     Args:
-        term: the term.
-        timeout: in seconds; None to wait for ever.
+        expression: The expression.
+        timeout: In seconds; None for no limit.
 
     Returns:
-        The value that it had then, if only for a moment; None when the time is up.
+        The value that it had then; None when the time is up.
 
     Raises:
-        Cancelled: the branch has been told to stop.
-        WorldClosed: something that it follows is gone.
-        Exception: what a function of the network raised.
+        Cancelled: The branch is cancelled.
+        WorldClosed: An object or world that it follows is gone.
+        Exception: Of a function of the network.
     """
-    with Watch(term) as watch:
-        values = (term.value(state) for state in watch.states(timeout))
+    with StateStream(expression) as stream:
+        values = (expression.value(state) for state in stream.states(timeout))
         return next((value for value in values if value is not None), None)

@@ -1,10 +1,10 @@
-"""``whenever``: reacts to a fluent, again and again, until the block around is decided."""
+"""``whenever``: reacts to a fluent, again and again, until the block around it is decided."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, overload
 
-from pycram.fluents.pulses import Account
+from pycram.fluents.pulses import PulseCounter
 from pycram.fluents.waiting import first_value
 from pycram.foundation.failures import BadArgument
 from pycram.language.actions import lazy, run
@@ -16,7 +16,7 @@ from recorder.tracing.span import span
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from pycram.fluents.expressions import Term, Value
+    from pycram.fluents.expressions import Expression, Value
     from pycram.fluents.fluent import Fluent
 
 
@@ -30,7 +30,7 @@ def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 @lazy("`s(whenever, fluent, body)`: without a body it gives an iterator, for a `for` loop to go through")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Does something as often as a fluent's value is not None: again and again while it stays so.
+    """Run a body whenever a fluent's value is not None: again and again while it stays so.
 
     Of pulses, made by :meth:`Fluent.pulsed`, each is handled by one run, or as their behavior says::
 
@@ -45,22 +45,22 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
     is decided; a loop also by ``break``, and both by what the body raises.
 
     Args:
-        fluent: what to wait for, each time.
-        body: what to do; None to do it in a ``for`` loop.
+        fluent: The fluent to wait for, each time.
+        body: The function to run; None for a ``for`` loop.
 
     Returns:
-        Without a body an iterator that waits, and gives the value that isn't None.
+        Without a body an iterator that waits, and yields the value that isn't None.
 
     Raises:
-        BadArgument: not a fluent, or a body that can't be called.
-        Cancelled: the branch has been told to stop.
+        BadArgument: Not a fluent, or a body that isn't callable.
+        Cancelled: The branch is cancelled.
     """
     from pycram.fluents.fluent import Fluent  # noqa: PLC0415  which shows this function
 
     watched = unwrap(fluent)
     if not isinstance(watched, Fluent):
         raise BadArgument("fluent", watched, "a fluent")
-    runs = _runs(watched.term)
+    runs = _runs(watched.expression)
     if body is None:
         return runs
     if not callable(body):
@@ -71,16 +71,16 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
     return None
 
 
-def _runs(term: Term) -> Iterator[Value]:
+def _runs(expression: Expression) -> Iterator[Value]:
     await_turn()
-    accounts = [leaf for leaf in term.leaves if isinstance(leaf, Account)]
+    counters = [leaf for leaf in expression.leaves if isinstance(leaf, PulseCounter)]
     while True:
         checkpoint()
-        value = first_value(term)
-        for account in accounts:
-            account.take()
+        value = first_value(expression)
+        for counter in counters:
+            counter.take()
         try:
             yield value
         finally:
-            for account in accounts:
-                account.settle()
+            for counter in counters:
+                counter.settle()

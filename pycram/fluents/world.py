@@ -1,14 +1,14 @@
 """Fluents that follow a world: where an object is, what a robot holds, whether two things touch.
 
-They are brought up to date by the one funnel through which worlds change, with the world's lock held: in the order of
-the changes, each a moment of its own for all fluents of that world, and on record after the change that caused it.
-Nobody is called then; those who wait are only woken. While time is simulated they are looked at 30 times a simulated
-second; what they were on the way is told, in order, when the stretch has ended.
+They are updated with each world transaction, with the world's lock held: in the order of the transactions, all fluents
+of that world at the same moment, and recorded after the change that caused it. No user code is called then; waiting
+threads are only notified. During a simulation they are read 30 times a simulated second; these values are assigned, in
+order, when the simulation has ended.
 
-A fluent of an object that was removed, or of a world that has ended, has no value any more: whoever asks or waits gets
-:class:`~pycram.failures.WorldClosed`. A world that no fluent follows pays nothing.
+A fluent of an object that was removed, or of a world that has ended, has no value any more: reading it and waiting for
+it raise :class:`~pycram.failures.WorldClosed`. A world that no fluent follows has no extra cost.
 
-Values are plain: tuples in m and xyzw, floats in rad or m, names. They change only when they are others than before::
+Values are plain: tuples in m and xyzw, floats in rad or m, names. They are assigned only when they have changed::
 
     height = network(itemgetter(2), position(milk))
     (height < 0.5).OR(holding(robot, "left") == "milk").wait_for()
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from pycram.fluents.expressions import Ended
 from pycram.fluents.fluent import Derived
-from pycram.fluents.variables import Variable, change, end
+from pycram.fluents.variables import Variable, assign, end
 from pycram.foundation.failures import BadArgument
 from pycram.reasoning.queries.contact import touches
 from pycram.reasoning.queries.query import world_of
@@ -33,103 +33,87 @@ if TYPE_CHECKING:
     from pycram.fluents.expressions import Value
     from pycram.fluents.fluent import Fluent
     from pycram.world.object import Object
-    from pycram.world.transaction import Change
+    from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 
 __all__ = ["contact", "holding", "joint", "pose", "position"]
 
 
 def pose(body: Object, link: str | None = None) -> Fluent:
-    """Follows the pose of an object: ((x, y, z), (x, y, z, w)).
-
-    Args:
-        body: the object.
-        link: one of its links; by default the base link.
+    """Follow the pose of an object's base link, or of another link: ((x, y, z), (x, y, z, w)) in the world frame.
 
     Raises:
-        BadArgument: it isn't an object.
-        UnknownName: there is no such link.
-        WorldClosed: it is gone.
+        BadArgument: It isn't an object.
+        UnknownName: There is no such link.
+        WorldClosed: It is gone.
     """
-    whole, name = _link(body, link)
-    return _follow("pose", name, lambda: _pose(whole, link), whole)
+    owner, name = _link(body, link)
+    return _follow("pose", name, lambda: _pose(owner, link), owner)
 
 
 def position(body: Object, link: str | None = None) -> Fluent:
-    """Follows the position of an object: (x, y, z) in m.
-
-    Args:
-        body: the object.
-        link: one of its links; by default the base link.
+    """Follow the position of an object's base link, or of another link: (x, y, z) in m in the world frame.
 
     Raises:
-        BadArgument: it isn't an object.
-        UnknownName: there is no such link.
-        WorldClosed: it is gone.
+        BadArgument: It isn't an object.
+        UnknownName: There is no such link.
+        WorldClosed: It is gone.
     """
-    whole, name = _link(body, link)
-    return _follow("position", name, lambda: _pose(whole, link)[0], whole)
+    owner, name = _link(body, link)
+    return _follow("position", name, lambda: _pose(owner, link)[0], owner)
 
 
 def joint(body: Object, name: str) -> Fluent:
-    """Follows the value of a joint, in rad or m.
-
-    Args:
-        body: the object.
-        name: of the joint.
+    """Follow the position of an object's joint, in rad or m.
 
     Raises:
-        BadArgument: it isn't an object.
-        UnknownName: there is no such movable joint.
-        WorldClosed: it is gone.
+        BadArgument: It isn't an object.
+        UnknownName: There is no such movable joint.
+        WorldClosed: It is gone.
     """
-    whole = _object(body)
-    whole.check_joint(name)
-    return _follow("joint", f"{name} of {whole.name}", lambda: whole.get_joint_position(name), whole)
+    owner = _object(body)
+    owner.check_joint(name)
+    return _follow("joint", f"{name} of {owner.name}", lambda: owner.get_joint_position(name), owner)
 
 
 def holding(robot: Object, arm: str | None = None) -> Fluent:
-    """Follows what a robot holds: the name of the object, None if there is none; the first of several.
+    """Follow what a robot holds: the name of the object, None if there is none; the first of several.
 
     Args:
-        robot: the robot, or any other object that carries things.
-        arm: one of its arms ("left", "right"); by default whatever it carries.
+        robot: The robot, or any other object that carries things.
+        arm: One of its arms ("left", "right"); by default all its links.
 
     Raises:
-        BadArgument: it isn't an object, or has no arms.
-        UnknownName: there is no such arm.
-        WorldClosed: it is gone.
+        BadArgument: It isn't an object, or has no arms.
+        UnknownName: There is no such arm.
+        WorldClosed: It is gone.
     """
     carrier = _object(robot)
     links = None if arm is None else _gripper(carrier, arm)
 
     def held() -> str | None:
-        return next((one.body.name for one in carrier.carried if links is None or one.carrier_link in links), None)
+        return next((each.body.name for each in carrier.carried if links is None or each.carrier_link in links), None)
 
     return _follow("holding", carrier.name if arm is None else f"{arm} arm of {carrier.name}", held, carrier)
 
 
-def contact(one: Object, other: Object) -> Fluent:
-    """Follows whether two objects touch: True or None.
-
-    Args:
-        one: an object.
-        other: another one of the same world.
+def contact(object1: Object, object2: Object) -> Fluent:
+    """Follow whether two objects of the same world touch: True or None.
 
     Raises:
-        BadArgument: one isn't an object, or they are in different worlds.
-        WorldClosed: one is gone.
+        BadArgument: One isn't an object, or they are in different worlds.
+        WorldClosed: One is gone.
     """
-    a, b = _object(one), _object(other)
+    a, b = _object(object1), _object(object2)
     return _follow("contact", f"{a.name} and {b.name}", lambda: True if touches(a, b) else None, a, b)
 
 
-class _Followed(Variable):
-    """A variable that is what a world says.
+class _WorldVariable(Variable):
+    """A variable that follows a world.
 
     Attributes:
-        read: gives its value; called with the world's lock held, while the objects exist.
-        objects: the objects whose it is.
+        read: Returns its present value; called with the world's lock held, while the objects exist.
+        objects: The objects that it follows.
     """
 
     __slots__ = ("objects", "read")
@@ -140,66 +124,68 @@ class _Followed(Variable):
         self.objects = objects
 
     def gone(self) -> str:
-        """Which of its objects has been removed, in words; "" if none."""
+        """Return which of its objects has been removed; "" for none."""
         return next((f"object {body.name}" for body in self.objects if not body.alive), "")
 
 
-class Followers:
-    """The variables that follow one world; what its funnel tells of changes."""
+class WorldVariables:
+    """The variables that follow one world; the observer of its transactions."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self._followed: weakref.WeakValueDictionary[str, _Followed] = weakref.WeakValueDictionary()
-        self._passed: list[tuple[int, dict[_Followed, Value]]] = []
+        self._variables: weakref.WeakValueDictionary[str, _WorldVariable] = weakref.WeakValueDictionary()
+        self._passed: list[tuple[int, dict[_WorldVariable, Value]]] = []
 
-    def follow(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> _Followed:
-        """The variable for something; the same for all who follow the same. The world's lock is held."""
+    def variable(
+        self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]
+    ) -> _WorldVariable:
+        """Return the variable of a source, the same for all fluents that follow it. The world's lock is held."""
         key = f"{source} of {name}"
-        known = self._followed.get(key)
+        known = self._variables.get(key)
         if known is None:
-            self._followed[key] = known = _Followed(source, name, read, objects)
+            self._variables[key] = known = _WorldVariable(source, name, read, objects)
         return known
 
-    def passed(self) -> None:
-        """Simulated time has passed: notes what is others now, to be told at the end of the change."""
-        now = {followed: followed.read() for followed in self._followed.values() if not followed.gone()}
-        if now:
-            self._passed.append((self._world.sim_step, now))
+    def time_passed(self) -> None:
+        """Read all variables within a simulation; they are assigned at the end of its transaction."""
+        values = {variable: variable.read() for variable in self._variables.values() if not variable.gone()}
+        if values:
+            self._passed.append((self._world.sim_step, values))
 
-    def changed(self, done: Change) -> None:
-        """A change is on record: brings what it concerns up to date. The world's lock is held."""
-        followed = list(self._followed.values())
-        if not followed:
+    def committed(self, transaction: Transaction) -> None:
+        """Update the variables that a recorded transaction affects. The world's lock is held."""
+        variables = list(self._variables.values())
+        if not variables:
             return
         world = self._world
         for sim_step, values in self._passed:
-            _tell(values, world.name, sim_step)
+            _assign_changed(values, world.name, sim_step)
         self._passed.clear()
         if world.closed:
-            end(followed, Ended(world.name, "the world"))
+            end(variables, Ended(world.name, "the world"))
             return
-        for one in followed:
-            if gone := one.gone():
-                end((one,), Ended(world.name, gone))
-                del self._followed[one.name]
-        names = done.concerned()
-        living = [one for one in followed if one.name in self._followed and not names.isdisjoint(one.bodies)]
-        _tell({one: one.read() for one in living}, world.name, world.sim_step)
+        for variable in variables:
+            if gone := variable.gone():
+                end((variable,), Ended(world.name, gone))
+                del self._variables[variable.name]
+        names = transaction.affected()
+        affected = [each for each in variables if each.name in self._variables and not names.isdisjoint(each.bodies)]
+        _assign_changed({variable: variable.read() for variable in affected}, world.name, world.sim_step)
 
 
-def _tell(values: dict[_Followed, Value], world: str, sim_step: int) -> None:
-    news: dict[Variable, Value] = {followed: value for followed, value in values.items() if value != followed.held}
-    if news:
-        change(news, world, sim_step)
+def _assign_changed(values: dict[_WorldVariable, Value], world: str, sim_step: int) -> None:
+    changed: dict[Variable, Value] = {variable: value for variable, value in values.items() if value != variable.held}
+    if changed:
+        assign(changed, world, sim_step)
 
 
 def _follow(source: str, name: str, read: Callable[[], Value], *objects: Object) -> Fluent:
     world = world_of(*objects)
     with world.lock:
         transactions = world.transactions
-        if not isinstance(transactions.observer, Followers):
-            transactions.observer = Followers(world)
-        return Derived(transactions.observer.follow(source, name, read, objects))
+        if not isinstance(transactions.observer, WorldVariables):
+            transactions.observer = WorldVariables(world)
+        return Derived(transactions.observer.variable(source, name, read, objects))
 
 
 def _object(body: Object) -> Object:
@@ -209,17 +195,17 @@ def _object(body: Object) -> Object:
 
 
 def _link(body: Object, link: str | None) -> tuple[Object, str]:
-    whole = _object(body)
-    return whole, whole.name if link is None else f"{whole.check_link(link)} of {whole.name}"
+    owner = _object(body)
+    return owner, owner.name if link is None else f"{owner.check_link(link)} of {owner.name}"
 
 
 def _pose(body: Object, link: str | None) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    at, turn = body.get_position_and_orientation() if link is None else body.get_link_position_and_orientation(link)
-    return tuple(at), tuple(turn)
+    position, orientation = body.get_link_position_and_orientation(body.check_link(link))
+    return tuple(position), tuple(orientation)
 
 
 def _gripper(robot: Object, arm: str) -> frozenset[str]:
-    """The links with which an arm holds."""
+    """Return the links with which an arm holds."""
     if robot.description is None:
         raise BadArgument("robot", robot, "a robot with arms")
     described = robot.description.arm(arm)

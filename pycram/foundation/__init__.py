@@ -1,1 +1,1 @@
-"""What every room uses: errors, checks of values, names."""
+"""What every room uses: errors, checks of arguments, names, redirected output."""

@@ -1,6 +1,7 @@
-"""Checks of what users give, before anything changes: numbers, positions, orientations, colours.
+"""Checks of what users give, before anything changes: numbers, positions, orientations, colours, names.
 
-Each returns plain floats, so that nothing of the caller's arrays is kept or aliased.
+Each takes the parameter's name for the error and the given value, returns plain Python values (nothing of the caller's
+arrays is kept or aliased), and raises BadArgument for anything else.
 """
 
 from __future__ import annotations
@@ -18,20 +19,13 @@ from pycram.foundation.failures import BadArgument
 if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
 
-_MOST = 2**53
-_FARTHEST = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
+_MAX_COUNT = 2**53  # JSON has no larger whole numbers
+_MAX_COORDINATE = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
+_UNIT_TOLERANCE = 1e-9  # within which a quaternion's length is 1
 
 
 def number(argument: str, value: object) -> float:
-    """A finite number.
-
-    Args:
-        argument: what it is, for the error.
-        value: what was given.
-
-    Raises:
-        BadArgument: it isn't one.
-    """
+    """Return a finite number."""
     if isinstance(value, bool | str | bytes):
         raise BadArgument(argument, value, "a number")
     try:
@@ -43,52 +37,63 @@ def number(argument: str, value: object) -> float:
     return result
 
 
-def at_least(argument: str, value: object, least: float) -> float:
-    """A finite number that isn't too small.
-
-    Args:
-        argument: what it is, for the error.
-        value: what was given.
-        least: the smallest that will do.
-
-    Raises:
-        BadArgument: it isn't one.
-    """
+def in_range(argument: str, value: object, low: float, high: float = math.inf) -> float:
+    """Return a finite number from low to high, both included."""
     result = number(argument, value)
-    if result < least:
-        raise BadArgument(argument, value, f"a number from {least:g} up")
+    if not low <= result <= high:
+        raise BadArgument(argument, value, f"a number from {low:g} {'up' if high == math.inf else f'to {high:g}'}")
     return result
 
 
 def count(argument: str, value: object) -> int:
-    """A whole number from 0 up.
-
-    Args:
-        argument: what it is, for the error.
-        value: what was given.
-
-    Raises:
-        BadArgument: it isn't one, or more than records can hold.
-    """
+    """Return a whole number from 0 up that records can hold."""
     result = number(argument, value)
-    if result != int(result) or not 0 <= result < _MOST:
+    if result != int(result) or not 0 <= result < _MAX_COUNT:
         raise BadArgument(argument, value, "a whole number from 0 up")
     return int(result)
 
 
 def switch(argument: str, value: object) -> bool:
-    """On or off.
-
-    Args:
-        argument: what it is, for the error.
-        value: True or False, also as 1 or 0.
-
-    Raises:
-        BadArgument: it is neither.
-    """
+    """Return True or False, also given as 1 or 0."""
     if isinstance(value, bool | int | np.bool_ | np.integer) and value in (0, 1):
         return bool(value)
     raise BadArgument(argument, value, "True or False")
+
+
+def vector(argument: str, value: object) -> Vector:
+    """Return three finite coordinates."""
+    x, y, z = _numbers(argument, value, 3, "3 finite numbers x, y, z")
+    if max(abs(x), abs(y), abs(z)) > _MAX_COORDINATE:
+        raise BadArgument(argument, value, f"coordinates within {_MAX_COORDINATE:g}")
+    return x, y, z
+
+
+def quaternion(argument: str, value: object) -> Quaternion:
+    """Return the unit quaternion of 4 numbers x, y, z, w that aren't all zero; one of unit length keeps its bits."""
+    expected = "4 finite numbers x, y, z, w that aren't all zero"
+    x, y, z, w = _numbers(argument, value, 4, expected)
+    length = math.hypot(x, y, z, w)
+    if not math.isfinite(length) or length < _UNIT_TOLERANCE:
+        raise BadArgument(argument, value, expected)
+    if abs(length - 1) > _UNIT_TOLERANCE:
+        x, y, z, w = x / length, y / length, z / length, w / length
+    return x, y, z, w
+
+
+def color(argument: str, value: object) -> tuple[float, float, float, float]:
+    """Return a colour RGBA, each 0..1."""
+    expected = "4 numbers r, g, b, a from 0 to 1"
+    r, g, b, a = _numbers(argument, value, 4, expected)
+    if min(r, g, b, a) < 0 or max(r, g, b, a) > 1:
+        raise BadArgument(argument, value, expected)
+    return r, g, b, a
+
+
+def text(argument: str, value: object) -> str:
+    """Return a string that isn't empty and that files can hold: it has no lone surrogates."""
+    if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
+        raise BadArgument(argument, value, "a string that isn't empty")
+    return value
 
 
 def _numbers(argument: str, value: object, length: int, expected: str) -> tuple[float, ...]:
@@ -101,74 +106,3 @@ def _numbers(argument: str, value: object, length: int, expected: str) -> tuple[
         return tuple(number(argument, item) for item in items)
     except BadArgument as error:
         raise BadArgument(argument, value, expected) from error
-
-
-def vector(argument: str, value: object) -> Vector:
-    """Three finite numbers.
-
-    Args:
-        argument: what it is, for the error.
-        value: list, tuple or array of 3.
-
-    Raises:
-        BadArgument: it isn't that.
-    """
-    x, y, z = _numbers(argument, value, 3, "3 finite numbers x, y, z")
-    if max(abs(x), abs(y), abs(z)) > _FARTHEST:
-        raise BadArgument(argument, value, f"coordinates within {_FARTHEST:g}")
-    return x, y, z
-
-
-def quaternion(argument: str, value: object) -> Quaternion:
-    """A rotation.
-
-    Args:
-        argument: what it is, for the error.
-        value: 4 numbers x, y, z, w that aren't all zero.
-
-    Returns:
-        The unit quaternion; one that is a unit already (to 1e-9) keeps its bits.
-
-    Raises:
-        BadArgument: it isn't that.
-    """
-    expected = "4 finite numbers x, y, z, w that aren't all zero"
-    x, y, z, w = _numbers(argument, value, 4, expected)
-    length = math.hypot(x, y, z, w)
-    if not math.isfinite(length) or length < 1e-9:
-        raise BadArgument(argument, value, expected)
-    if abs(length - 1) > 1e-9:
-        x, y, z, w = x / length, y / length, z / length, w / length
-    return x, y, z, w
-
-
-def color(argument: str, value: object) -> tuple[float, float, float, float]:
-    """A colour.
-
-    Args:
-        argument: what it is, for the error.
-        value: RGBA, each 0..1.
-
-    Raises:
-        BadArgument: it isn't that.
-    """
-    expected = "4 numbers r, g, b, a from 0 to 1"
-    r, g, b, a = _numbers(argument, value, 4, expected)
-    if min(r, g, b, a) < 0 or max(r, g, b, a) > 1:
-        raise BadArgument(argument, value, expected)
-    return r, g, b, a
-
-
-def text(argument: str, value: object) -> str:
-    """A name.
-
-    Args:
-        argument: what it is, for the error.
-        value: a string that isn't empty.
-
-    Raises:
-        BadArgument: it isn't that, or has characters that no file can hold (lone surrogates).
-    """
-    if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
-        raise BadArgument(argument, value, "a string that isn't empty")
-    return value

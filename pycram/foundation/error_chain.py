@@ -1,24 +1,21 @@
-"""Errors that happened together: one is raised, the others stay attached to it, so that none vanishes."""
+"""Errors that happened together: one is raised with the others in its context chain, so that none is lost."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NoReturn, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
 ErrorType = TypeVar("ErrorType", bound=BaseException)
 
 
 def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
-    """Hangs errors behind the context of the one that is going to be raised; tracebacks then print all of them.
+    """Append errors to the context chain of one that is going to be raised; tracebacks then print all of them.
 
     Args:
-        error: the error to raise.
-        others: what happened beside it. Those that its chain holds already are left out.
-
-    Returns:
-        The error.
+        error: The error to raise, which is returned.
+        others: Errors that happened beside it; those that its chain holds already are left out.
     """
     for other in others:
         last: BaseException = error
@@ -26,18 +23,25 @@ def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
         while (earlier := last.__cause__ or last.__context__) is not None and id(earlier) not in known:
             last = earlier
             known.add(id(last))
-        if id(other) not in known and _freed(other, known):
+        if id(other) not in known and _detached(other, known):
             last.__context__ = other
             last.__suppress_context__ = False
     return error
 
 
-def raise_unchanged(error: BaseException) -> NoReturn:
-    """Raises an error with the context that it has, also while another one is being handled.
+def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
+    """Make all calls, also after one that raised, and return the errors."""
+    errors = []
+    for call in calls:
+        try:
+            call()
+        except Exception as error:  # noqa: BLE001  the caller raises it when all are made
+            errors.append(error)
+    return errors
 
-    Args:
-        error: the error.
-    """
+
+def raise_unchanged(error: BaseException) -> NoReturn:
+    """Raise an error with the context that it has, also while another one is being handled."""
     context = error.__context__
     try:
         raise error
@@ -45,10 +49,11 @@ def raise_unchanged(error: BaseException) -> NoReturn:
         error.__context__ = context
 
 
-def _freed(error: BaseException, known: set[int]) -> bool:
-    """Parts an error from the known ones if it only came while they were handled; whether it is parted from them now.
+def _detached(error: BaseException, known: set[int]) -> bool:
+    """Cut an error's context chain before the known errors, as appending it to them would close a circle.
 
-    Hanging it behind them would close a circle otherwise.
+    Returns:
+        False if it was raised explicitly from one of them, and so can't be cut off.
     """
     seen: set[int] = set()
     later = error

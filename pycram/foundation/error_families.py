@@ -1,9 +1,9 @@
-"""The two families of errors, and what all of them can.
+"""The two families of errors, and what all of them have in common.
 
 A :class:`PlanFailure` says that the world refused: a plan may catch it and try something else. A :class:`UsageError`
 says that the program is wrong: nothing should catch it. Every error keeps its data as attributes, which the recording
-stores beside the message. It may be a dataclass, also a frozen one: what Python itself notes on an exception while that
-rises (its traceback and context) can be set all the same.
+stores beside the message. It may be a dataclass, also a frozen one: the attributes that Python sets while an exception
+propagates (traceback, context) can be set all the same.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class PycramError(Exception):
     """Base of everything that PyCRAM raises on purpose."""
 
     def __new__(cls, *args: object, **kwargs: object) -> Self:
-        """Makes an instance that can rise, whatever its class does to assignments."""
-        if cls not in _able_to_rise:
-            _let_rise(cls)
+        """Make an instance that can be raised even if its class refuses assignments."""
+        if cls not in _raisable:
+            _make_raisable(cls)
         return super().__new__(cls, *args, **kwargs)
 
     @property
@@ -43,11 +43,7 @@ class UsageError(PycramError):
 
 
 def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
-    """The slots in which an error holds fields, as dataclasses with ``slots=True`` do.
-
-    Args:
-        error: the error.
-    """
+    """Yield the slots in which an error holds fields, as dataclasses with ``slots=True`` do."""
     for base in type(error).__mro__:
         if issubclass(base, PycramError):
             for slot in vars(base).values():
@@ -55,32 +51,32 @@ def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
                     yield slot
 
 
-#: What Python notes on an exception while that rises; context managers do so too, those of contextlib among them.
-_NOTED: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
+#: What Python sets on an exception that propagates; context managers, those of contextlib among them, do so too.
+_SET_BY_PYTHON: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
 
-_able_to_rise: Final[WeakSet[type[PycramError]]] = WeakSet()
+_raisable: Final[WeakSet[type[PycramError]]] = WeakSet()
 
 
-def _let_rise(kind: type[PycramError]) -> None:
-    """Lets through what Python notes where a class refuses assignments, as frozen dataclasses do.
+def _make_raisable(kind: type[PycramError]) -> None:
+    """Allow what Python sets on exceptions where a class refuses assignments, as frozen dataclasses do.
 
-    A decorator makes a class so after all that base classes are told of it: it is seen when there is an instance.
+    A dataclass gets its ``__setattr__`` only after ``__init_subclass__`` has run: hence with the first instance.
     """
     for base in kind.__mro__:
-        if issubclass(base, PycramError) and base not in _able_to_rise:
-            _able_to_rise.add(base)
+        if issubclass(base, PycramError) and base not in _raisable:
+            _raisable.add(base)
             if "__setattr__" in vars(base):
-                _let_through(base)
+                _allow_python(base)
 
 
-def _let_through(kind: type[PycramError]) -> None:
+def _allow_python(kind: type[PycramError]) -> None:
     assign = kind.__setattr__
 
     @functools.wraps(assign)
-    def note_or_assign(error: PycramError, name: str, value: object) -> None:
-        if name in _NOTED:
+    def set_or_assign(error: PycramError, name: str, value: object) -> None:
+        if name in _SET_BY_PYTHON:
             BaseException.__setattr__(error, name, value)
         else:
             assign(error, name, value)
 
-    kind.__setattr__ = note_or_assign  # type: ignore[method-assign, assignment]
+    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]

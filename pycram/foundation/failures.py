@@ -1,16 +1,14 @@
-"""What can go wrong, in two families (:mod:`pycram.foundation.error_families`).
+"""What can go wrong in worlds and motions, in two families (:mod:`pycram.foundation.error_families`).
 
-A :class:`PlanFailure` says that the world refused (out of reach, not seen, in collision): a plan may catch it and try
-something else. A :class:`UsageError` says that the program is wrong (a misspelt joint, a pose with NaN): nothing
-should catch it. Every error keeps its data as attributes, which the recording stores beside the message.
+Plan failures: out of reach, not seen, in collision. Usage errors: a misspelt joint, a pose with NaN.
 """
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
+from pycram.foundation.names import did_you_mean, export, nearest_names
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -41,7 +39,11 @@ __all__ = [
     "WorldClosed",
 ]
 
-_FEW = 10  # names that fit into a message
+_MAX_LISTED = 10  # names that fit into a message
+
+
+def _point(coordinates: Sequence[float]) -> str:
+    return f"[{', '.join(f'{x:.3f}' for x in coordinates)}]"
 
 
 # --- usage ---------------------------------------------------------------------------------------------------------
@@ -93,19 +95,12 @@ class UnknownName(UsageError, LookupError):
 
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
-        nearest = difflib.get_close_matches(str(name), names, n=3, cutoff=0.4)
-        hint = (
-            f"did you mean {', '.join(nearest)}?"
-            if nearest
-            else f"it has {', '.join(names) or 'none'}"
-            if len(names) <= _FEW
-            else f"it has {len(names)} of them"
-        )
-        super().__init__(f"{owner} has no {kind} {name!r}; {hint}")
+        listed = (", ".join(names) or "none") if len(names) <= _MAX_LISTED else f"{len(names)} of them"
+        super().__init__(f"{owner} has no {kind} {name!r}{did_you_mean(name, names) or f'; it has {listed}'}")
         self.kind = kind
         self.name = name
         self.owner = owner
-        self.nearest = nearest
+        self.nearest = nearest_names(name, names)
 
 
 class AssetError(UsageError):
@@ -208,8 +203,8 @@ class PerceptionError(PlanFailure):
     def __init__(self, object_type: str = "", reasons: Mapping[str, str] | None = None) -> None:
         self.object_type = object_type
         self.reasons = dict(reasons or {})
-        told = "; ".join(f"{name} {reason}" for name, reason in self.reasons.items())
-        super().__init__(f"no {object_type or 'object'} found: {told or 'the world has none'}")
+        why = "; ".join(f"{name} {reason}" for name, reason in self.reasons.items())
+        super().__init__(f"no {object_type or 'object'} found: {why or 'the world has none'}")
 
 
 class Unreachable(PlanFailure):
@@ -219,13 +214,12 @@ class Unreachable(PlanFailure):
         arm: "left" or "right" (or the tool frame).
         target: xyz in m, world frame.
         distance: how near the tool came, in m.
-        reason: what else was in the way.
+        reason: what else prevented it.
     """
 
     def __init__(self, arm: str, target: Sequence[float], distance: float | None = None, reason: str = "") -> None:
         near = f"; the nearest posture stays {distance:.3f} m away" if distance is not None else ""
-        where = ", ".join(f"{x:.3f}" for x in target)
-        super().__init__(f"{arm} arm can't reach [{where}]{near}{'; ' + reason if reason else ''}")
+        super().__init__(f"{arm} arm can't reach {_point(target)}{near}{'; ' + reason if reason else ''}")
         self.arm = arm
         self.target = [float(x) for x in target]
         self.distance = distance
@@ -242,8 +236,7 @@ class InCollision(PlanFailure):
     """
 
     def __init__(self, position: Sequence[float], orientation: Sequence[float], bodies: Sequence[str]) -> None:
-        where = ", ".join(f"{x:.3f}" for x in position)
-        super().__init__(f"the robot at [{where}] would touch {', '.join(bodies)}; it stays where it is")
+        super().__init__(f"the robot at {_point(position)} would touch {', '.join(bodies)}; it stays where it is")
         self.position = [float(x) for x in position]
         self.orientation = [float(x) for x in orientation]
         self.bodies = list(bodies)
@@ -259,8 +252,7 @@ class NotDrivable(PlanFailure):
     """
 
     def __init__(self, position: Sequence[float], orientation: Sequence[float], reason: str) -> None:
-        where = ", ".join(f"{x:.3f}" for x in position)
-        super().__init__(f"the robot can't drive to [{where}]: {reason}; it stays where it is")
+        super().__init__(f"the robot can't drive to {_point(position)}: {reason}; it stays where it is")
         self.position = [float(x) for x in position]
         self.orientation = [float(x) for x in orientation]
         self.reason = reason
@@ -275,8 +267,8 @@ class PostureInCollision(PlanFailure):
     """
 
     def __init__(self, arms: Sequence[str], bodies: Sequence[str]) -> None:
-        told = " and ".join(arms)
-        super().__init__(f"in that posture the {told} arm would touch {', '.join(bodies)}; it stays where it is")
+        sides = " and ".join(arms)
+        super().__init__(f"in that posture the {sides} arm would touch {', '.join(bodies)}; it stays where it is")
         self.arms = list(arms)
         self.bodies = list(bodies)
 
@@ -290,8 +282,7 @@ class LookingFailed(PlanFailure):
     """
 
     def __init__(self, target: Sequence[float], angle: float) -> None:
-        where = ", ".join(f"{x:.3f}" for x in target)
-        super().__init__(f"the head can't look at [{where}]: {angle:.3f} rad remain at its joint limits")
+        super().__init__(f"the head can't look at {_point(target)}: {angle:.3f} rad remain at its joint limits")
         self.target = [float(x) for x in target]
         self.angle = angle
 
@@ -322,8 +313,7 @@ class PlaceFailed(PlanFailure):
     """
 
     def __init__(self, body: str, target: Sequence[float], reason: str) -> None:
-        where = ", ".join(f"{x:.3f}" for x in target)
-        super().__init__(f"{body} can't be placed at [{where}]: {reason}")
+        super().__init__(f"{body} can't be placed at {_point(target)}: {reason}")
         self.body = body
         self.target = [float(x) for x in target]
         self.reason = reason
@@ -341,3 +331,6 @@ class AccessFailed(PlanFailure):
         super().__init__(f"{joint} can't be opened: {reason}")
         self.joint = joint
         self.reason = reason
+
+
+export("pycram.failures", *(globals()[name] for name in __all__))

@@ -11,6 +11,7 @@ import traceback
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import PlanFailure, PycramError, slots_of
+from pycram.foundation.names import export
 from recorder.records import format_error
 
 if TYPE_CHECKING:
@@ -133,8 +134,11 @@ def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
     if not common:
         return BranchesFailed
     try:
-        made = type("BranchesFailed", (BranchesFailed, *common), {"__module__": __name__})
+        made = type("BranchesFailed", (BranchesFailed, *common), {"__module__": BranchesFailed.__module__})
         BaseException.__new__(made)
     except TypeError:  # types that can't be combined
         return BranchesFailed
     return made
+
+
+export("pycram.failures", BranchesFailed, NotCleanedUp)

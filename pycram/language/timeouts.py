@@ -89,8 +89,8 @@ def _watch(seconds: float) -> Iterator[CancelScope]:
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
     remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
     made = CancelScope(current_scope(), remaining)
-    world.alarms.add(made.notify_all)
+    world.time_listeners.add(made.notify_all)
     try:
         yield made
     finally:
-        world.alarms.discard(made.notify_all)
+        world.time_listeners.discard(made.notify_all)

@@ -1,7 +1,7 @@
-"""What of a model touches: convex pieces, as half spaces.
+"""Convex pieces of a model's collision shapes, as half spaces with which lines can be intersected.
 
-The engine takes the convex hull of each group of a collision mesh. Here the same hulls are planes, so that arithmetic
-can say where lines meet them. They are read once from the canonical URDF, whose name changes with its content.
+The pieces are those of the engine, which takes the convex hull of each group of a collision mesh. They are read once
+from the canonical URDF, whose name changes with its content.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 with needed():
     from scipy.spatial import ConvexHull, QhullError
 
-_SAME: Final = 9  # decimals to which triangles of one face have the same plane
+_PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +51,7 @@ class Solids:
 
 @lru_cache(maxsize=256)
 def solids_of(path: Path) -> Solids:
-    """The convex pieces of a model's collision shapes.
-
-    Args:
-        path: its canonical URDF, beside its meshes (see :mod:`pycram.models.load`).
-    """
+    """Return the convex pieces of the model with a canonical URDF."""
     found = list(visual.pieces_of(path))
     planes = [_planes(corners) for _, corners in found]
     every = np.concatenate(planes) if planes else np.zeros((0, 4))
@@ -70,7 +66,7 @@ def solids_of(path: Path) -> Solids:
 
 
 def _planes(corners: Array) -> Array:
-    """Planes (n, 4) around corners (m, 3): those of their hull, and those of their box, which blunt sharp edges."""
+    """Return planes (n, 4) around corners (m, 3): of their hull, and of their box, which blunts sharp edges."""
     box = np.column_stack(
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
@@ -79,5 +75,5 @@ def _planes(corners: Array) -> Array:
     except QhullError:  # it is flat
         return box
     hull[:, 3] *= -1.0
-    planes: Array = np.unique(np.vstack([box, hull]).round(_SAME), axis=0)
+    planes: Array = np.unique(np.vstack([box, hull]).round(_PLANE_DECIMALS), axis=0)
     return planes

@@ -1,6 +1,6 @@
-"""Links of a URDF: what PyBullet would refuse without a reason or take without a word is refused here by name.
+"""Links of a URDF: invalid ones, which PyBullet refuses without a reason or loads silently, are refused by name.
 
-Frames without inertia get a negligible one: PyBullet would give them 1 kg each, and print a warning.
+Frames without inertia get a negligible one: PyBullet would give them 1 kg each and print a warning.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pycram.foundation.failures import AssetError
 if TYPE_CHECKING:
     from pathlib import Path
 
-DENSITY: Final = 700.0  # kg/m^3, of things in a household that nothing more is known of
+DENSITY: Final = 700.0  # kg/m^3, of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _SHAPES: Final = {
@@ -28,15 +28,11 @@ _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def check(source: Path, link: ET.Element) -> None:
-    """Refuses what the engine can't use.
-
-    Args:
-        source: the file, for errors.
-        link: a ``<link>`` element.
+    """Refuse a ``<link>`` element that the engine can't use; errors name its source.
 
     Raises:
-        AssetError: a shape is missing or unknown, or has sizes that can't be; an origin, a mass, an inertia or a colour
-            isn't made of finite numbers.
+        AssetError: A shape is missing, unknown or of impossible size; an origin, a mass, an inertia or a colour isn't
+            made of finite numbers.
     """
     where = f"link {link.get('name', '')!r}"
     for role in ("visual", "collision"):
@@ -101,16 +97,11 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
 
 
 def give_inertia(link: ET.Element) -> None:
-    """Gives a link the mass and inertia that it doesn't have.
-
-    Args:
-        link: a ``<link>`` element that was checked.
-    """
+    """Give a checked ``<link>`` element without inertia that of a solid of household density."""
     if link.find("inertial") is not None:
         return
     sizes = [size for collision in link.findall("collision") if (size := _box(collision)) is not None]
     if sizes:
-        # a solid of household density in place of the kilogram that PyBullet would assume
         mass = sum(DENSITY * x * y * z for x, y, z in sizes)
         x, y, z = max(sizes, key=lambda size: size[0] * size[1] * size[2])
         moments = [mass / 12 * (b * b + c * c) for b, c in ((y, z), (x, z), (x, y))]
@@ -123,7 +114,7 @@ def give_inertia(link: ET.Element) -> None:
 
 
 def _box(collision: ET.Element) -> tuple[float, float, float] | None:
-    """Extents in m of a primitive shape; None for meshes."""
+    """Return the extents in m of a primitive shape; None for meshes."""
     shape = collision.find("geometry/*")
     if shape is None or shape.tag == "mesh":
         return None

@@ -1,8 +1,8 @@
-"""Meshes: checks before the engine sees them, and a URDF for an object that is one mesh.
+"""Meshes: checked before the engine reads them, and the URDF of an object that is one mesh.
 
-PyBullet loads a truncated or ASCII STL as a body without a shape, and takes the convex hull of any mesh for collision,
-so that a bowl would be solid. Hence: every mesh is parsed here; concave ones get a convex decomposition, from
-``NAME.collision.obj`` beside the mesh (one ``o`` group per convex piece) or else made by V-HACD. A table ``[NAME]`` in
+PyBullet loads a truncated or ASCII STL as a body without a shape, and collides with the convex hull of any mesh, so
+that a bowl would be solid. So every mesh is parsed here, and concave ones get a convex decomposition: from
+``NAME.collision.obj`` beside the mesh (one ``o`` group per convex piece), else by V-HACD. A table ``[NAME]`` in the
 ``objects.toml`` beside it may give its mass (kg), friction and coloured visual parts.
 """
 
@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pycram.foundation import toml
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
+from pycram.models.files import parse_toml, read_text
 from pycram.models.links import DENSITY
+from pycram.models.store import write_mesh
 from recorder.extras import needed
 
 if TYPE_CHECKING:
@@ -30,24 +31,20 @@ if TYPE_CHECKING:
 with needed():
     import trimesh
 
-_FARTHEST: Final = 1e4  # m; what is larger was not measured in metres
-_CONVEX_SHARE: Final = 0.9  # of its hull's volume: less is concave
+_MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
+_MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 
 
-def checked(file: Path) -> tuple[str, bytes]:
-    """A mesh in a form that the engine reads whole.
+def convert(file: Path) -> tuple[str, bytes]:
+    """Return file name and content of a .stl, .obj or .dae mesh as the engine reads it.
 
-    Args:
-        file: .stl (binary or ASCII), .obj or .dae.
-
-    Returns:
-        File name and content; an ASCII STL becomes a binary one, a COLLADA file an OBJ.
+    An ASCII STL becomes a binary one, a COLLADA file an OBJ.
 
     Raises:
-        AssetError: it is empty, truncated, has no faces or numbers that aren't finite.
+        AssetError: It is empty, truncated, has no faces or numbers that aren't finite.
     """
     content = _bytes(file)
     kind = file.suffix.lower()
@@ -58,7 +55,7 @@ def checked(file: Path) -> tuple[str, bytes]:
     if kind == ".stl":
         return file.name, _exported(shape, "stl")
     if kind == ".obj":
-        # colours come from the URDF's materials: the engine's renderer takes one per mesh
+        # colours come from the URDF's materials: PyBullet has one per mesh
         lines = content.decode("utf-8", "replace").splitlines()
         kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
         return file.name, ("\n".join(kept) + "\n").encode()
@@ -66,16 +63,10 @@ def checked(file: Path) -> tuple[str, bytes]:
 
 
 def parse(file: Path) -> trimesh.Trimesh:
-    """Reads a mesh in its own frame, in metres.
-
-    Args:
-        file: .stl, .obj or .dae.
-
-    Returns:
-        One mesh; the parts of a scene are put together.
+    """Read a .stl, .obj or .dae file as one mesh in its own frame, in metres.
 
     Raises:
-        AssetError: it can't be read, has no faces or numbers that aren't finite.
+        AssetError: It can't be read, has no faces or numbers that aren't finite.
     """
     content = _bytes(file)
     if file.suffix.lower() == ".stl" and not _is_ascii(content):
@@ -88,21 +79,14 @@ def parse(file: Path) -> trimesh.Trimesh:
         raise AssetError(file, "has no faces")
     if not np.isfinite(loaded.vertices).all():
         raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(loaded.vertices).max() > _FARTHEST:
-        raise AssetError(file, f"has vertices more than {_FARTHEST:g} m away from its origin")
+    if np.abs(loaded.vertices).max() > _MAX_COORDINATE:
+        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
     loaded.merge_vertices()
     return loaded
 
 
 def stl_faces(content: bytes) -> NDArray[np.void]:
-    """The faces of a binary STL that is whole.
-
-    Args:
-        content: the file.
-
-    Returns:
-        (n,) with "numbers", (4, 3) each: the normal and three corners.
-    """
+    """Return the faces (n,) of a complete binary STL, with "numbers" (4, 3) each: the normal and three corners."""
     count = struct.unpack("<I", content[_STL_HEADER - 4 : _STL_HEADER])[0]
     return np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
 
@@ -135,10 +119,10 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
 
 
 def _with_normals(content: bytes) -> bytes:
-    """Fills in normals that a binary STL leaves at zero, as many exporters do: the renderer would paint it black."""
+    """Fill in normals that a binary STL leaves at zero, as many exporters do: it would be rendered black."""
     table = stl_faces(content).copy()
     numbers = table["numbers"]
-    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # a unit vector's parts add up to 1 at least
+    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # components of a unit vector add up to 1 at least
     if not missing.any():
         return content
     a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))
@@ -158,25 +142,16 @@ def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
     return content.encode() if isinstance(content, str) else bytes(content)
 
 
-def as_urdf(
-    file: Path,
-    color: Sequence[float] | None,
-    keep: Callable[[str, bytes], str],
-    decompose: Callable[[bytes], bytes],
-) -> str:
-    """A URDF with one link that is this mesh.
+def as_urdf(file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]) -> str:
+    """Return a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
 
     Args:
-        file: the mesh.
-        color: RGBA 0..1 for all of it, None for its own colours (or grey).
-        keep: stores a file and returns the name that a URDF refers to it by.
-        decompose: convex decomposition of an OBJ, as an OBJ with one group per piece.
-
-    Returns:
-        The URDF's text: visual shape, convex collision shape, mass, centre of mass and inertia.
+        file: The mesh.
+        color: RGBA 0..1 for all of it; None for its own colours, or grey.
+        decompose: Takes an OBJ, returns its convex decomposition as an OBJ with one group per piece.
 
     Raises:
-        AssetError: the mesh or a file beside it is broken.
+        AssetError: The mesh or a file beside it is broken.
     """
     shape = parse(file)
     spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
@@ -184,17 +159,17 @@ def as_urdf(
         raise AssetError(file, "is flat: it encloses no volume")
     robot = ET.Element("robot", name=file.stem)
     link = ET.SubElement(robot, "link", name=file.stem)
-    entry = _entry(file)
+    entry = _properties(file)
     if "friction" in entry:
         ET.SubElement(ET.SubElement(link, "contact"), "lateral_friction", value=repr(entry["friction"]))
     _add_inertia(link, shape, _mass(shape, entry))
     for name, content, rgba in _visuals(file, color, entry):
         visual = ET.SubElement(link, "visual")
-        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=keep(name, content))
+        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=write_mesh(name, content).key)
         material = ET.SubElement(visual, "material", name=name)
         ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
     collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
-    ET.SubElement(collision, "mesh", filename=keep(*_collision(file, shape, decompose)))
+    ET.SubElement(collision, "mesh", filename=write_mesh(*_collision(file, shape, decompose)).key)
     return ET.tostring(robot, encoding="unicode")
 
 
@@ -203,15 +178,15 @@ def _visuals(
 ) -> list[tuple[str, bytes, Sequence[float]]]:
     parts = entry.get("visual")
     if color is not None or (parts is None and file.suffix.lower() == ".stl"):
-        name, content = checked(file)
+        name, content = convert(file)
         return [(name, content, color if color is not None else _GREY)]
     if isinstance(parts, list):
-        return [(*checked(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
+        return [(*convert(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
     return _by_material(file)
 
 
 def _by_material(file: Path) -> list[tuple[str, bytes, Sequence[float]]]:
-    """The parts of an OBJ or COLLADA file by colour: the engine's renderer takes one per mesh."""
+    """Split an OBJ or COLLADA file by colour: PyBullet has one colour per mesh."""
     parse(file)
     scene = trimesh.load_scene(file, process=False)
     found: list[tuple[str, bytes, Sequence[float]]] = []
@@ -227,17 +202,17 @@ def _by_material(file: Path) -> list[tuple[str, bytes, Sequence[float]]]:
 def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:
     pieces = file.with_suffix(".collision.obj")
     if pieces.is_file():
-        return checked(pieces)
+        return convert(pieces)
     hull = shape.convex_hull
-    if not shape.is_watertight or shape.volume > _CONVEX_SHARE * hull.volume:
+    if not shape.is_watertight or shape.volume > _MIN_CONVEXITY * hull.volume:
         return f"{file.stem}.hull.obj", _obj(hull)
     return f"{file.stem}.collision.obj", decompose(_obj(shape))
 
 
-def _entry(file: Path) -> Mapping[str, object]:
-    """What ``objects.toml`` beside a mesh says of it."""
+def _properties(file: Path) -> Mapping[str, object]:
+    """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
     table = file.parent / "objects.toml"
-    entry = toml.read(table).get(file.stem) if table.is_file() else None
+    entry = parse_toml(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
 
 

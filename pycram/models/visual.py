@@ -1,4 +1,4 @@
-"""What a model looks like: triangles and colours of its links' shapes, read once (:mod:`recorder.geometry.shapes`)."""
+"""Triangles and colours of a model's shapes, read once from its canonical URDF (:mod:`recorder.geometry.shapes`)."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 with needed():
     import trimesh
 
-_ROUND: Final = 32  # sides of what is round
+_SECTIONS: Final = 32  # sides of cylinders and spheres
 
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """What a model's k links look like, those that have a shape.
+    """Shapes of a model's k links that have any.
 
     Attributes:
-        links: their names.
-        triangles: for each (n, 3, 3) corners in the link's frame, m.
-        colors: for each (n, 3) RGB 0..1 of its triangles.
+        links: Their names.
+        triangles: For each link (n, 3, 3) corners in its frame, m.
+        colors: For each link (n, 3) RGB 0..1 of its triangles.
         low: (k, 3) lowest corners of their boxes in the links' frames, m.
         high: (k, 3) highest corners of their boxes.
     """
@@ -49,12 +49,7 @@ class Shapes:
 
 @lru_cache(maxsize=256)
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
-    """The shapes of a model's links.
-
-    Args:
-        path: its canonical URDF, beside its meshes (see :mod:`pycram.models.load`).
-        role: "visual", what is seen, or "collision", what touches.
-    """
+    """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
     links, triangles, colors = [], [], []
     for link, parts in read_shapes(path.read_bytes(), role).items():
         pieces = [(_placed(part, _triangles(part, path.parent)), part.color[:3]) for part in parts]
@@ -67,14 +62,7 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
 
 
 def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    """The pieces that collide, of each of which the engine takes the convex hull.
-
-    Args:
-        path: its canonical URDF, beside its meshes.
-
-    Yields:
-        The link's name and corners (n, 3) in its frame, m.
-    """
+    """Yield the pieces of collision shapes of which the engine takes the convex hull: link, corners (n, 3) in m."""
     for link, parts in read_shapes(path.read_bytes(), "collision").items():
         for part in parts:
             for group in _groups(part, path.parent):
@@ -82,14 +70,14 @@ def pieces_of(path: Path) -> Iterator[tuple[str, NDArray[np.float64]]]:
 
 
 def _placed(shape: Shape, corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of a shape in its link's frame."""
+    """Transform corners from a shape's frame into its link's."""
     position, orientation = shape.pose
     placed: NDArray[np.float64] = corners @ geometry.to_matrix(orientation).T + np.array(position)
     return placed
 
 
 def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
-    """Corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
+    """Yield corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several."""
     if shape.kind == "box":
         yield np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * shape.size
         return
@@ -113,20 +101,20 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
 
 
 def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
-    """Triangles of a shape in its own frame."""
+    """Return the triangles of a shape in its own frame."""
     if shape.kind == "mesh":
         scaled: NDArray[np.float64] = _mesh(folder / shape.mesh) * np.array(shape.size)
         return scaled
     if shape.kind == "box":
         solid = trimesh.creation.box(shape.size)
     elif shape.kind == "sphere":
-        solid = trimesh.creation.uv_sphere(shape.size[0], count=(_ROUND // 2, _ROUND))
+        solid = trimesh.creation.uv_sphere(shape.size[0], count=(_SECTIONS // 2, _SECTIONS))
     elif shape.kind == "cylinder":
         radius, height = shape.size
-        solid = trimesh.creation.cylinder(radius, height, sections=_ROUND)
+        solid = trimesh.creation.cylinder(radius, height, sections=_SECTIONS)
     else:
         radius, height = shape.size
-        solid = trimesh.creation.capsule(height, radius, count=(_ROUND, _ROUND))
+        solid = trimesh.creation.capsule(height, radius, count=(_SECTIONS, _SECTIONS))
         solid.apply_translation(-solid.bounds.mean(axis=0))
     return np.asarray(solid.triangles, dtype=np.float64)
 

@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
+from pycram.foundation.names import qualified_name
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
 from pycram.motions.solutions import Solution, Solutions
 from pycram.scheduling.future import Future, branches_in, unwrap
-from pycram.world.event import qualified_name
 
 if TYPE_CHECKING:
     from typing import Self

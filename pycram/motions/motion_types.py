@@ -6,12 +6,12 @@ that the process module needs, inferred where the plan left it out.
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from pycram.claims import WHOLE, Claims
 from pycram.foundation.failures import BadArgument
+from pycram.foundation.names import did_you_mean
 from pycram.motions import slot_checks
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import branch_of, unwrap
@@ -272,12 +272,9 @@ def resolve(designator: Described) -> Iterator[Solution]:
     kind = given.pop("type", None)
     if not isinstance(kind, str) or kind not in TYPES:
         known = ", ".join(TYPES)
-        near = difflib.get_close_matches(str(kind), TYPES, n=1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        problem = "has no slot type" if kind is None else f"has the unknown type {kind!r}"
-        raise DesignatorError(
-            f"the designator {problem}{hint}", type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}"
-        )
+        unknown = f"has the unknown type {kind!r}{did_you_mean(kind, TYPES)}"
+        problem = f"the designator {'has no slot type' if kind is None else unknown}"
+        raise DesignatorError(problem, type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}")
     motion = TYPES[kind]
     checked = _checked(motion, given)
     solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
@@ -297,9 +294,8 @@ def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
     for key, value in given.items():
         slot = names.get(key)
         if slot is None:
-            near = difflib.get_close_matches(key, names, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise DesignatorError(f"unknown slot {key}{hint}", type=motion.type, slot=key, value=value, takes=takes)
+            problem = f"unknown slot {key}{did_you_mean(key, names)}"
+            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
         if slot.name in checked:
             raise DesignatorError(
                 f"slot {slot.name} is given twice", type=motion.type, slot=key, value=value, takes=takes

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 from pycram.claims import Claims, ResourceQueue
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
+from pycram.foundation.names import export, qualified_name
 from pycram.language.actions import run
 from pycram.language.body import current_block
 from pycram.motions.designator import Designator, DesignatorError, unfinished
@@ -24,7 +25,6 @@ from pycram.motions.resolvers import Resolvers
 from pycram.scheduling.binding import Binding
 from pycram.scheduling.cancellation import checkpoint, uninterruptible
 from pycram.scheduling.future import branches_in
-from pycram.world.event import qualified_name
 from pycram.world.world import BulletWorld
 from recorder.tracing.span import Span, span
 
@@ -74,6 +74,9 @@ class NoProcessModule(UsageError):
         self.robot = robot
         self.environment = environment
         self.known = known
+
+
+export("pycram.process_module", NoProcessModule)
 
 
 @contextmanager

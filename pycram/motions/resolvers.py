@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from pycram.foundation.failures import BadArgument, UnknownName
-from pycram.world.event import qualified_name
+from pycram.foundation.names import qualified_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -75,7 +75,7 @@ def grasp(name: str, value: Value) -> Value:
 
 def distance(name: str, value: Value) -> Value:
     """A distance in m, or an angle in rad for what turns, from 0 up."""
-    return checks.at_least(name, value, 0.0)
+    return checks.in_range(name, value, 0.0)
 
 
 def posture(name: str, value: Value) -> Value:

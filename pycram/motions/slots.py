@@ -8,6 +8,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from pycram.foundation.failures import UsageError
+from pycram.foundation.names import export
 
 #: Slots as plans write them, and the constraints and properties of the same form.
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
@@ -32,6 +33,9 @@ class DesignatorError(UsageError):
         self.slot = slot
         self.value = value
         self.takes = takes
+
+
+export("pycram.designator", DesignatorError)
 
 
 def pairs(description: Description) -> tuple[tuple[str, Value], ...]:

@@ -1,1 +1,1 @@
-"""The physics engine: the only room that knows PyBullet, its window and its prints."""
+"""The physics engine: the only room that knows PyBullet."""

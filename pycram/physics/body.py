@@ -1,4 +1,4 @@
-"""Bodies as the engine knows them: ids and indices of PyBullet under the names of their URDF."""
+"""Bodies in the engine: PyBullet's ids and indices by the names of their URDF."""
 
 from __future__ import annotations
 

@@ -1,143 +1,83 @@
 """One physics client: the only module that talks to PyBullet.
 
 Everything above speaks of bodies, links and joints by name and of poses of link frames as URDF defines them; ids,
-indices and inertial frames stay in here. Every call names its client. PyBullet accepts nonsense without a word (NaN,
-dead ids, meshes without shape), so callers check first; this module only translates.
+indices and inertial frames stay in here. Every call names its client. PyBullet doesn't check its arguments (NaN, dead
+ids, meshes without shape), so callers check first; this module only translates.
 
-The settings of a client decide what repeats bit for bit: overlapping pairs are ordered, and nothing else is touched.
+Simulation repeats bit for bit: overlapping pairs are ordered, all other settings are PyBullet's own.
 """
 
 from __future__ import annotations
 
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
-from pycram.physics.silence import quiet
+from pycram.physics.contacts import ClosestPoint, Contact
 from recorder import geometry
 from recorder.extras import needed
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-
-with needed(), quiet(1, 2):  # it announces its build time
+with needed(), silenced(1, 2):  # it prints its build time
     import pybullet as bullet
 
-_UPWARD: Final = 0.5  # of a normal's length
-
-# Groups of the collision filter. PyBullet lets a pair collide if either side wants to, so both have to refuse.
-_ROBOT_GROUP: Final = 64
-_HELD_GROUP: Final = 32
+# Groups of the collision filter, bits of a mask. PyBullet lets a pair collide if either mask has the other's group, so
+# both have to leave it out.
 _DYNAMIC_GROUP: Final = 1
-_ALL: Final = -1
 _STATIC_GROUP: Final = 2
+_HELD_GROUP: Final = 32
+_ROBOT_GROUP: Final = 64
+_ALL: Final = -1
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-#: Forces (N, Nm) with which joints keep their place. The PR2's torso sinks below 1e4.
+#: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
 
 
-class Touch(NamedTuple):
-    """Where two bodies are nearest.
-
-    Attributes:
-        link_a: link of the first body.
-        link_b: link of the second.
-        position_a: on the first, world frame, m.
-        position_b: on the second, world frame, m.
-        normal: unit vector from b to a.
-        distance: m, negative inside.
-        force: N along the normal, as the last step left it; 0 where nothing was stepped.
-    """
-
-    link_a: str
-    link_b: str
-    position_a: Vector
-    position_b: Vector
-    normal: Vector
-    distance: float
-    force: float
-
-    @property
-    def carries(self) -> bool:
-        """Whether the second body rests on the first there: steeper than 60 degrees carries nothing to speak of."""
-        return self.normal[2] < -_UPWARD
-
-
-class Contact(NamedTuple):
-    """Where a body touched another in the last step.
-
-    Attributes:
-        link: index of its link.
-        other: id of the other body.
-        other_link: index of the other's link.
-        position: on the other, world frame, m.
-        normal: unit vector from the other to it.
-        force: N along the normal.
-    """
-
-    link: int
-    other: int
-    other_link: int
-    position: Vector
-    normal: Vector
-    force: float
-
-
 def decompose(source: Path, target: Path) -> None:
-    """Splits a concave OBJ mesh into convex pieces with V-HACD.
-
-    Args:
-        source: the mesh.
-        target: gets one group per piece.
-    """
-    with quiet(1):
+    """Split a concave OBJ mesh into convex pieces with V-HACD; the target gets one group per piece."""
+    with silenced(1):
         bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
 
 
 class Engine:
-    """A physics client.
-
-    Args:
-        window: open PyBullet's window.
-    """
+    """A physics client, with PyBullet's window or without."""
 
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         if window:
-            with quiet(1):
+            with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
         else:
             self._client = bullet.connect(bullet.DIRECT)
         if self._client < 0:
-            raise RuntimeError("PyBullet gave no physics client; too many worlds may be open")
-        # File caching goes by name: models are stored under the hash of their content, so it is right to keep it.
+            raise RuntimeError("PyBullet has no free physics client; too many worlds may be open")
+        # PyBullet caches files by name, which is right: models are stored under the hash of their content.
         bullet.setPhysicsEngineParameter(
             fixedTimeStep=1 / STEPS_PER_SECOND, deterministicOverlappingPairs=1, physicsClientId=self._client
         )
 
-    # --- bodies ----------------------------------------------------------------------------------------------------
+    # --- bodies ------------------------------------------------------------------------------------------------------
 
     def load(self, urdf: Path, pose: Pose, *, fixed: bool, robot: bool = False) -> Body:
-        """Loads a checked URDF file.
+        """Load a checked URDF file.
 
         Args:
-            urdf: the file.
-            pose: of its base link.
-            fixed: the base doesn't move by itself.
-            robot: put its links into the group that ignores what a robot holds.
-
-        Returns:
-            The body.
+            urdf: The file.
+            pose: Of its base link in the world.
+            fixed: Whether its base is fixed to the world.
+            robot: Whether its links ignore what a robot holds.
         """
         c = self._client
         number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, physicsClientId=c)
@@ -151,66 +91,67 @@ class Engine:
             if info[2] in _KINDS:
                 lower, upper = (info[8], info[9]) if info[9] >= info[8] else (-np.inf, np.inf)
                 joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
-        at, turn = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
-        body = Body(
-            number,
-            links,
-            joints,
-            None if (at, turn) == IDENTITY else (at, turn),
-            tuple(joint.index for joint in joints.values()),
-        )
+        offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
+        indices = tuple(joint.index for joint in joints.values())
+        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices)
         if robot or fixed:
-            self.separate(body, fixed=fixed, robot=robot)
+            self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
         for joint in joints.values():
             self._hold(body, joint, 0.0)
         return body
 
-    def separate(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
-        """Says what a body's links collide with, as when it was loaded; the engine forgets its contacts of before.
+    def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:
+        """Let a body's links collide as when it was loaded; the engine forgets its earlier contacts.
 
         Args:
-            body: the body.
-            fixed: whether its base doesn't move by itself.
-            robot: whether its links ignore what a robot holds.
+            body: The body.
+            fixed: Whether its base is fixed to the world.
+            robot: Whether its links ignore what a robot holds.
         """
-        for index in body.links.values():
-            if robot:
-                # the base of a fixed body never collides with static things
-                group, mask = _ROBOT_GROUP, ~_HELD_GROUP & (~_STATIC_GROUP if index < 0 else _ALL)
-            elif fixed:  # furniture stands on the floor for good: no contact to solve
-                group, mask = _STATIC_GROUP, ~_STATIC_GROUP
-            else:
-                group, mask = _DYNAMIC_GROUP, _ALL
+        if robot:  # the base of a fixed body never collides with static things
+            self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP & ~_STATIC_GROUP, links=(-1,))
+            self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP, links=[index for index in body.links.values() if index >= 0])
+        elif fixed:  # furniture stands on the floor for good: no contact to solve
+            self._filter(body, _STATIC_GROUP, ~_STATIC_GROUP)
+        else:
+            self._filter(body, _DYNAMIC_GROUP, _ALL)
+
+    def ghost(self, body: Body) -> None:
+        """Let a body pass through everything for good; contact and distance queries see it regardless."""
+        self._filter(body, 0, 0)
+
+    def _filter(self, body: Body, group: int, mask: int, links: Iterable[int] | None = None) -> None:
+        for index in body.links.values() if links is None else links:
             bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: Body) -> None:
-        """Removes a body; its constraints have to be gone."""
+        """Remove a body; its constraints have to be gone."""
         bullet.removeBody(body.id, physicsClientId=self._client)
 
     def pose(self, body: Body) -> Pose:
-        """Pose of the base link in the world."""
+        """Return the pose of the base link in the world."""
         pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
         if body.offset is None:
             return pose
         return geometry.multiply(pose, geometry.invert(body.offset))
 
     def set_pose(self, body: Body, pose: Pose) -> None:
-        """Puts the base link there, at rest."""
+        """Put the base link at a pose, at rest."""
         at, turn = pose if body.offset is None else geometry.multiply(pose, body.offset)
         bullet.resetBasePositionAndOrientation(body.id, at, turn, physicsClientId=self._client)
 
     def velocity(self, body: Body) -> tuple[float, ...]:
-        """Linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
+        """Return linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
         linear, angular = bullet.getBaseVelocity(body.id, physicsClientId=self._client)
         return (*linear, *angular)
 
     def set_velocity(self, body: Body, velocity: Sequence[float]) -> None:
-        """Sets linear and angular velocity: 6 numbers."""
+        """Set linear (m/s) and angular (rad/s) velocity: 6 numbers."""
         bullet.resetBaseVelocity(body.id, velocity[:3], velocity[3:], physicsClientId=self._client)
 
     def joints(self, body: Body) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Positions and velocities of the movable joints, in order."""
+        """Return positions and velocities of the movable joints, in order, in rad or m (per second)."""
         if not body.indices:
             return (), ()
         states = bullet.getJointStates(body.id, body.indices, physicsClientId=self._client)
@@ -218,20 +159,20 @@ class Engine:
         return positions, velocities
 
     def joint(self, body: Body, name: str) -> float:
-        """Position of one movable joint."""
+        """Return the position of one movable joint in rad or m."""
         index = body.joints[name].index
         position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
         return position
 
     def set_joints(self, body: Body, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None) -> None:
-        """Puts joints there, at rest unless speeds (rad/s or m/s) are given, and makes them keep that place."""
+        """Put joints to positions, at rest unless speeds (rad/s or m/s) are given; their motors keep them there."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
             self._hold(body, joint, position)
 
     def pose_joints(self, body: Body, positions: Mapping[str, float]) -> None:
-        """As :meth:`set_joints` for a body that is never stepped: ten times as fast, its motors stay as they are."""
+        """Put joints of a body that is never stepped: ten times as fast as :meth:`set_joints`, leaves the motors."""
         bullet.resetJointStatesMultiDof(
             body.id,
             [body.joints[name].index for name in positions],
@@ -250,12 +191,12 @@ class Engine:
             force=_HOLD_FORCE[joint.kind],
             positionGain=0.1,
             velocityGain=1.0,
-            maxVelocity=100.0,  # sticky: always said
+            maxVelocity=100.0,  # the engine would keep an earlier value
             physicsClientId=self._client,
         )
 
     def link_pose(self, body: Body, link: str) -> Pose:
-        """Pose of a link's frame in the world, current without a step."""
+        """Return the pose of a link's frame in the world, current without a step."""
         index = body.links[link]
         if index < 0:
             return self.pose(body)
@@ -263,15 +204,7 @@ class Engine:
         return state[4], state[5]
 
     def link_frames(self, body: Body, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Frames of several links of a body at once, in the world.
-
-        Args:
-            body: the body.
-            links: names of its links.
-
-        Returns:
-            (n, 3) positions in m, (n, 4) orientations xyzw.
-        """
+        """Return frames of several links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
         indices = [body.links[link] for link in links]
         distinct = sorted(set(indices))
         moving = [index for index in distinct if index >= 0]
@@ -289,44 +222,39 @@ class Engine:
         return found[:, :3], found[:, 3:]
 
     def box(self, body: Body, link: str) -> tuple[Vector, Vector]:
-        """Axis-aligned bounds of a link's shape in the world, current without a step."""
+        """Return the axis-aligned bounds of a link's shape in the world, current without a step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
     def set_color(self, body: Body, color: Sequence[float]) -> None:
-        """Paints all links, RGBA 0..1."""
+        """Paint all links, RGBA 0..1."""
         for index in body.links.values():
             bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
 
-    def mass(self, body: Body, link: str) -> float:
-        """Mass of a link in kg."""
-        mass: float = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[0]
-        return mass
-
     def center_of_mass(self, body: Body) -> tuple[Vector, float]:
-        """Centre of mass of all its links in the world, m, and their mass in kg."""
+        """Return the centre of mass of all links in the world, m, and their mass in kg."""
         c = self._client
         masses = [bullet.getDynamicsInfo(body.id, index, physicsClientId=c)[0] for index in body.links.values()]
-        places = [
+        centers = [
             bullet.getBasePositionAndOrientation(body.id, physicsClientId=c)[0]
             if index < 0
             else bullet.getLinkState(body.id, index, computeForwardKinematics=1, physicsClientId=c)[0]
             for index in body.links.values()
         ]
-        x, y, z = np.average(places, axis=0, weights=masses).tolist()
+        x, y, z = np.average(centers, axis=0, weights=masses).tolist()
         return (x, y, z), sum(masses)
 
-    # --- attachments -----------------------------------------------------------------------------------------------
+    # --- attachments -------------------------------------------------------------------------------------------------
 
     def fix(self, carrier: Body, link: str, body: Body, body_link: str, pose: Pose) -> int:
-        """Joins a body to a carrier's link, so that simulation keeps the pose too.
+        """Join a body to a carrier's link with a fixed constraint, which keeps the pose in simulation.
 
         Args:
-            carrier: the one that carries.
-            link: its link.
-            body: the carried one.
-            body_link: the link of it that is held.
-            pose: of that link in the carrier's link.
+            carrier: The body that carries.
+            link: Its link.
+            body: The carried body.
+            body_link: The link of it that is held.
+            pose: Of that link in the carrier's link.
 
         Returns:
             The constraint's id.
@@ -351,99 +279,85 @@ class Engine:
         return number
 
     def _to_inertial(self, body: Body, link: str, pose: Pose) -> Pose:
-        """The same pose in the link's inertial frame, which constraints count from."""
+        """Return a pose in a link's frame relative to its inertial frame, as constraints take it."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
 
     def unfix(self, constraint: int) -> None:
-        """Removes a constraint."""
+        """Remove a constraint."""
         bullet.removeConstraint(constraint, physicsClientId=self._client)
 
     def pass_through(self, carrier: Body, link: str, body: Body, *, robot: bool, enable: bool) -> None:
-        """Lets a held body pass through its carrier in simulation (on), or collide with it again (off).
+        """Let a held body pass through its carrier in simulation, or collide with it again.
 
         Contact and distance queries see both regardless.
         """
-        c = self._client
         if robot:
             group, mask = (_HELD_GROUP, ~_ROBOT_GROUP) if enable else (_DYNAMIC_GROUP, _ALL)
-            for index in body.links.values():
-                bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=c)
+            self._filter(body, group, mask)
             return
         for index in body.links.values():
-            bullet.setCollisionFilterPair(
-                carrier.id, body.id, carrier.links[link], index, int(not enable), physicsClientId=c
-            )
+            pair = carrier.id, body.id, carrier.links[link], index
+            bullet.setCollisionFilterPair(*pair, int(not enable), physicsClientId=self._client)
 
-    def ghost(self, body: Body) -> None:
-        """Lets a body pass through everything for good; contact and distance queries see it regardless."""
-        for index in body.links.values():
-            bullet.setCollisionFilterGroupMask(body.id, index, 0, 0, physicsClientId=self._client)
-
-    # --- physics ---------------------------------------------------------------------------------------------------
+    # --- physics -----------------------------------------------------------------------------------------------------
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
-        """Sets gravity in m/s^2."""
+        """Set gravity in m/s^2."""
         bullet.setGravity(*gravity, physicsClientId=self._client)
 
     def step(self, steps: int) -> None:
-        """Simulates so many steps of 1/240 s."""
+        """Simulate steps of 1/240 s each."""
         client = self._client
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
 
-    def touches(self, a: Body, b: Body, distance: float = 0.0) -> list[Touch]:
-        """The nearest points of the links of two bodies that are nearer than a distance in m."""
+    def closest_points(self, a: Body, b: Body, distance: float = 0.0) -> list[ClosestPoint]:
+        """Return the closest points of all pairs of links of two bodies that are nearer than a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
-        return self._told(a, b, points)
+        return _named(a, b, points)
 
-    def link_touches(
+    def link_closest_points(
         self, a: Body, link: str, b: Body, distance: float = 0.0, *, link_b: str | None = None
-    ) -> list[Touch]:
-        """As :meth:`touches`, of one link of the first body, and of one of the second if it is named."""
+    ) -> list[ClosestPoint]:
+        """Return closest points as :meth:`closest_points`, of one link of the first body, and one of the second."""
         client = self._client
         if link_b is None:
-            points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client)
-            return self._told(a, b, points)
+            return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client))
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
-        return [Touch(link, link_b, *p[5:10]) for p in points or ()]
+        return [ClosestPoint(link, link_b, *p[5:10]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[Contact]:
-        """Contacts of the last step with other bodies."""
+        """Return the contacts of the last step with other bodies."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
     def friction(self, body: int, link: int) -> float:
-        """Coefficient of a link's sliding friction; that of a contact is the product of both sides'.
-
-        Args:
-            body: id.
-            link: index.
-        """
+        """Return a link's coefficient of sliding friction, by id and index; a contact has the product of both."""
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
 
-    @staticmethod
-    def _told(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[Touch]:
-        if not points:
-            return []
-        names_a = {index: name for name, index in a.links.items()}
-        names_b = {index: name for name, index in b.links.items()}
-        return [Touch(names_a[p[3]], names_b[p[4]], *p[5:10]) for p in points]
-
     def close(self) -> None:
-        """Ends the client; a second call does nothing."""
+        """End the client; a second call does nothing."""
         if self._client >= 0:
             client, self._client = self._client, -1
             if bullet.isConnected(client):
-                with quiet(1) if self._window else nullcontext():
+                with silenced(1) if self._window else nullcontext():
                     bullet.disconnect(client)
 
     @property
     def connected(self) -> bool:
-        """Whether the client lives; a window may have been closed by hand."""
+        """Whether the client is connected; a window may have been closed by hand."""
         return self._client >= 0 and bool(bullet.isConnected(self._client))
 
     def pump(self) -> None:
-        """Lets a window handle its events."""
+        """Let a window handle its events."""
         bullet.configureDebugVisualizer(lightPosition=[4, -4, 6], physicsClientId=self._client)
+
+
+def _named(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[ClosestPoint]:
+    if not points:
+        return []
+    names_a = {index: name for name, index in a.links.items()}
+    names_b = {index: name for name, index in b.links.items()}
+    return [ClosestPoint(names_a[p[3]], names_b[p[4]], *p[5:10]) for p in points]

@@ -1,7 +1,4 @@
-"""PyBullet's window: whether one can open, before PyBullet tries (it would end the whole process).
-
-The window has its own native thread inside PyBullet, which ends with its client; no thread of ours keeps it.
-"""
+"""PyBullet's window: checks whether one can open before PyBullet tries, which would end the whole process."""
 
 from __future__ import annotations
 
@@ -16,17 +13,14 @@ from pycram.foundation.failures import DisplayError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_TIMEOUT = 2.0  # s
+_CONNECT_TIMEOUT = 2.0  # s
 
 
 def check_display(open_windows: Sequence[str]) -> None:
-    """Makes sure that a window can open.
-
-    Args:
-        open_windows: names of the worlds that have one already.
+    """Check that a window can open; ``open_windows`` names the worlds that have one already.
 
     Raises:
-        DisplayError: there is no display, it doesn't answer, or PyBullet's one window is taken.
+        DisplayError: There is no display, it doesn't answer, or PyBullet's one window is taken.
     """
     if open_windows:
         raise DisplayError(f"PyBullet has one window, and {open_windows[0]} has it; end that world first")
@@ -38,7 +32,7 @@ def check_display(open_windows: Sequence[str]) -> None:
     host, _, number = display.rpartition(":")
     screen = number.partition(".")[0]
     if not screen.isdigit():
-        raise DisplayError(f"DISPLAY={display} names no display")
+        raise DisplayError(f"DISPLAY={display} is not a display's address")
     if host in ("", "unix"):
         answers, why = _answers(display)
     else:
@@ -48,7 +42,7 @@ def check_display(open_windows: Sequence[str]) -> None:
 
 
 def _answers(display: str) -> tuple[bool, str]:
-    """Whether a display of this machine can be opened, by the library that PyBullet opens it with."""
+    """Open a display of this machine with the library that PyBullet uses; return whether it answers, else why not."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
@@ -62,9 +56,9 @@ def _answers(display: str) -> tuple[bool, str]:
 
 
 def _listens(host: str, port: int) -> tuple[bool, str]:
-    """Whether another machine's display takes connections; one that doesn't would keep the library waiting."""
+    """Connect to another machine's display; the library would wait for ever for one that doesn't answer."""
     try:
-        socket.create_connection((host, port), timeout=_TIMEOUT).close()
+        socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT).close()
     except OSError as error:
         return False, f" ({error.strerror})"
     return True, ""

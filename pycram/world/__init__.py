@@ -1,1 +1,1 @@
-"""Worlds and the objects in them. Every change goes through the world transaction (:mod:`pycram.world.transaction`)."""
+"""Worlds and the objects in them; every change is a world transaction (:mod:`pycram.world.transaction`)."""

@@ -1,7 +1,7 @@
-"""What moves along: things that an object carries, and things that lie on or in a drawer.
+"""Attached and supported bodies: what moves together with an object or with its drawers.
 
-Attachments are followed through chains. A thing rides on a moving link if it rests on it or was put just above its
-floor, or rests on something that rides.
+Attached bodies keep their relative pose, through chains. A body is supported by a link if it rests on it, hangs just
+above its floor after being put in, or rests on a supported body.
 """
 
 from __future__ import annotations
@@ -14,40 +14,27 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from pycram.world.object import Object
-    from pycram.world.transaction import Change
+    from pycram.world.transaction import Transaction
     from recorder.geometry import Pose
     from recorder.geometry.urdf import Urdf
 
-_GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
-_DROP: Final = 0.03  # m that something put into a drawer may hang over its floor
+_CONTACT_GAP: Final = 0.003  # m; a settled body keeps about half a millimetre to what it lies on
+_DROP_HEIGHT: Final = 0.03  # m that something put into a drawer may hang over its floor
 
 
-def follow(carrier: Object, change: Change) -> None:
-    """Puts everything that an object carries where its relative pose says.
-
-    Args:
-        carrier: an object that has moved, or whose joints have.
-        change: notes what moved along.
-    """
+def move_attached(carrier: Object, transaction: Transaction) -> None:
+    """Put everything that an object carries to its relative pose, after the object or its joints have moved."""
     engine = carrier.world.engine
     for attachment in carrier.carried:
-        held = attachment.body
+        body = attachment.body
         pose = geometry.multiply(engine.link_pose(carrier.handle, attachment.carrier_link), attachment.pose)
-        engine.set_pose(held.handle, pose)
-        change.touch(held)
-        follow(held, change)
+        engine.set_pose(body.handle, pose)
+        transaction.mark_modified(body)
+        move_attached(body, transaction)
 
 
 def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
-    """The links that move with joints.
-
-    Args:
-        urdf: of the object.
-        joints: names of its joints.
-
-    Returns:
-        Their child links and all links below, in the URDF's order.
-    """
+    """Return the links that move with joints: their child links and all below, in the URDF's order."""
     moved = {urdf.joint(name).child for name in joints}
     for link in urdf.links:  # parents come before their children
         joint = urdf.parent_joint(link)
@@ -56,16 +43,8 @@ def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
     return [link for link in urdf.links if link in moved]
 
 
-def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
-    """What lies on or in moving links.
-
-    Args:
-        container: the object that the links belong to.
-        links: links that are going to move together.
-
-    Returns:
-        For each free thing that rides, the link that carries it, directly or through other things.
-    """
+def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, str]:
+    """Return the free bodies on or in links of an object, each with the link that supports it, also indirectly."""
     world = container.world
     engine = world.engine
     free = [body for body in world.objects if not body.fixed and body.carrier is None]
@@ -75,37 +54,37 @@ def riders(container: Object, links: Iterable[str]) -> dict[Object, str]:
         for body in free:
             if body in found:
                 continue
-            at = engine.pose(body.handle)[0]
-            inside = all(low <= x <= high for low, x, high in zip(lower, at, upper, strict=True))
-            gap = _DROP if inside else _GAP
-            touches = engine.link_touches(container.handle, link, body.handle, gap)
-            if any(touch.carries for touch in touches):
+            position = engine.pose(body.handle)[0]
+            inside = all(low <= x <= high for low, x, high in zip(lower, position, upper, strict=True))
+            gap = _DROP_HEIGHT if inside else _CONTACT_GAP
+            if any(p.carries for p in engine.link_closest_points(container.handle, link, body.handle, gap)):
                 found[body] = link
     queue = list(found)
     while queue:
         below = queue.pop()
         for body in free:
-            if body in found:
-                continue
-            touches = engine.touches(below.handle, body.handle, _GAP)
-            if any(touch.carries for touch in touches):
+            if body not in found and any(
+                point.carries for point in engine.closest_points(below.handle, body.handle, _CONTACT_GAP)
+            ):
                 found[body] = found[below]
                 queue.append(body)
     return found
 
 
-def ride(container: Object, before: Mapping[str, Pose], riding: Mapping[Object, str], change: Change) -> None:
-    """Moves riders as their links have moved.
+def move_supported(
+    container: Object, before: Mapping[str, Pose], supported: Mapping[Object, str], transaction: Transaction
+) -> None:
+    """Move supported bodies as their links have moved.
 
     Args:
-        container: the object whose links have moved.
-        before: poses of these links before.
-        riding: what :func:`riders` found before.
-        change: notes what moved along.
+        container: The object whose links have moved.
+        before: Poses of these links before.
+        supported: What :func:`supported_bodies` returned before.
+        transaction: Marks what moved along.
     """
     engine = container.world.engine
-    for body, link in riding.items():
+    for body, link in supported.items():
         moved = geometry.multiply(engine.link_pose(container.handle, link), geometry.invert(before[link]))
         engine.set_pose(body.handle, geometry.multiply(moved, engine.pose(body.handle)))
-        change.touch(body)
-        follow(body, change)
+        transaction.mark_modified(body)
+        move_attached(body, transaction)

@@ -1,8 +1,8 @@
-"""The open worlds of this process, and which of them is current.
+"""The open worlds of this process, and the current one.
 
 The one that was opened last is current; when it ends, the one before it is current again. A thread that opens a world
-or makes one current does so for itself and its branches, so that threads with a world each don't take each other's; and
-for all that have not chosen. Names are unique among open worlds, since records know worlds by their names.
+or makes one current does so for itself and its branches, and for all threads that haven't done so themselves: each
+thread keeps its own world. Names are unique among open worlds, since records refer to worlds by name.
 """
 
 from __future__ import annotations
@@ -28,17 +28,11 @@ _open: tuple[BulletWorld, ...] = ()
 _chosen: ContextVar[weakref.ref[BulletWorld] | None] = ContextVar("pycram_world", default=None)
 
 
-def take_name(name: str | None) -> str:
-    """Takes a name for a world that is going to open.
-
-    Args:
-        name: the name that is wanted; "world_1", "world_2", ... for None.
-
-    Returns:
-        The name, which nothing else gets until :func:`leave` gives it back.
+def reserve_name(name: str | None) -> str:
+    """Reserve the name of a world that is going to open, until :func:`remove`; "world_1", "world_2", ... for None.
 
     Raises:
-        BadArgument: not a name, or an open world has it.
+        BadArgument: It isn't a name, or an open world has it.
     """
     with _lock:
         if name is None:
@@ -49,14 +43,11 @@ def take_name(name: str | None) -> str:
         return name
 
 
-def enter(world: BulletWorld) -> None:
-    """Makes a world current, one that just opened or another one.
-
-    Args:
-        world: an open world.
+def make_current(world: BulletWorld) -> None:
+    """Make an open world current, also one that has just been opened.
 
     Raises:
-        WorldClosed: it has ended.
+        WorldClosed: It has ended.
     """
     global _open  # noqa: PLW0603  there is one process
     with _lock:
@@ -67,25 +58,21 @@ def enter(world: BulletWorld) -> None:
     journal.make_current(world)
 
 
-def leave(name: str) -> None:
-    """Forgets a world that has ended or could not open.
-
-    Args:
-        name: its name.
-    """
+def remove(name: str) -> None:
+    """Remove a world that has ended or could not open, by its name."""
     global _open  # noqa: PLW0603  there is one process
     with _lock:
         _names.discard(name)
         _open = tuple(world for world in _open if world.name != name)
 
 
-def opened() -> tuple[BulletWorld, ...]:
-    """The open worlds; the last one is current."""
+def open_worlds() -> tuple[BulletWorld, ...]:
+    """Return the open worlds; the last one is current for threads that haven't chosen another one."""
     return _open
 
 
 def current() -> BulletWorld | None:
-    """The world that is current here; None if none is open."""
+    """Return the current world of this thread; None if none is open."""
     chosen = _chosen.get()
     world = chosen() if chosen is not None else None
     if world is not None and not world.closed:
@@ -94,18 +81,18 @@ def current() -> BulletWorld | None:
 
 
 class CurrentWorld(type):
-    """Makes the current world and its robot readable and settable on the class, as in the thesis' listings."""
+    """Makes the current world and its robot attributes of the class, as in the thesis' listings."""
 
     @property
     def current_bullet_world(cls) -> BulletWorld | None:
-        """The default world of all that needs one: the one opened last that is still open."""
+        """The current world, which is the default wherever one is needed; None if none is open."""
         return current()
 
     @current_bullet_world.setter
     def current_bullet_world(cls, world: BulletWorld) -> None:
         if not isinstance(world, cls):
             raise BadArgument("current_bullet_world", world, "a world")
-        enter(world)
+        make_current(world)
 
     @property
     def robot(cls) -> Object | None:

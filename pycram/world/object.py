@@ -1,60 +1,58 @@
-"""Objects: everything in a world is one, robot, kitchen or spoon (thesis 4.3, table 4.2).
-
-Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame, unless a
-link is named. Setting a pose is exact and runs no physics. Joints are named and their values are in rad or m.
-"""
+"""Objects: everything in a world is one, robot, kitchen or spoon (thesis 4.3, table 4.2)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, JointLimitError, NoWorld, UnknownName, WorldClosed
+from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
-from pycram.world import attachment, carried
+from pycram.world import attachment, carried, joints
 from recorder import records
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from pycram.models.load import Model
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
-    from pycram.world.transaction import Change
     from pycram.world.world import BulletWorld
     from recorder.geometry import Pose
     from recorder.geometry.urdf import Urdf
 
 ENVIRONMENT = "environment"
 ROBOT = "robot"
-_LIMIT_SLACK = 1e-6  # rad or m: rounding of what was read before is no error
 
 
 class Object:
     """A thing in a world.
 
+    Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame,
+    unless a link is named. Positions of joints are in rad or m. Setting poses and joints is exact and runs no physics.
+
+    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that it doesn't have,
+    and WorldClosed when it was removed or its world has ended; methods that change it raise ChangeRefused while a
+    reasoning query runs.
+
     Args:
-        name: how it is called; unique in its world.
-        type: what it is: "environment" and "robot" have a fixed base, anything else ("milk") is free.
+        name: Unique in its world.
+        type: "environment" and "robot" have a fixed base, anything else ("milk") is free.
         path: .urdf, .stl, .obj or .dae file; a bare name also finds PyCRAM's own resources and ``pr2.urdf``.
-        position: of its base link, m.
-        orientation: of its base link, xyzw.
-        world: where it appears; the current world by default.
-        color: RGBA 0..1 for a mesh; None leaves it the colours that it has.
-        description: of a robot; by default found by the name in its URDF.
-        model: what the path would give, if it is there already, as from a recording.
+        position: Of its base link, m.
+        orientation: Of its base link, xyzw.
+        world: The current world by default.
+        color: RGBA 0..1 for a mesh; None keeps its own colours.
+        description: Of a robot; by default found by the name in its URDF.
+        model: The loaded model, where it doesn't come from the path but from a recording.
 
     Raises:
-        NoWorld: no world is given and none is current.
-        BadArgument: a value that can't be, or a name that is taken.
-        AssetError: the file is missing or broken.
-        WorldClosed: the world has ended.
-        ChangeRefused: a reasoning query runs in the world.
+        NoWorld: No world is given and none is current.
+        BadArgument: An impossible value, or a name that another object has.
+        AssetError: The file is missing or broken.
     """
 
     def __init__(
@@ -72,14 +70,14 @@ class Object:
     ) -> None:
         from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds hold objects
 
-        place = world if world is not None else BulletWorld.current_bullet_world
-        if place is None:
+        around = world if world is not None else BulletWorld.current_bullet_world
+        if around is None:
             raise NoWorld
-        if not isinstance(place, BulletWorld):
+        if not isinstance(around, BulletWorld):
             raise BadArgument("world", world, "a BulletWorld")
         if description is not None and not isinstance(description, RobotDescription):
             raise BadArgument("description", description, "a RobotDescription")
-        self.world: BulletWorld = place
+        self.world: BulletWorld = around
         self.name = checks.text("name", name)
         self.type = checks.text("type", type)
         self.path = str(path)
@@ -102,10 +100,10 @@ class Object:
         return f"Object({self.name!r}, {self.type!r})"
 
     def __record__(self) -> object:
-        """How it stands in records."""
+        """Return its reference in records."""
         return {"object": self.name, "world": self.world.name}
 
-    # --- what it is ------------------------------------------------------------------------------------------------
+    # --- properties --------------------------------------------------------------------------------------------------
 
     @property
     def is_environment(self) -> bool:
@@ -119,16 +117,12 @@ class Object:
 
     @property
     def fixed(self) -> bool:
-        """Whether its base stays where it is put."""
+        """Whether its base is fixed to the world."""
         return self.is_environment or self.is_robot
 
     @property
     def handle(self) -> Body:
-        """The engine's side of it.
-
-        Raises:
-            WorldClosed: it was removed, or its world has ended.
-        """
+        """The body in the engine."""
         if self._handle is None:
             gone = "the world" if self.world.closed else f"object {self.name}"
             raise WorldClosed(self.world.name, f"use {self.name}", gone)
@@ -140,12 +134,12 @@ class Object:
 
     @property
     def alive(self) -> bool:
-        """Whether it still is in its world."""
+        """Whether it is still in its world."""
         return self._handle is not None
 
     @property
     def id(self) -> int:
-        """PyBullet's id; another body may get it after this one's removal."""
+        """PyBullet's id, which another body may get after its removal."""
         return self.handle.id
 
     @property
@@ -165,7 +159,7 @@ class Object:
 
     @property
     def load_record(self) -> records.LoadBody:
-        """What a recording needs to load it again."""
+        """The record from which it can be loaded again."""
         model = self.model
         return records.LoadBody(
             body=self.name,
@@ -181,29 +175,17 @@ class Object:
         )
 
     def get_joint_id(self, name: str) -> int:
-        """PyBullet's index of a joint, movable or fixed.
-
-        Raises:
-            UnknownName: there is no such joint.
-        """
+        """Return PyBullet's index of a joint, movable or fixed."""
         if checks.text("joint", name) not in self.urdf.joints:
             raise UnknownName("joint", name, self.name, self.urdf.joints)
         return self.handle.links[self.urdf.joints[name].child]  # PyBullet's joints and their child links share numbers
 
     def get_link_id(self, name: str) -> int:
-        """PyBullet's index of a link; -1 is the base link.
-
-        Raises:
-            UnknownName: there is no such link.
-        """
+        """Return PyBullet's index of a link, -1 for the base link."""
         return self.handle.links[self.check_link(name)]
 
     def check_link(self, name: str | None) -> str:
-        """A link's name, the base link's for None.
-
-        Raises:
-            UnknownName: there is no such link.
-        """
+        """Return the name of an existing link, of the base link for None."""
         links = self.handle.links
         if name is None:
             return next(iter(links))
@@ -212,91 +194,64 @@ class Object:
         return name
 
     def check_joint(self, name: str) -> str:
-        """A joint's name.
-
-        Raises:
-            UnknownName: there is no such movable joint.
-        """
+        """Return the name of an existing movable joint."""
         if checks.text("joint", name) not in self.handle.joints:
             raise UnknownName("movable joint", name, self.name, self.joints)
         return name
 
     def joint_limits(self, name: str) -> tuple[float, float]:
-        """Lower and upper limit in rad or m; infinite for continuous joints.
-
-        Raises:
-            UnknownName: there is no such movable joint.
-        """
+        """Return lower and upper limit in rad or m; infinite for continuous joints."""
         joint = self.handle.joints[self.check_joint(name)]
         return joint.lower, joint.upper
 
-    # --- where it is -----------------------------------------------------------------------------------------------
+    # --- poses and joints --------------------------------------------------------------------------------------------
 
     def get_position(self) -> list[float]:
-        """Position [x, y, z] in m."""
+        """Return the position [x, y, z] in m."""
         return self.get_position_and_orientation()[0]
 
     def get_pose(self) -> list[float]:
-        """The same as :meth:`get_position` (thesis, table 4.2)."""
+        """Return the same as :meth:`get_position` (thesis, table 4.2)."""
         return self.get_position()
 
     def get_orientation(self) -> list[float]:
-        """Orientation [x, y, z, w]."""
+        """Return the orientation [x, y, z, w]."""
         return self.get_position_and_orientation()[1]
 
     def get_position_and_orientation(self) -> tuple[list[float], list[float]]:
-        """Position and orientation."""
+        """Return position and orientation."""
         with self.world.lock:
             position, orientation = self.world.engine.pose(self.handle)
         return list(position), list(orientation)
 
     def get_link_position(self, name: str) -> list[float]:
-        """Position of a link's frame.
-
-        Raises:
-            UnknownName: there is no such link.
-        """
+        """Return the position of a link's frame."""
         return self.get_link_position_and_orientation(name)[0]
 
     def get_link_orientation(self, name: str) -> list[float]:
-        """Orientation of a link's frame.
-
-        Raises:
-            UnknownName: there is no such link.
-        """
+        """Return the orientation of a link's frame."""
         return self.get_link_position_and_orientation(name)[1]
 
     def get_link_position_and_orientation(self, name: str) -> tuple[list[float], list[float]]:
-        """Position and orientation of a link's frame.
-
-        Raises:
-            UnknownName: there is no such link.
-        """
+        """Return position and orientation of a link's frame."""
         with self.world.lock:
             position, orientation = self.world.engine.link_pose(self.handle, self.check_link(name))
         return list(position), list(orientation)
 
     def get_joint_position(self, name: str) -> float:
-        """Value of a joint in rad or m.
-
-        Raises:
-            UnknownName: there is no such movable joint.
-        """
+        """Return the position of a joint in rad or m."""
         with self.world.lock:
             return self.world.engine.joint(self.handle, self.check_joint(name))
 
     def get_joint_positions(self) -> dict[str, float]:
-        """Values of all movable joints."""
+        """Return the positions of all movable joints by name."""
         with self.world.lock:
             return dict(zip(self.joints, self.world.engine.joints(self.handle)[0], strict=True))
 
     def get_AABB(self, name: str | None = None) -> tuple[list[float], list[float]]:  # noqa: N802  the original's name
-        """Lowest and highest corner of the box around it, or around one of its links, along the world's axes.
+        """Return lowest and highest corner of the axis-aligned box around it, or around one of its links.
 
         The engine pads shapes: the box is up to 3 mm larger on each side.
-
-        Raises:
-            UnknownName: there is no such link.
         """
         with self.world.lock:
             engine = self.world.engine
@@ -307,103 +262,51 @@ class Object:
             [max(box[1][i] for box in boxes) for i in range(3)],
         )
 
-    # --- moving it -------------------------------------------------------------------------------------------------
+    # --- changes -----------------------------------------------------------------------------------------------------
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Puts it there, with all that it carries; no physics runs.
-
-        If something carries it, it moves alone and is carried on with its new relative pose.
-
-        Raises:
-            BadArgument: no position or orientation.
-        """
+        """Put it at a pose, with all that it carries; if it is carried itself, it gets a new relative pose."""
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         command = records.MoveBody(body=self.name, position=pose[0], orientation=pose[1])
-        with self.world.transactions.change(records.Mutation(move_body=command)) as change:
+        with self.world.transactions.begin(records.Mutation(move_body=command)) as transaction:
             self.world.engine.set_pose(self.handle, pose)
-            change.touch(self)
-            carried.follow(self, change)
-            attachment.renew(self, change)
-            self._announce_manipulation(change)
+            transaction.mark_modified(self)
+            carried.move_attached(self, transaction)
+            attachment.renew(self, transaction)
+            if self.is_environment:
+                transaction.fire(self.world.get_manipulation_event(), self)
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
-        """Puts it at a position, keeping its orientation unless one is given.
-
-        Raises:
-            BadArgument: no position or orientation.
-        """
+        """Put it at a position, with its present orientation unless one is given."""
         with self.world.lock:
             kept = self.get_orientation() if orientation is None else orientation
             self.set_position_and_orientation(position, kept)
 
     def set_orientation(self, orientation: Sequence[float]) -> None:
-        """Turns it where it is.
-
-        Raises:
-            BadArgument: no orientation.
-        """
+        """Turn it about its base link's origin."""
         with self.world.lock:
             self.set_position_and_orientation(self.get_position(), orientation)
 
     def set_joint_position(self, name: str, position: float) -> None:
-        """Puts one joint to a value; see :meth:`set_joint_positions`."""
+        """Put one joint to a position; see :meth:`set_joint_positions`."""
         self.set_joint_positions({name: position})
 
     def set_joint_positions(self, positions: Mapping[str, float]) -> None:
-        """Puts joints to values, with all that is attached to their links or lies in a drawer; no physics runs.
+        """Put joints to positions, with all that is attached to their links or lies in a drawer.
 
         Args:
-            positions: values in rad or m by joint name.
+            positions: In rad or m by joint name.
 
         Raises:
-            UnknownName: there is no such movable joint.
-            BadArgument: not a number.
-            JointLimitError: outside the joint's limits.
+            JointLimitError: Outside the joint's limits.
         """
-        if not isinstance(positions, Mapping):
-            raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
-        checked = {name: self._check_value(name, value) for name, value in positions.items()}
-        command = records.MoveJoints(body=self.name, joints=list(checked), positions=list(checked.values()))
-        with self.world.transactions.change(records.Mutation(move_joints=command)) as change:
-            self.move_joints(checked, change)
-
-    def _check_value(self, name: str, value: float) -> float:
-        lower, upper = self.joint_limits(name)
-        checked = checks.number(f"joint {name}", value)
-        if not lower - _LIMIT_SLACK <= checked <= upper + _LIMIT_SLACK:
-            raise JointLimitError(self.name, name, checked, lower, upper)
-        return checked
-
-    def move_joints(self, positions: Mapping[str, float], change: Change) -> None:
-        """The part of a change that moves joints.
-
-        Args:
-            positions: checked values by joint name.
-            change: notes what moved.
-        """
-        engine = self.world.engine
-        links = [] if self.is_robot else carried.moved_links(self.urdf, positions)
-        riding = carried.riders(self, links) if links else {}
-        before = {link: engine.link_pose(self.handle, link) for link in set(riding.values())}
-        engine.set_joints(self.handle, positions)
-        change.touch(self)
-        carried.ride(self, before, riding, change)
-        carried.follow(self, change)
-        self._announce_manipulation(change)
-
-    def _announce_manipulation(self, change: Change) -> None:
-        if self.is_environment:
-            change.events.append(lambda: self.world.get_manipulation_event().prepare(self))
+        joints.set_positions(self, positions)
 
     def remove(self) -> None:
-        """Takes it out of its world; what it carries is let go, and so is it by its carrier.
+        """Remove it from its world; its attachments end."""
+        self.world.remove(self)
 
-        Raises:
-            WorldClosed: it was removed before.
-        """
-        self.world.take_out(self)
-
-    # --- attachments -----------------------------------------------------------------------------------------------
+    # --- attachments -------------------------------------------------------------------------------------------------
 
     @property
     def attachments(self) -> Mapping[Object, Attachment]:
@@ -417,58 +320,46 @@ class Object:
 
     @property
     def carrier(self) -> Object | None:
-        """What carries it."""
+        """The object that carries it, if any."""
         return next((held.carrier for held in self._attachments.values() if held.body is self), None)
 
     def attach(self, other: Object, link: str | None = None, other_link: str | None = None) -> None:
-        """From now on carries another object with one of its links (thesis 4.3.1).
-
-        An attachment that exists already is left as it is.
+        """Carry another object with one of its links from now on (thesis 4.3.1); an existing attachment stays.
 
         Args:
-            other: the object to carry; it keeps its full relative pose.
-            link: the link that carries; the base link by default.
-            other_link: the link of the other that is held; its base link by default.
+            other: The object to carry; it keeps its full relative pose.
+            link: The link that carries; the base link by default.
+            other_link: The link of the other that is held; its base link by default.
 
         Raises:
-            UnknownName: there is no such link.
-            BadArgument: the other isn't an object.
-            AttachmentError: it makes no sense (cycle, fixed base, carried by another, another world).
+            AttachmentError: It is impossible (cycle, fixed base, carried by another, another world).
         """
         attachment.attach(self, _object("other", other), link, other_link)
 
     def detach(self, other: Object) -> None:
-        """Ends an attachment, from either side (thesis 4.3.2); both stay where they are.
+        """End an attachment, from either side (thesis 4.3.2); both stay where they are.
 
         Raises:
-            BadArgument: the other isn't an object.
-            AttachmentError: there is none between the two.
+            AttachmentError: There is none between the two.
         """
         attachment.detach(self, _object("other", other))
 
     def detach_all(self) -> None:
-        """Ends all attachments that it is part of."""
+        """End all attachments that it is part of."""
         for other in list(self._attachments):
             self.detach(other)
 
     def set_color(self, color: Sequence[float]) -> None:
-        """Paints all of it.
-
-        Args:
-            color: RGBA 0..1.
-
-        Raises:
-            BadArgument: not a colour.
-        """
+        """Paint all of it, RGBA 0..1."""
         rgba = checks.color("color", color)
         command = records.SetColor(body=self.name, color=rgba)
-        with self.world.transactions.change(records.Mutation(set_color=command)):
+        with self.world.transactions.begin(records.Mutation(set_color=command)):
             self.world.engine.set_color(self.handle, rgba)
             self.color = rgba
 
 
 def _object(argument: str, value: object) -> Object:
-    """An object, the result where it is a branch's handle."""
+    """Return an object, given directly or as the result of a branch."""
     result = unwrap(value)
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")

@@ -82,21 +82,17 @@ def remark(text: str) -> None:
 @contextmanager
 def results_only() -> Iterator[None]:
     """Turns the file descriptor of stdout to stderr; Python's own ``sys.stdout`` goes on to where it went."""
-    import ctypes  # noqa: PLC0415  what only reads doesn't need it
+    from pycram.foundation.redirect import redirected  # noqa: PLC0415  what only reads doesn't need it
 
     python = sys.stdout
     python.flush()
-    kept = os.dup(_STDOUT)
     with ExitStack() as undoing:
-        undoing.callback(os.close, kept)
-        undoing.callback(os.dup2, kept, _STDOUT)
         if _is_descriptor(python):
-            outlet = os.fdopen(os.dup(kept), "w", encoding=python.encoding, errors=python.errors, buffering=1)
+            outlet = os.fdopen(os.dup(_STDOUT), "w", encoding=python.encoding, errors=python.errors, buffering=1)
             undoing.callback(outlet.close)
             undoing.callback(setattr, sys, "stdout", python)
             sys.stdout = outlet
-        undoing.callback(ctypes.CDLL(None).fflush, None)  # C buffers what goes to a pipe or a file
-        os.dup2(_STDERR, _STDOUT)
+        undoing.enter_context(redirected(_STDOUT, to=_STDERR))
         yield
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
-from pycram.world.transaction import put, read
+from pycram.world.snapshot import restore_snapshot, take_snapshot
 from recorder.mcap.sink import versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
@@ -172,7 +172,7 @@ class _Verification:
             return None
         with unrecorded():
             for body in world.objects:
-                put(body, reading(told.body(body.name)))
+                restore_snapshot(body, reading(told.body(body.name)))
         return None
 
     def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
@@ -205,7 +205,7 @@ def _worst(world: BulletWorld, told: World) -> Deviation | None:
 
 def _deviations(world: BulletWorld, told: World) -> Iterator[Deviation]:
     for body in world.objects:
-        wanted, now = told.body(body.name), read(body)
+        wanted, now = told.body(body.name), take_snapshot(body)
         for field, one, other in (
             ("position", wanted.position, now.pose[0]),
             ("orientation", wanted.orientation, now.pose[1]),

@@ -20,8 +20,8 @@ from pycram.foundation.failures import DisplayError, PycramError
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.world import attachment
-from pycram.world.current import opened
-from pycram.world.transaction import Reading, put
+from pycram.world.current import open_worlds
+from pycram.world.snapshot import Snapshot, restore_snapshot
 from pycram.world.world import BulletWorld, Object
 from recorder.tracing import journal
 from replay.errors import Damaged, NotRestored
@@ -142,7 +142,7 @@ def rebuild(log: Log, told: World, mark: str, mode: str = "DIRECT") -> BulletWor
         world.sim_step = told.sim_step
         world.set_gravity(told.gravity)
         for body in told.bodies.values():
-            put(load_body(log, body.loaded, world, body.color), reading(body))
+            restore_snapshot(load_body(log, body.loaded, world, body.color), reading(body))
         for held in told.attachments.values():
             carrier, carried = world.get_object(held.carrier), world.get_object(held.body)
             pose = held.position, held.orientation
@@ -163,7 +163,7 @@ def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
         mode: "DIRECT" or "GUI".
     """
     current = BulletWorld.current_bullet_world
-    taken = {world.name for world in opened()}
+    taken = {world.name for world in open_worlds()}
     free = next(title for title in _numbered(name) if title not in taken)
     world = BulletWorld(mode, name=free)
     if current is not None and not current.closed:
@@ -219,10 +219,10 @@ def _description(text: str) -> RobotDescription:
     return RobotDescription.parse(text, "the recording's robot description")
 
 
-def reading(body: Body) -> Reading:
+def reading(body: Body) -> Snapshot:
     """A body's state as the engine takes it.
 
     Args:
         body: the state.
     """
-    return Reading(body.pose, body.velocity, tuple(body.joints.values()), tuple(body.joint_velocities.values()))
+    return Snapshot(body.pose, body.velocity, tuple(body.joints.values()), tuple(body.joint_velocities.values()))

@@ -1,4 +1,4 @@
-"""The floor: a slab of 30 x 30 m whose upper side is z = 0, with joints between tiles to be seen, not touched."""
+"""The floor: a slab of 30 x 30 m whose upper side is z = 0, with visible joints between tiles that don't collide."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def panel(width: float, low: float, high: float, front: str = "front") -> list[S
 
 
 def rack(x: tuple[float, float], half: float, z: float, rim: float) -> list[Shape]:
-    """A wire rack: a thin floor to be touched, wires to be seen, and a rim if it has a height."""
+    """A wire rack: a thin floor that collides, visible wires, and a rim if it has a height."""
     floor = span(x, (-half, half), (z, z + 0.006), "dark_steel")
     count = 9
     step = 2 * half / (count - 1)

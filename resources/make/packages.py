@@ -1,4 +1,4 @@
-"""Packages and food: closed bodies, as they come from the shop."""
+"""Packages and food: closed bodies."""
 
 from __future__ import annotations
 
@@ -79,9 +79,11 @@ def bottle() -> Thing:
     label = [(0.0, 0.0550), (0.0354, 0.0550), (0.0354, 0.1350), (0.0, 0.1350)]
     i = MARGIN
     pieces = (
-        _core([(0.0, i), (0.0315, i), (0.0350 - i, 0.0040), (0.0350 - i, 0.1550), (0.0330 - i, 0.1720), (0.0, 0.1720)]),
-        _core([(0.0, 0.1720), (0.0330 - i, 0.1720), (0.0260 - i, 0.1920), (0.0170 - i, 0.2070), (0.0, 0.2070)]),
-        _core([(0.0, 0.2070), (0.0150 - i, 0.2070), (0.0150 - i, 0.2500 - i), (0.0, 0.2500 - i)]),
+        _convex_piece(
+            [(0.0, i), (0.0315, i), (0.0350 - i, 0.0040), (0.0350 - i, 0.1550), (0.0330 - i, 0.1720), (0.0, 0.1720)]
+        ),
+        _convex_piece([(0.0, 0.1720), (0.0330 - i, 0.1720), (0.0260 - i, 0.1920), (0.0170 - i, 0.2070), (0.0, 0.2070)]),
+        _convex_piece([(0.0, 0.2070), (0.0150 - i, 0.2070), (0.0150 - i, 0.2500 - i), (0.0, 0.2500 - i)]),
     )
     solid = revolve([*body, (0.0130, 0.2160), (0.0130, 0.2280), *cap[1:]], 40)
     parts = (
@@ -123,9 +125,9 @@ def apple() -> Thing:
         (0.0, high),
     ]
     parts = (Part("skin", (0.75, 0.13, 0.12), body), Part("stalk", (0.32, 0.21, 0.10), stalk))
-    return Thing("apple", 0.18, 0.7, join([body, stalk]), (_core(core, 12),), parts).centred()
+    return Thing("apple", 0.18, 0.7, join([body, stalk]), (_convex_piece(core, 12),), parts).centred()
 
 
-def _core(profile: Profile, segments: int = 16) -> Solid:
-    """A convex body of revolution for collision."""
+def _convex_piece(profile: Profile, segments: int = 16) -> Solid:
+    """A convex piece of revolution for collision."""
     return revolve(profile, segments)

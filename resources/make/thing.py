@@ -1,7 +1,7 @@
-"""A thing is a household object: what it looks like, what it is made of for physics, and what it weighs.
+"""A thing is a household object: its visible parts, its convex pieces for collision, its mass and friction.
 
 PyBullet turns a concave mesh into its convex hull (a bowl would be solid) and shows one colour a mesh whatever an MTL
-file says. So a thing is written as several files, and whoever loads ``X.stl`` looks beside it:
+file says. So a thing is written as several files, which are found beside ``X.stl`` when that is loaded:
 
 ``X.stl``
     The whole body, one watertight mesh, origin at the middle of its bounding box.
@@ -48,7 +48,7 @@ class Thing:
         friction: Lateral friction coefficient. PyBullet multiplies those of two bodies in contact; 0.5 is its default.
         solid: The whole body, watertight.
         pieces: Convex pieces for collision, drawn ``MARGIN`` smaller than the body.
-        parts: What is seen.
+        parts: Its visible parts.
     """
 
     name: str

@@ -1,6 +1,6 @@
 """URDF text: links made of boxes and cylinders in named materials, with inertia from those materials' densities.
 
-A shape that is seen but can't be touched (``solid=False``) has no mass either.
+A shape that is visible but doesn't collide (``solid=False``) has no mass either.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Triple: TypeAlias = tuple[float, float, float]
 
 FRAME_MASS = 0.01
-"""Kilograms of a link without a shape: the engine would take 1 kg if none was given."""
+"""Kilograms of a link without a shape, which the engine would give 1 kg."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +43,8 @@ class Shape:
         centre: Middle, metres.
         size: Extents along x, y, z, metres.
         material: Name in the table of materials.
-        solid: Whether it can be touched.
-        round_about: Axis ``x``, ``y`` or ``z`` of the cylinder that is seen; it is touched as a box all the same.
+        solid: Whether it collides.
+        round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; it collides as a box all the same.
     """
 
     centre: Triple

@@ -1,4 +1,4 @@
-"""The task tree: a plan sees of itself, while it runs and afterwards, what the log tells."""
+"""The task tree: the live one of a plan and the recorded one are the same."""
 
 # ruff: noqa: PT012  the plans under test have bodies
 from __future__ import annotations
@@ -68,7 +68,7 @@ def log(tmp_path: Path, world: BulletWorld) -> Path:
     return file
 
 
-def test_the_plan_s_tree_is_the_log_s_tree(log: Path) -> None:
+def test_live_tree_and_recorded_tree_are_equal(log: Path) -> None:
     with replay.open(log) as opened:
         told = opened.tree()
     live = tasks.tree()
@@ -94,7 +94,7 @@ def test_the_plan_s_tree_is_the_log_s_tree(log: Path) -> None:
     assert other == told
 
 
-def test_attempts_and_failures_can_be_looked_up(log: Path) -> None:
+def test_attempts_and_failures_can_be_found(log: Path) -> None:
     tree = tasks.tree()
     (handling,) = tree.find(kind="failure-handling")
     assert [(node.attempt, node.status, dict(node.parameters)) for node in handling.attempts] == [
@@ -111,7 +111,7 @@ def test_attempts_and_failures_can_be_looked_up(log: Path) -> None:
     assert tree.find(status=State.RUNNING) == []
 
 
-def test_a_plan_looks_at_itself_while_it_runs() -> None:
+def test_a_plan_reads_its_tree_while_it_runs() -> None:
     seen = {}
 
     def branch() -> None:
@@ -161,7 +161,7 @@ def test_the_parent_is_right_across_threads() -> None:
         assert __file__ in node.source
 
 
-def test_what_is_asked_for_is_created_until_it_starts() -> None:
+def test_a_branch_is_created_until_it_starts() -> None:
     with pursue as s:
         s(lambda: None)
         s.branches[0].wait()
@@ -176,7 +176,7 @@ def test_what_is_asked_for_is_created_until_it_starts() -> None:
     assert fresh.roots[0].start is None
 
 
-def test_a_plan_that_runs_for_days_keeps_its_last_tasks() -> None:
+def test_a_long_plan_keeps_its_last_tasks() -> None:
     tree = Tree(limit=100)
     tree.apply(Task(phase=Task.STARTED, task=1, name="day"))
     for number in range(2, 1000):
@@ -231,7 +231,7 @@ def test_text_json_dot_and_picture(log: Path, capsys: pytest.CaptureFixture[str]
         assert capsys.readouterr().out == expected
 
 
-def test_failures_of_many_lines_or_none_keep_trees_and_logs_in_lines(
+def test_multiline_and_empty_messages_of_failures_are_indented(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.mcap"
@@ -249,11 +249,11 @@ def test_failures_of_many_lines_or_none_keep_trees_and_logs_in_lines(
     assert lines[4].endswith("PlanFailure")
 
 
-def test_a_state_is_told_by_its_name() -> None:
+def test_states_print_their_names() -> None:
     assert [str(State.FAILED), f"{State.FAILED}"] == ["State.FAILED"] * 2
 
 
-def test_a_log_s_tree_needs_no_physics_engine(log: Path) -> None:
+def test_a_recorded_tree_is_read_without_the_physics_engine(log: Path) -> None:
     program = f"""
 import sys
 sys.modules["pybullet"] = None
@@ -264,7 +264,7 @@ print(len(replay.open({str(log)!r}).tree()), "pycram" in sys.modules)
     assert out.split() == [str(len(tasks.tree())), "False"]
 
 
-def test_nothing_recorded_still_shows_the_plan() -> None:
+def test_the_tree_exists_without_a_recording() -> None:
     with pytest.raises(PlanFailure), par as s:
         s(fails)
     root = tasks.tree().roots[-1]

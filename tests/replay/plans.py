@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AttachmentError
-from pycram.world.transaction import read
+from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 from recorder.records import Keyframe, Mutation
 
@@ -27,7 +27,7 @@ def everything(world: BulletWorld) -> dict[str, object]:
     """All that is true of a world, in numbers that can be compared."""
     told: dict[str, object] = {}
     for body in world.objects:
-        now = read(body)
+        now = take_snapshot(body)
         told[body.name] = {
             "type": body.type,
             "numbers": [*now.pose[0], *now.pose[1], *now.velocity, *now.positions, *now.velocities],

@@ -47,7 +47,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
                 assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
                 assert_near(found.evidence, live, where, within=1e-6)
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 @pytest.mark.slow
@@ -191,7 +191,7 @@ def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None
 def test_questions_without_an_answer_say_why(scene_log: Path, question: str, told: str) -> None:
     with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=told):
         ask(log, first(log, "visible").seq, question)
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 def test_words_stay_words() -> None:

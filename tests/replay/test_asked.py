@@ -74,8 +74,8 @@ def take_after(file: Path, change: str) -> None:
 def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Recording]:
     with pytest.raises(PlanFailure):
         take_after(tmp_path / "x.mcap", request.param)
-    while current.opened():
-        current.opened()[-1].exit()
+    while current.open_worlds():
+        current.open_worlds()[-1].exit()
     with replay.open(tmp_path / "x.mcap") as log:
         yield log
 

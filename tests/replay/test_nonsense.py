@@ -110,7 +110,7 @@ def check(sound: Path, target: Path, seed: int) -> None:
         ["render", file, "-20", "-o", str(target.with_suffix(".png")), "--size", "8x8"],
     ):
         assert main(asked) in (0, 1, 2, 3), f"seed {seed}: {asked}"
-        assert not current.opened(), f"seed {seed}: {asked}"
+        assert not current.open_worlds(), f"seed {seed}: {asked}"
 
 
 def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_it_shows_that_moment_from_that_place(file: Path) -> None:
         wide = render(log, 2, size=(100, 50))
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 @pytest.mark.slow

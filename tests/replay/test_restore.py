@@ -74,7 +74,7 @@ def test_a_scripts_end_is_the_verbs(
     told = capfd.readouterr()
     assert ("ZeroDivisionError" in told.err) is (text == "1/0")
     assert not told.out
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_wrong_usage_is_told_on_stderr(
     told = capfd.readouterr()
     assert words in told.err
     assert not told.out
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 @pytest.mark.needs("Xvfb", "OpenGL")

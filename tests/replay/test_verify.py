@@ -40,7 +40,7 @@ CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 def rewritten(source: Path, target: Path, change: Callable[[Record], Record | None], **metadata: str) -> Path:

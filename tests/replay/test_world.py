@@ -33,7 +33,7 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture(autouse=True)
 def nothing_left() -> Iterator[None]:
     yield
-    for world in current.opened():
+    for world in current.open_worlds():
         world.exit()
 
 
@@ -108,10 +108,10 @@ def test_it_needs_nothing_but_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
 import sys
-from pycram import assets
+from pycram.models import load
 def gone(*_):
     raise AssertionError("looked for a model outside of the recording")
-assets.find = assets.resources = gone
+load.find = load.resources = gone
 import replay
 with replay.open(sys.argv[1]) as log:
     world = log.world_at(-3)
@@ -128,7 +128,7 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> 
             step = end_of(log)
             ask(log, step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
-            assert current.opened() == (now,)
+            assert current.open_worlds() == (now,)
             past = log.world_at(step)
         past.simulate(0.1)
         past.exit()
@@ -163,7 +163,7 @@ def test_steps_without_a_world_say_so(planned: Path) -> None:
             log.world_at("last", "kitchen")
         with pytest.raises(replay.NoSuchName, match="kitchen"):
             log.world_at(20, "kitchn")
-    assert not current.opened()
+    assert not current.open_worlds()
 
 
 def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> None:

@@ -107,7 +107,7 @@ def test_shapes_keep_to_the_boxes_of_the_table(robot: ET.Element, table: list[di
     assert compared > 50
 
 
-def test_every_link_is_cheap_and_weighs_something(robot: ET.Element) -> None:
+def test_links_have_few_primitive_shapes_and_all_have_a_mass(robot: ET.Element) -> None:
     assert len(robot.findall("link/collision")) < 250
     assert robot.find("link/collision/geometry/mesh") is None
     materials = {material.get("name") for material in robot.findall("material")}

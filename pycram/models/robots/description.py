@@ -1,6 +1,6 @@
-"""What process modules and queries have to know of a robot, read from TOML and checked against its URDF.
+"""What process modules and queries have to know of a robot, checked against its URDF.
 
-A process module never holds the name or number of a joint: a second robot is a second file.
+A process module never holds the name or number of a joint: a second robot is a second TOML file.
 """
 
 from __future__ import annotations
@@ -8,21 +8,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final
 
-from pycram.foundation import checks, toml
+from pycram.foundation import checks
 from pycram.foundation.failures import AssetError, BadArgument, UnknownName
+from pycram.models.files import parse_toml, read_text
+from pycram.models.robots import tables
 from recorder.geometry.joints import UrdfError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from recorder.geometry.urdf import Urdf
 
-T = TypeVar("T")
-_FARTHEST: Final = 1e4  # m
-_WIDEST: Final = 3.1  # rad
-_MOST_PIXELS: Final = 1e5
+_MAX_SIGHT: Final = 1e4  # m
+_MAX_FOV: Final = 3.1  # rad
+_MAX_PIXELS: Final = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +53,11 @@ class Gripper:
     underside: float
 
     def positions(self, motion: str) -> dict[str, float]:
-        """Joint values for "open" or "close"."""
+        """Return joint values for the motion "open" or "close"."""
         return self.at(1.0 if motion == "open" else 0.0)
 
     def at(self, share: float) -> dict[str, float]:
-        """Joint values between closed (0) and open (1)."""
+        """Return joint values for a share between closed (0) and open (1)."""
         return dict.fromkeys(self.joints, self.closed + share * (self.open - self.closed))
 
 
@@ -81,10 +82,10 @@ class Arm:
     poses: Mapping[str, tuple[float, ...]]
 
     def posture(self, name: str) -> dict[str, float]:
-        """Joint values of a named posture.
+        """Return the joint values of a named posture.
 
         Raises:
-            UnknownName: the arm has none of that name.
+            UnknownName: The arm has none of that name.
         """
         if name not in self.poses:
             raise UnknownName("named pose", name, f"the {self.name} arm", self.poses)
@@ -146,8 +147,8 @@ class RobotDescription:
         head: its head, if it has one that turns.
         camera: its camera, if it has one.
         torso: its torso, if it lifts.
-        text: the TOML that says all this.
-        source: where that came from, for errors.
+        text: the TOML that it was read from.
+        source: the TOML's file, for errors.
     """
 
     robot: str
@@ -161,42 +162,31 @@ class RobotDescription:
 
     @classmethod
     def load(cls, path: str | Path) -> RobotDescription:
-        """Reads a description.
-
-        Args:
-            path: a TOML file.
+        """Read a description from a TOML file.
 
         Raises:
-            AssetError: it can't be read, or says too little.
+            AssetError: It can't be read, or an entry is missing, unknown or impossible.
         """
-        file = Path(path)
-        try:
-            text = file.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise AssetError(file, f"can't be read: {error}") from error
-        return cls.parse(text, str(file))
+        return cls.parse(read_text(Path(path)), str(path))
 
     @classmethod
     def parse(cls, text: str, source: str = "robot description") -> RobotDescription:
-        """Reads a description from text.
-
-        Args:
-            text: the TOML.
-            source: where it came from, for errors.
+        """Read a description from TOML; errors name its source.
 
         Raises:
-            AssetError: it isn't TOML, or says too little.
+            AssetError: It isn't TOML, or an entry is missing, unknown or impossible.
         """
-        tables = toml.parse(text, source)
+        table = parse_toml(text, source)
         try:
-            _only(tables, "robot", "base_link", "arms", "head", "camera", "torso")
+            tables.only(table, "robot", "base_link", "arms", "head", "camera", "torso")
+            arms = tables.table(table, "arms")
             return cls(
-                robot=_text(tables, "robot"),
-                base_link=_text(tables, "base_link"),
-                arms={name: _arm(name, _table(arms, name)) for arms in [_table(tables, "arms")] for name in arms},
-                head=_optional(tables, "head", lambda head: Head(_text(head, "pan"), _text(head, "tilt"))),
-                camera=_optional(tables, "camera", _camera),
-                torso=_optional(tables, "torso", lambda torso: Torso(_text(torso, "joint"), _number(torso, "default"))),
+                robot=checks.text("robot", table["robot"]),
+                base_link=checks.text("base_link", table["base_link"]),
+                arms={name: _arm(name, tables.table(arms, name)) for name in arms},
+                head=tables.record(Head, tables.table(table, "head")) if "head" in table else None,
+                camera=_camera(tables.table(table, "camera")) if "camera" in table else None,
+                torso=tables.record(Torso, tables.table(table, "torso")) if "torso" in table else None,
                 text=text,
                 source=source,
             )
@@ -206,27 +196,24 @@ class RobotDescription:
             raise AssetError(source, str(error)) from error
 
     def arm(self, name: str) -> Arm:
-        """An arm by name.
+        """Return an arm by name.
 
         Raises:
-            UnknownName: it has no such arm.
+            UnknownName: It has no such arm.
         """
         if name not in self.arms:
             raise UnknownName("arm", name, self.robot, self.arms)
         return self.arms[name]
 
     def arm_of(self, tool_frame: str) -> Arm | None:
-        """The arm with that tool frame."""
+        """Return the arm with a tool frame; None if there is none."""
         return next((arm for arm in self.arms.values() if arm.tool_frame == tool_frame), None)
 
     def check(self, urdf: Urdf) -> None:
-        """Makes sure that all names and values fit a robot.
-
-        Args:
-            urdf: its URDF.
+        """Check that all names and values fit the robot's URDF.
 
         Raises:
-            AssetError: a joint or link doesn't exist, a chain isn't one, or a value is outside limits.
+            AssetError: A joint or link doesn't exist, a chain isn't one, or a value is outside limits.
         """
         try:
             for link in self._links():
@@ -243,14 +230,14 @@ class RobotDescription:
             raise AssetError(self.source, str(error)) from error
 
     def _links(self) -> list[str]:
-        """All links that it names."""
+        """Return all links that it names."""
         links = [self.base_link] + ([self.camera.frame] if self.camera else [])
         for arm in self.arms.values():
             links += [arm.base_link, arm.tool_frame, arm.gripper.palm, *arm.gripper.fingers]
         return links
 
     def _values(self) -> dict[str, list[float]]:
-        """All joints that it names, with the values that it would put them to."""
+        """Return all joints that it names, with all values that it has for them."""
         values: dict[str, list[float]] = {}
         if self.head:
             values |= {self.head.pan: [], self.head.tilt: []}
@@ -264,102 +251,44 @@ class RobotDescription:
     def _check_chain(self, arm: Arm, urdf: Urdf) -> None:
         chain = tuple(joint.name for joint in urdf.chain(arm.base_link, arm.tool_frame) if joint.movable)
         if chain != arm.joints:
-            told = ", ".join(chain)
-            raise AssetError(self.source, f"the {arm.name} arm's joints from base_link to tool_frame are {told}")
-
-
-def _table(tables: Mapping[str, object], key: str) -> dict[str, object]:
-    value = tables[key]
-    if not isinstance(value, dict):
-        raise BadArgument(key, value, "a table")
-    return value
-
-
-def _text(table: Mapping[str, object], key: str) -> str:
-    return checks.text(key, table[key])
-
-
-def _number(table: Mapping[str, object], key: str) -> float:
-    return checks.number(key, table[key])
-
-
-def _between(table: Mapping[str, object], key: str, low: float, high: float) -> float:
-    value = _number(table, key)
-    if not low <= value <= high:
-        raise BadArgument(key, value, f"a number from {low:g} to {high:g}")
-    return value
-
-
-def _only(table: Mapping[str, object], *keys: str) -> None:
-    for key in table:
-        if key not in keys:
-            raise BadArgument(key, table[key], f"only {', '.join(keys)} here")
-
-
-def _texts(table: Mapping[str, object], key: str) -> tuple[str, ...]:
-    value = table[key]
-    if not isinstance(value, list):
-        raise BadArgument(key, value, "a list of names")
-    return tuple(checks.text(key, item) for item in value)
-
-
-def _optional(tables: Mapping[str, object], key: str, read: Callable[[dict[str, object]], T]) -> T | None:
-    return read(_table(tables, key)) if key in tables else None
-
-
-def _camera(table: dict[str, object]) -> CameraDescription:
-    _only(table, "frame", "horizontal_fov", "vertical_fov", "width", "height", "near", "far")
-    near = _between(table, "near", 1e-4, _FARTHEST)
-    return CameraDescription(
-        frame=_text(table, "frame"),
-        horizontal_fov=_between(table, "horizontal_fov", 1e-3, _WIDEST),
-        vertical_fov=_between(table, "vertical_fov", 1e-3, _WIDEST),
-        width=int(_between(table, "width", 1, _MOST_PIXELS)),
-        height=int(_between(table, "height", 1, _MOST_PIXELS)),
-        near=near,
-        far=_between(table, "far", near, _FARTHEST),
-    )
-
-
-def _arm(name: str, table: dict[str, object]) -> Arm:
-    gripper = _table(table, "gripper")
-    _only(table, "base_link", "tool_frame", "joints", "poses", "gripper")
-    _only(gripper, "joints", "closed", "open", "palm", "fingers", "aperture", "depth", "tips", "underside")
-    joints = _texts(table, "joints")
-    poses: dict[str, tuple[float, ...]] = {}
-    for pose, values in _table(table, "poses").items():
-        if not isinstance(values, list) or len(values) != len(joints):
-            raise BadArgument(f"arms.{name}.poses.{pose}", values, f"{len(joints)} numbers")
-        poses[pose] = tuple(checks.number(pose, value) for value in values)
-    return Arm(
-        name=name,
-        joints=joints,
-        base_link=_text(table, "base_link"),
-        tool_frame=_text(table, "tool_frame"),
-        gripper=Gripper(
-            joints=_texts(gripper, "joints"),
-            closed=_number(gripper, "closed"),
-            open=_number(gripper, "open"),
-            palm=_text(gripper, "palm"),
-            fingers=_texts(gripper, "fingers"),
-            aperture=_between(gripper, "aperture", 1e-3, 1.0),
-            depth=_between(gripper, "depth", 0.0, 1.0),
-            tips=_between(gripper, "tips", 0.0, 1.0),
-            underside=_between(gripper, "underside", 0.0, 1.0),
-        ),
-        poses=poses,
-    )
+            found = ", ".join(chain)
+            raise AssetError(self.source, f"the {arm.name} arm's joints from base_link to tool_frame are {found}")
 
 
 @cache
 def find_description(robot: str) -> RobotDescription | None:
-    """The description that PyCRAM has of a robot.
+    """Return PyCRAM's own description of a robot, by the name in its URDF; None if there is none."""
+    descriptions = (RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
+    return next((description for description in descriptions if description.robot == robot), None)
 
-    Args:
-        robot: its name in its URDF.
-    """
-    for file in sorted(Path(__file__).parent.glob("*.toml")):
-        description = RobotDescription.load(file)
-        if description.robot == robot:
-            return description
-    return None
+
+def _camera(table: tables.Table) -> CameraDescription:
+    fov, pixels, sight = (1e-3, _MAX_FOV), (1, _MAX_PIXELS), (1e-4, _MAX_SIGHT)
+    camera = tables.record(
+        CameraDescription,
+        table,
+        horizontal_fov=fov,
+        vertical_fov=fov,
+        width=pixels,
+        height=pixels,
+        near=sight,
+        far=sight,
+    )
+    checks.in_range("far", camera.far, camera.near)
+    return camera
+
+
+def _arm(name: str, table: tables.Table) -> Arm:
+    tables.only(table, "base_link", "tool_frame", "joints", "poses", "gripper")
+    joints = tables.texts("joints", table["joints"])
+    poses: dict[str, tuple[float, ...]] = {}
+    for pose, values in tables.table(table, "poses").items():
+        if not isinstance(values, list) or len(values) != len(joints):
+            raise BadArgument(f"arms.{name}.poses.{pose}", values, f"{len(joints)} numbers")
+        poses[pose] = tuple(checks.number(pose, value) for value in values)
+    size = (0.0, 1.0)
+    gripper = tables.record(
+        Gripper, tables.table(table, "gripper"), aperture=(1e-3, 1.0), depth=size, tips=size, underside=size
+    )
+    base_link, tool_frame = (checks.text(key, table[key]) for key in ("base_link", "tool_frame"))
+    return Arm(name, joints, base_link, tool_frame, gripper, poses)

@@ -101,19 +101,20 @@ def _touched(
 def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[Object]:
     """Yield what a drawer or door would push away when it opens; what lies in it moves along."""
     moved = carried.moved_links(container.urdf, [joint])
-    riding = carried.riders(container, moved)
+    supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
     bodies = clone.sync()
     engine, opening = clone.engine, bodies[container.name]
     others = [
-        body for body in container.world.objects if not body.fixed and body not in riding and body.carrier is None
+        body for body in container.world.objects if not body.fixed and body not in supported and body.carrier is None
     ]
     try:
         for value in values[1:]:
             engine.pose_joints(opening, {joint: value})
             for body in others:
-                touches = (touch for link in moved for touch in engine.link_touches(opening, link, bodies[body.name]))
-                if any(touch.distance < -DEPTH for touch in touches):
+                copy = bodies[body.name]
+                points = (point for link in moved for point in engine.link_closest_points(opening, link, copy))
+                if any(point.distance < -DEPTH for point in points):
                     yield body
     finally:
         clone.invalidate(container.name)

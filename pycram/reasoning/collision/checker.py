@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.engine import Touch
+    from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -69,7 +69,7 @@ class Candidate:
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
     transforms: NDArray[np.float64]
     pairs: list[Pair] = field(default_factory=list)
-    touches: dict[Pair, list[Touch]] = field(default_factory=dict)
+    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)
 
 
 class CollisionChecker:
@@ -162,7 +162,7 @@ class CollisionChecker:
 
     def collisions(
         self, candidate: Candidate, links: Collection[str] | None = None
-    ) -> Iterator[tuple[Object, list[Touch]]]:
+    ) -> Iterator[tuple[Object, list[ClosestPoint]]]:
         """Check the pairs of a candidate, one after the other; what was checked before is known.
 
         Args:
@@ -188,7 +188,7 @@ class CollisionChecker:
 
     def touched(self, candidate: Candidate) -> dict[Object, Collision]:
         """Return what a robot collides with in a candidate, deepest first."""
-        found: dict[Object, list[Touch]] = {}
+        found: dict[Object, list[ClosestPoint]] = {}
         for body, touches in self.collisions(candidate):
             found.setdefault(body, []).extend(touches)
         collisions = {
@@ -212,13 +212,13 @@ class CollisionChecker:
             )
         ]
 
-    def _touches(self, candidate: Candidate, pair: Pair) -> list[Touch]:
+    def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
         """Return where two links touch; only for this the clone's robot is moved."""
         if pair not in candidate.touches:
             self._place(candidate)
             mover, link, body, other = pair
             bodies = self._bodies[mover.name], self._bodies[body.name]
-            candidate.touches[pair] = self._clone.engine.link_touches(bodies[0], link, bodies[1], link_b=other)
+            candidate.touches[pair] = self._clone.engine.link_closest_points(bodies[0], link, bodies[1], link_b=other)
         return candidate.touches[pair]
 
     def _place(self, candidate: Candidate) -> None:
@@ -298,6 +298,6 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
     return held
 
 
-def _carries_wheels(touch: Touch) -> bool:
+def _carries_wheels(touch: ClosestPoint) -> bool:
     """Return whether a robot stands there rather than bumps: a contact from below, at the height of its base's feet."""
     return touch.normal[2] > _STANDING and touch.position_b[2] < _FEET

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes
-from pycram.world.transaction import Reading, read
+from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 class _Copy:
     original: Body
     body: Body
-    state: Reading | None
-    cache: dict[Hashable, tuple[Reading, object]] = field(default_factory=dict)
+    state: Snapshot | None
+    cache: dict[Hashable, tuple[Snapshot, object]] = field(default_factory=dict)
 
 
 class SimulationClone:
@@ -75,7 +75,7 @@ class SimulationClone:
         copies = {name: self._copy(body) for name, body in wanted.items()}
         if self._solid:  # contacts of earlier queries would change the last bits of the answer
             for body in wanted.values():
-                self.engine.separate(copies[body.name], fixed=body.fixed, robot=body.is_robot)
+                self.engine.reset_collision_filter(copies[body.name], fixed=body.fixed, robot=body.is_robot)
         if holding:
             for body in wanted.values():
                 for held in body.carried:
@@ -112,7 +112,7 @@ class SimulationClone:
         self._held.clear()
 
     def _copy(self, body: Object) -> Body:
-        now = read(body)
+        now = take_snapshot(body)
         copy = self._copies.get(body.name)
         if copy is None:
             loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot)

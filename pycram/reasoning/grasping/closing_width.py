@@ -39,7 +39,7 @@ def closed_around(
         return any(
             touch.distance < -_SLACK
             for finger in gripper.fingers
-            for touch in engine.link_touches(hand, finger, target)
+            for touch in engine.link_closest_points(hand, finger, target)
         )
 
     try:

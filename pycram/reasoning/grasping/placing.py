@@ -46,7 +46,7 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
         return [
             other.name
             for other in others
-            if any(touch.distance < -_OVERLAP for touch in engine.touches(copy, bodies[other.name]))
+            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(copy, bodies[other.name]))
         ]
 
     try:

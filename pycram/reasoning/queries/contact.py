@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 from pycram.reasoning.queries.query import Verdict, query
 
 if TYPE_CHECKING:
-    from pycram.physics.engine import Touch
+    from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
@@ -59,7 +59,7 @@ def supporting(object1: Object, object2: Object, world: BulletWorld | None = Non
     )
 
 
-def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
+def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
     """Return where two objects touch; nowhere if they are the same.
 
     Args:
@@ -70,10 +70,10 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[Touch]:
     if a is b:
         return []  # the engine would report how a body overlaps itself
     engine = a.world.engine
-    return [touch for touch in engine.touches(a.handle, b.handle, margin) if touch.distance <= margin]
+    return [touch for touch in engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
 
 
-def evidence(found: list[Touch]) -> dict[str, object]:
+def evidence(found: list[ClosestPoint]) -> dict[str, object]:
     """Return links, points and depth of touches, for the record."""
     return {
         "links": sorted({(touch.link_a, touch.link_b) for touch in found}),

@@ -79,7 +79,7 @@ Answer = TypeVar("Answer", bound="Verdict | Found[Any]")
 
 
 def _not_negative(name: str, value: object) -> float:
-    return checks.at_least(name, value, 0.0)
+    return checks.in_range(name, value, 0.0)
 
 
 _RECORDED: Final = {"gripper_name": "gripper"}  # what records call arguments whose parameter has another name

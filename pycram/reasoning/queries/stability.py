@@ -92,11 +92,11 @@ def _participants(body: Object) -> list[Object]:
     needed = {holders[body]} if body in holders else set()
     for robot in robots:
         free = (other for other in near if not other.fixed and (other not in holders or other is body))
-        if any(world.engine.touches(robot.handle, other.handle, _LEANING) for other in free):
+        if any(world.engine.closest_points(robot.handle, other.handle, _LEANING) for other in free):
             needed.add(robot)
     if body not in holders:
         for other, holder in holders.items():
-            if other in boxes and world.engine.touches(other.handle, body.handle, _LEANING):
+            if other in boxes and world.engine.closest_points(other.handle, body.handle, _LEANING):
                 needed.add(holder)
     kept = [other for other in near if other not in holders or holders[other] in needed]
     held = [other for other, holder in holders.items() if holder in needed and other not in kept]

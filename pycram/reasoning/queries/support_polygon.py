@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.physics.body import Body
-    from pycram.physics.engine import Contact, Engine
+    from pycram.physics.contacts import Contact
+    from pycram.physics.engine import Engine
     from recorder.geometry import Vector
 
     Points = NDArray[np.float64]

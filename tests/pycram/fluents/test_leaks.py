@@ -1,17 +1,17 @@
-"""Networks that are dropped leave nothing behind."""
+"""Dropped networks are freed."""
 
 from __future__ import annotations
 
 import gc
 
 from pycram.fluent import Fluent
-from pycram.fluents.expressions import Term
-from pycram.fluents.waiting import Watch
+from pycram.fluents.expressions import Expression
+from pycram.fluents.waiting import StateStream
 
 
-def test_dropped_networks_leave_nothing_behind() -> None:
+def test_dropped_networks_are_freed() -> None:
     def alive() -> int:
-        return sum(isinstance(one, Fluent | Term | Watch) for one in gc.get_objects())
+        return sum(isinstance(one, Fluent | Expression | StateStream) for one in gc.get_objects())
 
     fluent = Fluent(1)
     gc.collect()  # what tests before this one left
@@ -22,8 +22,8 @@ def test_dropped_networks_leave_nothing_behind() -> None:
         fluent.pulse()
     del of_it
     assert alive() == before, "gone at once, without the garbage collector"
-    assert not fluent.term.watchers
-    assert not fluent.term.accounts
+    assert not fluent.expression.waiters
+    assert not fluent.expression.counters
 
 
 def test_a_network_keeps_its_operands_alive() -> None:

@@ -1,4 +1,4 @@
-"""Pulses, and what reacts to them again and again."""
+"""Pulses, and how whenever handles them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from pycram.failures import Unreachable
 from pycram.fluent import Behavior, Fluent, network, whenever
 from pycram.scheduling.cancellation import Cancelled
-from tests.pycram.fluents.waiters import PATIENCE, Running
+from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,13 +30,13 @@ def runs(pulsed: Fluent, during_the_first: Callable[[], object]) -> int:
         nonlocal count
         count += 1
         begun.set()
-        assert go_on.wait(PATIENCE)
+        assert go_on.wait(HANG_TIMEOUT)
 
     running = Running(lambda: whenever(network(look, pulsed), body))
-    assert begun.wait(PATIENCE)
+    assert begun.wait(HANG_TIMEOUT)
     during_the_first()
     go_on.set()
-    assert idle.wait(PATIENCE)
+    assert idle.wait(HANG_TIMEOUT)
     running.scope.cancel()
     assert isinstance(running.end(), Cancelled)
     return count
@@ -59,7 +59,7 @@ def test_five_pulses_while_the_body_is_busy(behavior: Behavior, expected: int, l
     assert pulsed.get_value() is True
 
 
-def test_once_is_the_default() -> None:
+def test_once_is_the_default_behavior() -> None:
     fluent = Fluent()
     pulsed = fluent.pulsed()
     for _ in range(5):
@@ -67,7 +67,7 @@ def test_once_is_the_default() -> None:
     assert runs(pulsed, lambda: None) == 2
 
 
-def test_a_pulse_reaches_what_is_made_of_its_fluent_once_and_nothing_else() -> None:
+def test_a_pulse_reaches_each_network_of_its_fluent_once_and_no_other() -> None:
     a, b = Fluent(1), Fluent(2)
     both = (a + b) * a
     of_both, of_a, of_b, of_of = both.pulsed(Behavior.ALWAYS), a.pulsed(), b.pulsed(), both.pulsed().pulsed()
@@ -83,19 +83,19 @@ def test_a_pulse_reaches_what_is_made_of_its_fluent_once_and_nothing_else() -> N
 
 def test_a_loop_handles_each_pulse_until_it_breaks() -> None:
     door = Fluent("shut", "door")
-    told = []
+    states = []
     pulsed = door.pulsed(Behavior.ALWAYS)
     for state in ("open", "shut", "open"):
         door.set_value(state)
     for _ in whenever(pulsed):
-        told.append(door.get_value())
-        if len(told) == 2:
+        states.append(door.get_value())
+        if len(states) == 2:
             break
-    assert len(told) == 2
+    assert len(states) == 2
     assert pulsed.get_value() is True  # the third
 
 
-def test_whenever_of_a_condition_runs_as_long_as_it_holds() -> None:
+def test_whenever_runs_as_long_as_a_condition_holds() -> None:
     level = Fluent(3)
     poured = 0
     for value in whenever(network(lambda x: x or None, level)):
@@ -107,7 +107,7 @@ def test_whenever_of_a_condition_runs_as_long_as_it_holds() -> None:
     assert poured == 3
 
 
-def test_what_the_body_raises_ends_whenever() -> None:
+def test_an_error_of_the_body_ends_whenever() -> None:
     fluent = Fluent(1)
 
     def body() -> None:

@@ -1,4 +1,4 @@
-"""What networks of fluents are worth: operators, and laws that hold of any network."""
+"""Values of networks: operators, and laws that hold for any network."""
 
 from __future__ import annotations
 
@@ -59,12 +59,12 @@ def test_operators_take_fluents_and_plain_values_on_both_sides(
 
 
 @pytest.mark.parametrize(("value", "negated"), [(None, True), (False, True), (0, True), ("", True), (1, None)])
-def test_not_is_true_of_whatever_is_false(value: object, negated: object) -> None:
+def test_not_is_true_of_false_values(value: object, negated: object) -> None:
     assert Fluent(value).NOT().get_value() is negated
 
 
 @pytest.mark.parametrize("value", [True, False, 0, "", (), "milk"])
-def test_everything_but_none_is_worth_waiting_for(value: object) -> None:
+def test_waiting_ends_with_any_value_but_none(value: object) -> None:
     fluent = Fluent()
     assert not fluent.wait_for(timeout=0)
     with waiting(fluent) as running:
@@ -85,7 +85,7 @@ def test_networks_follow_their_operands() -> None:
     assert scaled.get_value() == (5.0, 4)
 
 
-def test_a_guard_keeps_the_other_side_from_being_looked_at() -> None:
+def test_and_and_or_short_circuit() -> None:
     speed = Fluent(0)
     soon, standing_or_late = (speed != 0).AND(100 / speed < 10), (speed == 0).OR(100 / speed >= 10)
     assert (soon.get_value(), standing_or_late.get_value()) == (None, True)
@@ -95,7 +95,7 @@ def test_a_guard_keeps_the_other_side_from_being_looked_at() -> None:
     assert (soon.get_value(), standing_or_late.get_value()) == (None, True)
 
 
-def test_what_has_no_value_yet_is_neither_less_nor_more_and_adds_up_to_nothing() -> None:
+def test_operators_without_a_value_give_none() -> None:
     reading = Fluent()
     for made in (reading < 20, reading >= 20, reading > Fluent(), reading + 1, 2 * reading, reading / reading - 1):
         assert made.get_value() is None
@@ -106,7 +106,7 @@ def test_what_has_no_value_yet_is_neither_less_nor_more_and_adds_up_to_nothing()
     assert reading.IS(None).get_value() is True
 
 
-def test_what_a_network_cant_work_out_is_told_to_who_asks_or_waits_not_to_who_sets() -> None:
+def test_errors_of_a_network_are_raised_where_it_is_read_or_awaited() -> None:
     fluent = Fluent(1)
     inverse = 1 / fluent > 2
     with waiting(inverse) as running:
@@ -118,7 +118,7 @@ def test_what_a_network_cant_work_out_is_told_to_who_asks_or_waits_not_to_who_se
     assert inverse.get_value() is True
 
 
-def test_handles_stand_for_their_results() -> None:
+def test_futures_of_branches_stand_for_their_results() -> None:
     with par as s:
         handle = s(lambda: 4)
         fluent = Fluent(handle)

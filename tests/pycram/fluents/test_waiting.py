@@ -1,4 +1,4 @@
-"""Waiting for fluents, from many threads: nothing is missed, and whoever is cancelled leaves at once."""
+"""Waiting for fluents, from many threads: no value is missed, and cancelling ends it at once."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.language import par
 from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
-from tests.pycram.fluents.waiters import PATIENCE, Running, waiting
+from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
 
-def test_a_wait_ends_when_its_time_is_up() -> None:
+def test_a_wait_ends_with_its_timeout() -> None:
     fluent = Fluent(1)
     assert (fluent > 3).wait_for(timeout=0.01) is False
     assert (fluent > 3).wait_for(0) is False
@@ -25,21 +25,21 @@ def test_a_wait_ends_when_its_time_is_up() -> None:
         fluent.wait_for(math.nan)
 
 
-def test_false_wakes_those_who_wait_for_a_not() -> None:
+def test_setting_false_notifies_waits_for_not() -> None:
     fluent = Fluent(True)
     with waiting(fluent.NOT()) as running:
         fluent.set_value(False)
         assert running.end() is True
 
 
-def test_all_who_wait_wake() -> None:
+def test_all_waits_are_notified() -> None:
     fluent = Fluent()
     with waiting(fluent) as one, waiting(fluent > 3) as two, waiting(fluent) as three:
         fluent.set_value(4)
         assert [running.end() for running in (one, two, three)] == [True] * 3
 
 
-def test_a_moment_is_long_enough_to_be_seen() -> None:
+def test_a_value_is_seen_however_short_it_lasts() -> None:
     fluent = Fluent(0)
     with waiting(fluent == 1) as running:
         fluent.set_value(1)
@@ -61,7 +61,7 @@ def test_a_network_never_shows_a_mix_of_two_moments() -> None:
     assert mixed.get_value() is None
 
 
-def test_functions_of_networks_may_wait_for_other_threads_and_run_where_one_asks() -> None:
+def test_functions_of_networks_run_in_the_waiting_thread_without_a_lock() -> None:
     a = Fluent(1)
     where: list[str] = []
 
@@ -83,7 +83,7 @@ def test_many_threads_set_and_wait() -> None:
 
     def play(number: int) -> int:
         for round_ in range(10):
-            assert (turn == round_ * count + number).wait_for(PATIENCE)
+            assert (turn == round_ * count + number).wait_for(HANG_TIMEOUT)
             turn.set_value(turn.get_value() + 1)
         return number
 
@@ -93,24 +93,24 @@ def test_many_threads_set_and_wait() -> None:
 
 
 @pytest.mark.parametrize("kind", ["value", "network", "pulsed", "whenever"])
-def test_a_cancelled_branch_leaves_its_wait_at_once(kind: str) -> None:
+def test_cancelling_a_branch_ends_its_wait(kind: str) -> None:
     fluent = Fluent()
     if kind == "whenever":
         looked = threading.Event()
         watched = network(lambda value: (looked.set(), value)[1], fluent)
         running = Running(lambda: [None for _ in whenever(watched)])
-        assert looked.wait(PATIENCE)
+        assert looked.wait(HANG_TIMEOUT)
         running.scope.cancel()
     else:
         awaited = {"value": fluent, "network": fluent.IS(3), "pulsed": fluent.pulsed()}[kind]
         with waiting(awaited) as running:
             running.scope.cancel()
     assert isinstance(running.end(), Cancelled)
-    assert not fluent.term.watchers
+    assert not fluent.expression.waiters
     fluent.set_value(3)
 
 
-def test_a_wait_ends_in_time_or_when_cancelled_however_often_the_value_changes() -> None:
+def test_a_wait_ends_in_time_however_often_the_value_changes() -> None:
     fluent = Fluent(0)
     looked = threading.Event()
 
@@ -122,12 +122,12 @@ def test_a_wait_ends_in_time_or_when_cancelled_however_often_the_value_changes()
     restless = network(another, fluent)
     assert restless.wait_for(timeout=0.01) is False
     running = Running(restless.wait_for)
-    assert looked.wait(PATIENCE)
+    assert looked.wait(HANG_TIMEOUT)
     running.scope.cancel()
     assert isinstance(running.end(), Cancelled)
 
 
-def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
+def test_waiting_in_a_cancelled_branch_raises_even_if_there_is_a_value() -> None:
     fluent = Fluent(1)
     scope = CancelScope()
     scope.cancel()
@@ -138,7 +138,7 @@ def test_a_cancelled_branch_doesnt_go_on_though_the_value_is_there() -> None:
             next(whenever(fluent))
 
 
-def test_a_block_that_is_broken_off_takes_what_waits_in_it_along() -> None:
+def test_interrupting_a_block_ends_the_waits_in_it() -> None:
     battery, charged = Fluent(100, "battery"), Fluent(0)
     threads = threading.active_count()
 
@@ -152,25 +152,25 @@ def test_a_block_that_is_broken_off_takes_what_waits_in_it_along() -> None:
             s((battery < 0).wait_for)
             for times in range(1, 4):
                 battery.set_value(10)
-                assert (charged == times).wait_for(PATIENCE)
+                assert (charged == times).wait_for(HANG_TIMEOUT)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         plan()
     assert threading.active_count() == threads
-    assert not battery.term.watchers
+    assert not battery.expression.waiters
 
 
 def test_an_old_values_finalizer_may_use_fluents() -> None:
-    fluent, told = Fluent(), Fluent(0)
+    fluent, finalized = Fluent(), Fluent(0)
 
     class Old:
         def __del__(self) -> None:
-            assert Running(lambda: told.set_value(told.get_value() + 1)).end() is None  # in another thread
+            assert Running(lambda: finalized.set_value(finalized.get_value() + 1)).end() is None  # in another thread
 
     fluent.set_value(Old())
     fluent.set_value(None)
-    assert told.get_value() == 1
+    assert finalized.get_value() == 1
 
 
 def test_ctrl_c_ends_a_wait() -> None:
@@ -181,14 +181,14 @@ def test_ctrl_c_ends_a_wait() -> None:
     over = threading.Event()
 
     def press() -> None:
-        assert looked.wait(PATIENCE)
+        assert looked.wait(HANG_TIMEOUT)
         signal.pthread_kill(main, signal.SIGINT)
         if not over.wait(1):  # CPython sees one only later that comes just before it goes to sleep
             signal.pthread_kill(main, signal.SIGINT)
 
     running = Running(press)
     with pytest.raises(KeyboardInterrupt):
-        watched.wait_for(PATIENCE)
+        watched.wait_for(HANG_TIMEOUT)
     over.set()
     running.end()
-    assert not fluent.term.watchers
+    assert not fluent.expression.waiters

@@ -1,6 +1,6 @@
-"""Somebody who waits for a fluent.
+"""Threads that wait for fluents.
 
-No test waits for time to pass: a network's function tells when somebody who waits has looked at a value.
+No test waits for time to pass: a network's function signals that a waiting thread has read a value.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 
-PATIENCE = 20  # s after which a test that hangs fails
+HANG_TIMEOUT = 20  # s after which a hanging test fails
 
 
 class Running:
@@ -36,14 +36,14 @@ class Running:
                 self.outcome = error
 
     def end(self) -> object:
-        self.thread.join(PATIENCE)
+        self.thread.join(HANG_TIMEOUT)
         assert not self.thread.is_alive(), "it still waits"
         return self.outcome
 
 
 @contextmanager
 def waiting(fluent: Fluent, timeout: float | None = None) -> Iterator[Running]:
-    """Somebody who waits for a fluent, and has looked at its value when the block begins."""
+    """A thread that waits for a fluent, and has read its value when the block begins."""
     looked = threading.Event()
 
     def look(value: object) -> object:
@@ -51,6 +51,6 @@ def waiting(fluent: Fluent, timeout: float | None = None) -> Iterator[Running]:
         return value
 
     running = Running(lambda: network(look, fluent).wait_for(timeout))
-    assert looked.wait(PATIENCE)
+    assert looked.wait(HANG_TIMEOUT)
     yield running
     running.end()

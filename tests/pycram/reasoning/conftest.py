@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld
-from pycram.world.transaction import put, read
+from pycram.world.snapshot import restore_snapshot, take_snapshot
 from tests.conftest import furnish
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def built() -> Iterator[BulletWorld]:
 def scene(built: BulletWorld) -> Iterator[BulletWorld]:
     """As everywhere; what a test has moved, attached or added is undone."""
     BulletWorld.current_bullet_world = built
-    before = {body: read(body) for body in built.objects}
+    before = {body: take_snapshot(body) for body in built.objects}
     yield built
     for body in built.objects:
         body.detach_all()
@@ -34,5 +34,5 @@ def scene(built: BulletWorld) -> Iterator[BulletWorld]:
         if body not in before:
             body.remove()
     for body, state in before.items():
-        if read(body) != state:
-            put(body, state)
+        if take_snapshot(body) != state:
+            restore_snapshot(body, state)

@@ -115,7 +115,7 @@ def overlaps(
     for (mover, link), other in itertools.product(movers, robot.world.objects):
         if other is robot or other in held:
             continue
-        for touch in clone.engine.link_touches(bodies[mover.name], link, bodies[other.name]):
+        for touch in clone.engine.link_closest_points(bodies[mover.name], link, bodies[other.name]):
             if touch.distance <= -checker.DEPTH:
                 depths[other] = max(depths.get(other, 0.0), -touch.distance)
     return depths
@@ -129,7 +129,7 @@ def hits_itself(clone: SimulationClone, robot: Object, joints: list[str], moving
     return any(
         touch.distance <= -0.02 and abs(depth[link] - depth[touch.link_b]) > 3
         for link in moving
-        for touch in clone.engine.link_touches(body, link, body)
+        for touch in clone.engine.link_closest_points(body, link, body)
     )
 
 

@@ -55,7 +55,7 @@ def a_centimetre_above() -> tuple[Object, Object, bool, bool]:
 
 def side_by_side() -> tuple[Object, Object, bool, bool]:
     milk, cereal = put("milk", [0, 0, 0.097]), put("cereal", [0.1, 0, 0.1115])
-    gap = min(touch.distance for touch in milk.world.engine.touches(milk.handle, cereal.handle, 0.1))
+    gap = min(touch.distance for touch in milk.world.engine.closest_points(milk.handle, cereal.handle, 0.1))
     x, y, z = cereal.get_position()
     cereal.set_position([x - gap, y, z])
     return milk, cereal, True, False

@@ -256,7 +256,7 @@ def test_what_is_at_rest_may_be_about_to_fall_or_to_roll(
 ) -> None:
     """Balanced on an end it stands still at first: the answer is what two seconds show."""
     body = Object(name, name, f"{name}.stl", [0, 0, 1], list(turn))
-    gap = min(touch.distance for touch in world.engine.touches(floor.handle, body.handle, 2.0))
+    gap = min(touch.distance for touch in world.engine.closest_points(floor.handle, body.handle, 2.0))
     x, y, z = body.get_position()
     body.set_position([x, y, z - gap + 1e-4])
     verdict = btr.stable(body)
@@ -300,7 +300,7 @@ def test_in_piles_the_answer_is_that_of_the_whole_scene(world: BulletWorld, floo
     world.simulate(rng.choice([0.7, 1.0, 2.0]))
     said = {body: bool(btr.stable(body)) for body in things}
     for body in world.objects:
-        world.engine.separate(body.handle, fixed=body.fixed)
+        world.engine.reset_collision_filter(body.handle, fixed=body.fixed)
     before = {body: body.get_position_and_orientation() for body in things}
     moved = dict.fromkeys(things, 0.0)
     turned = dict.fromkeys(things, 0.0)

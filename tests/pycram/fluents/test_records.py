@@ -1,4 +1,4 @@
-"""Each change of a fluent is on record, in its order and as it was."""
+"""Each assignment of a fluent is recorded, in order and with its values at that moment."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from recorder.records import Fluent as FluentRecord
 from recorder.records import Mutation, Task
 from recorder.tracing import journal
 from replay.cli import main
-from tests.pycram.fluents.waiters import PATIENCE, Running
+from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,16 +26,14 @@ if TYPE_CHECKING:
     from tests.conftest import MemorySink
 
 
-def test_every_change_is_on_record_and_comes_back_from_the_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_assignment_is_recorded_and_read_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "fluents.mcap"
     battery = Fluent(100, "battery")
     with recorder.record(file), BulletWorld() as world:
         cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
         place = position(cup)
         with par as s:
-            s((battery < 20).wait_for, PATIENCE)
+            s((battery < 20).wait_for, HANG_TIMEOUT)
             battery.set_value(50)
             battery.set_value(10)
         battery.pulse()
@@ -43,27 +41,29 @@ def test_every_change_is_on_record_and_comes_back_from_the_file(
         assert place.get_value() == (1, 0, 1)
         name = world.name
     with replay.open(file) as log:
-        told = [record for record in log.records(FluentRecord) if isinstance(record, FluentRecord)]
-        assert [(one.name, json.loads(one.before_json), json.loads(one.after_json)) for one in told] == [
+        found = [record for record in log.records(FluentRecord) if isinstance(record, FluentRecord)]
+        assert [(one.name, json.loads(one.before_json), json.loads(one.after_json)) for one in found] == [
             ("battery", 100, 50),
             ("battery", 50, 10),
             ("battery", 10, 10),
             ("position of cup", [0, 0, 1], [1, 0, 1]),
         ]
-        assert [(one.source, list(one.bodies), one.world) for one in told[2:]] == [
+        assert [(one.source, list(one.bodies), one.world) for one in found[2:]] == [
             ("", [], ""),
             ("position", ["cup"], name),
         ]
-        cause = log[told[3].seq - 1]
+        cause = log[found[3].seq - 1]
         assert isinstance(cause, Mutation)
         assert cause.WhichOneof("command") == "move_body"
         waits = [one for one in log.records(Task) if isinstance(one, Task) and one.kind == "wait"]
         assert [one.name for one in waits] == ["battery < 20"] * 2
-        assert [(told.name, json.loads(told.json)) for told in waits[0].parameters][1:] == [("timeout", PATIENCE)]
+        assert [(found.name, json.loads(found.json)) for found in waits[0].parameters][1:] == [
+            ("timeout", HANG_TIMEOUT)
+        ]
         assert waits[0].parameters[0].name == "battery"
         assert json.loads(waits[1].result_json) is True
         assert log.counts()["fluent"] == 4
-        step = told[3].seq
+        step = found[3].seq
     assert main.main(["log", str(file), "--kind", "fluent"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
@@ -76,19 +76,19 @@ def test_every_change_is_on_record_and_comes_back_from_the_file(
     assert (shown["kind"], shown["before"], shown["after"]) == ("fluent", [0, 0, 1], [1, 0, 1])
 
 
-def test_changes_of_many_threads_stand_in_the_log_in_their_order(sink: MemorySink) -> None:
+def test_assignments_of_many_threads_are_recorded_in_their_order(sink: MemorySink) -> None:
     fluent = Fluent(0, "shared")
     setting = [Running(lambda k=k: [fluent.set_value(k * 1000 + i) for i in range(50)]) for k in range(4)]
     for one in setting:
         one.end()
-    told = sink.of(FluentRecord)
-    assert len(told) == 200
-    assert told[0].before_json == "0"
-    assert all(one.after_json == following.before_json for one, following in itertools.pairwise(told))
-    assert json.loads(told[-1].after_json) == fluent.get_value()
+    found = sink.of(FluentRecord)
+    assert len(found) == 200
+    assert found[0].before_json == "0"
+    assert all(one.after_json == following.before_json for one, following in itertools.pairwise(found))
+    assert json.loads(found[-1].after_json) == fluent.get_value()
 
 
-def test_a_change_that_cant_be_recorded_isnt_made() -> None:
+def test_an_assignment_that_cannot_be_recorded_is_not_made() -> None:
     class Full:
         def write(self, *_: object) -> None:
             raise OSError("the disk is full")
@@ -112,28 +112,28 @@ def test_a_change_that_cant_be_recorded_isnt_made() -> None:
     assert pulsed.get_value() is None
 
 
-def test_values_are_not_told_while_nothing_is_recorded(request: pytest.FixtureRequest) -> None:
-    told = []
+def test_values_are_not_serialized_while_nothing_is_recorded(request: pytest.FixtureRequest) -> None:
+    found = []
 
     class Value:
         def __record__(self) -> str:
-            told.append(self)
+            found.append(self)
             return "told"
 
     fluent = Fluent(Value())
     fluent.set_value(Value())
     fluent.pulse()
-    assert not told
+    assert not found
     sink: MemorySink = request.getfixturevalue("sink")
     fluent.set_value(1)
     assert [(one.before_json, one.after_json) for one in sink.of(FluentRecord)] == [('"told"', "1")]
 
 
-def test_values_stand_in_records_as_they_were_when_set(sink: MemorySink) -> None:
+def test_values_are_recorded_as_they_were_when_assigned(sink: MemorySink) -> None:
     value = [1]
     fluent = Fluent(value, "list")
     fluent.set_value(value)
     value.append(2)
     fluent.set_value(None)
-    told = [(one.before_json, one.after_json) for one in sink.of(FluentRecord)]
-    assert told == [("[1]", "[1]"), ("[1]", "null")]
+    found = [(one.before_json, one.after_json) for one in sink.of(FluentRecord)]
+    assert found == [("[1]", "[1]"), ("[1]", "null")]

@@ -1,4 +1,4 @@
-"""Models that the engine would refuse without a reason, or take without a word, are refused with their cause."""
+"""Models that the engine would refuse without a reason, or load silently, are refused with their cause."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ MESHES: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("name", LINKS)
-def test_links_that_cant_be_are_told_by_name(tmp_path: Path, world: BulletWorld, sink: MemorySink, name: str) -> None:
+def test_invalid_links_are_refused_by_name(tmp_path: Path, world: BulletWorld, sink: MemorySink, name: str) -> None:
     inside, cause = LINKS[name]
     file = tmp_path / "r.urdf"
     file.write_text(f'<robot name="r"><link name="a">{inside}</link></robot>')
@@ -79,7 +79,7 @@ def test_links_that_cant_be_are_told_by_name(tmp_path: Path, world: BulletWorld,
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_meshes_without_volume_are_told(tmp_path: Path, world: BulletWorld, name: str) -> None:
+def test_meshes_without_volume_are_refused(tmp_path: Path, world: BulletWorld, name: str) -> None:
     content, cause = MESHES[name]
     file = tmp_path / name
     file.write_text(content)
@@ -88,7 +88,7 @@ def test_meshes_without_volume_are_told(tmp_path: Path, world: BulletWorld, name
     assert not world.objects
 
 
-def test_a_robot_has_a_name(tmp_path: Path, world: BulletWorld) -> None:
+def test_a_urdf_needs_a_robot_name(tmp_path: Path, world: BulletWorld) -> None:
     file = tmp_path / "r.urdf"
     file.write_text(f'<robot><link name="a"><visual>{BOX}</visual></link></robot>')
     with pytest.raises(AssetError, match="has no name"):
@@ -97,7 +97,7 @@ def test_a_robot_has_a_name(tmp_path: Path, world: BulletWorld) -> None:
     assert Object("r", "r", file).get_AABB()[1][0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_a_model_is_of_its_files_as_they_are_now(tmp_path: Path, world: BulletWorld) -> None:
+def test_changed_files_are_loaded_again(tmp_path: Path, world: BulletWorld) -> None:
     file, mesh = tmp_path / "crate.urdf", tmp_path / "crate.obj"
     shape = '<geometry><mesh filename="crate.obj"/></geometry>'
     collides = f'<robot name="crate"><link name="crate"><collision>{shape}</collision></link></robot>'

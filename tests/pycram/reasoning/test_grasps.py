@@ -68,7 +68,7 @@ def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str,
             touches = [
                 touch.distance
                 for finger in fingers
-                for touch in kitchen.engine.link_touches(robot.handle, finger, body.handle, 0.1)
+                for touch in kitchen.engine.link_closest_points(robot.handle, finger, body.handle, 0.1)
             ]
             assert -0.001 < min(touches) < 0.0045, side
     finally:

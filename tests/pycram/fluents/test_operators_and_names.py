@@ -1,4 +1,4 @@
-"""Fluents in lists, conditions and arithmetic; what may be set, and what they are called."""
+"""Fluents in lists, conditions and arithmetic; which can be set, and their names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 
-def test_fluents_stand_in_sets_lists_and_dictionaries_though_equality_makes_a_network() -> None:
+def test_fluents_can_be_in_sets_lists_and_dictionaries() -> None:
     a, b, c = Fluent(1), Fluent(1), Fluent(1)
     assert {a, b, a} == {b, a}
     assert {a: "a", b: "b"}[b] == "b"
@@ -30,12 +30,12 @@ def test_fluents_stand_in_sets_lists_and_dictionaries_though_equality_makes_a_ne
 @pytest.mark.parametrize(
     "condition", [lambda f: f, lambda f: f == 1, lambda f: f < 2, lambda f: f.NOT(), lambda f: 0 < f < 2]
 )
-def test_a_fluent_as_a_condition_is_an_error_that_says_what_to_do(condition: Callable[[Fluent], object]) -> None:
+def test_a_fluent_as_a_condition_is_refused_with_advice(condition: Callable[[Fluent], object]) -> None:
     with pytest.raises(NotTrueOrFalse, match=r"get_value\(\).*AND"):
         assert condition(Fluent(1))
 
 
-def test_in_a_list_of_other_things_is_an_error_too() -> None:
+def test_a_fluent_in_a_list_of_other_values_is_refused() -> None:
     fluent = Fluent(1)
     things: list[object] = [3, fluent]
     with pytest.raises(NotTrueOrFalse):
@@ -43,7 +43,7 @@ def test_in_a_list_of_other_things_is_an_error_too() -> None:
     assert any(one is fluent for one in things)
 
 
-def test_the_rest_of_arithmetic() -> None:
+def test_arithmetic_operators_and_their_names() -> None:
     a, b, none = Fluent(7, "a"), Fluent(2, "b"), Fluent(None, "c")
     for made, value, name in (
         (a // b, 3, "a // b"),
@@ -60,7 +60,7 @@ def test_the_rest_of_arithmetic() -> None:
     assert [made.get_value() for made in (none // 2, none % 2, none**2, -none, abs(none))] == [None] * 5
 
 
-def test_networks_may_be_as_deep_as_they_like() -> None:
+def test_networks_may_be_nested_deeper_than_the_recursion_limit() -> None:
     one, asked = Fluent(1), []
     deep = never = one
     for _ in range(3000):
@@ -81,19 +81,19 @@ def test_networks_may_be_as_deep_as_they_like() -> None:
     assert one.get_value() == 2
 
 
-def test_arrays_leave_operators_to_fluents() -> None:
+def test_operators_with_arrays_make_networks() -> None:
     shift = np.array([1.0, 2.0])
     moved = shift + Fluent(np.array([1.0, 1.0]))
     assert isinstance(moved, Fluent)
     assert moved.get_value().tolist() == [2.0, 3.0]
 
 
-def test_only_variables_are_set() -> None:
+def test_only_variables_can_be_set() -> None:
     fluent = Fluent(1)
     for derived in (fluent + 1, fluent.pulsed()):
         with pytest.raises(NotSettable, match="other fluents"):
             derived.set_value(2)
-    for function in (lambda: 1, test_only_variables_are_set):
+    for function in (lambda: 1, test_only_variables_can_be_set):
         with pytest.raises(BadArgument, match="network"):
             Fluent(function)
     assert Fluent(Unreachable).get_value() is Unreachable
@@ -107,7 +107,7 @@ def test_only_variables_are_set() -> None:
         network(1, fluent)
 
 
-def test_names_tell_what_networks_are() -> None:
+def test_names_of_networks_spell_out_their_operations() -> None:
     a, b = Fluent(1, "a"), Fluent(2, "b")
     assert repr((a + 1 > b).AND(a.NOT())) == "Fluent(((a + 1) > b) AND (NOT a))"
     assert (network(math.hypot, a, b) > 3).name == "hypot(a, b) > 3"

@@ -1,4 +1,4 @@
-"""The window, on a screen of its own."""
+"""PyBullet's window: on a screen of its own, or refused without one."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import subprocess
 import sys
 
 import pytest
+
+from pycram.bullet_world import BulletWorld
+from pycram.failures import DisplayError
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -33,7 +36,7 @@ print("ended")
 
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
-def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None:
+def test_a_window_opens_and_simulates_as_without_one(display: str) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", PLAN],
         env=os.environ | {"DISPLAY": display},
@@ -47,3 +50,12 @@ def test_a_window_opens_survives_the_plan_and_ends_with_it(display: str) -> None
     # the window's native thread greets on stdout too, whenever it likes
     assert "the same as without a window: True" in ended.stdout
     assert ended.stdout.rstrip().endswith("ended")
+
+
+def test_without_a_display_a_window_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(DisplayError, match="DISPLAY is not set"):
+        BulletWorld("GUI")
+    monkeypatch.setenv("DISPLAY", ":4711")
+    with pytest.raises(DisplayError, match="no X server answers"):
+        BulletWorld("GUI")

@@ -1,4 +1,4 @@
-"""Where the robots' URDFs lie."""
+"""Paths of robots' URDFs in other packages."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _DISTRIBUTION = "example-robot-data"
 
 
 def pr2_urdf() -> Path:
-    """The PR2's URDF with its meshes beside it.
+    """Return the path of the PR2's URDF, with its meshes beside it.
 
     Raises:
         AssetError: example-robot-data isn't installed.

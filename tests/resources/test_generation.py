@@ -1,4 +1,4 @@
-"""The files that are checked in are those that the script makes."""
+"""The files that are checked in are those that the script generates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def made_files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for kind in kinds for path in folder.glob(kind)}
 
 
-def test_making_again_gives_the_same_bytes(resources: Path, tmp_path: Path) -> None:
+def test_generating_again_gives_the_same_bytes(resources: Path, tmp_path: Path) -> None:
     subprocess.run([sys.executable, str(resources / "make_resources.py"), "--into", str(tmp_path)], check=True)
 
     there, here = made_files(resources), made_files(tmp_path)
@@ -28,7 +28,7 @@ def test_resources_are_small(resources: Path) -> None:
     assert sum(len(content) for content in made_files(resources).values()) < 5_000_000
 
 
-def test_no_file_names_a_place_on_the_makers_machine(resources: Path) -> None:
+def test_no_file_names_a_path_of_the_machine_that_made_it(resources: Path) -> None:
     texts = [*resources.glob("*.urdf"), *resources.glob("*.obj"), *resources.glob("*.toml")]
     assert texts
     for path in texts:

@@ -1,4 +1,4 @@
-"""Descriptions of robots are read whole or refused with what is wrong."""
+"""Descriptions of robots are checked against their URDF; invalid ones are refused with their cause."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ BROKEN = {
 }
 
 
-def test_the_pr2_s_own_is_read_and_fits() -> None:
+def test_the_description_of_the_pr2_fits_its_urdf() -> None:
     with BulletWorld():
         RobotDescription.parse(PR2).check(Object("pr2", "robot", "pr2.urdf").urdf)
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_what_can_t_be_is_told(name: str) -> None:
-    good, bad, told = BROKEN[name]
+def test_invalid_entries_are_refused(name: str) -> None:
+    good, bad, message = BROKEN[name]
     assert good in PR2
-    with pytest.raises(AssetError, match=told) as raised:
+    with pytest.raises(AssetError, match=message) as raised:
         RobotDescription.parse(PR2.replace(good, bad), "mine.toml")
     assert raised.value.path == "mine.toml"
 
 
 @pytest.mark.parametrize(
-    ("good", "bad", "told"),
+    ("good", "bad", "message"),
     [
         ('"l_gripper_tool_frame"', '"l_gripper_tol_frame"', "l_gripper_tool_frame"),
         ("open = 0.548", "open = 5.48", "outside of its limits"),
         ('    "l_shoulder_pan_joint", "l_shoulder_lift_joint",', '    "l_shoulder_lift_joint",', "numbers|joints"),
     ],
 )
-def test_what_doesn_t_fit_the_robot_is_told(good: str, bad: str, told: str) -> None:
+def test_entries_that_do_not_fit_the_urdf_are_refused(good: str, bad: str, message: str) -> None:
     assert good in PR2
-    with BulletWorld() as world, pytest.raises(AssetError, match=told):
+    with BulletWorld() as world, pytest.raises(AssetError, match=message):
         Object("pr2", "robot", "pr2.urdf", description=RobotDescription.parse(PR2.replace(good, bad)))
     assert not world.objects

@@ -1,4 +1,4 @@
-"""Fluents follow poses, joints, what a robot holds and contacts, whatever changes them."""
+"""Fluents follow poses, joints, attachments and contacts of a world, whatever changes them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pycram.failures import BadArgument, UnknownName, WorldClosed
 from pycram.fluent import NotSettable, network
 from pycram.fluents.world import contact, holding, joint, pose, position
 from recorder.records import Fluent as FluentRecord
-from tests.pycram.fluents.waiters import PATIENCE, Running, waiting
+from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
 if TYPE_CHECKING:
     from tests.conftest import MemorySink
 
 
-def test_fluents_are_what_the_world_says_whatever_changes_it(scene: BulletWorld) -> None:
+def test_fluents_follow_every_change_of_a_world(scene: BulletWorld) -> None:
     robot, milk, kitchen = scene.robot, scene.get_object("milk"), scene.get_object("kitchen")
     tool = "l_gripper_tool_frame"
     fluents = [pose(milk), position(robot), pose(robot, tool), joint(robot, "torso_lift_joint"), joint(kitchen, "iai_fridge_door_joint"),
@@ -35,7 +35,7 @@ def test_fluents_are_what_the_world_says_whatever_changes_it(scene: BulletWorld)
 
         held = milk.name if milk.carrier is robot else None
         left = held if held and robot.attachments[milk].carrier_link == tool else None
-        near = kitchen.world.engine.touches(milk.handle, kitchen.handle, 1e-3)
+        near = kitchen.world.engine.closest_points(milk.handle, kitchen.handle, 1e-3)
         return [at(milk), at(robot)[0], at(robot, tool), robot.get_joint_position("torso_lift_joint"),
                 kitchen.get_joint_position("iai_fridge_door_joint"), held, left, None, True if near else None]  # fmt: skip
 
@@ -62,7 +62,7 @@ def test_fluents_are_what_the_world_says_whatever_changes_it(scene: BulletWorld)
         assert len(set(values)) > 1, "each of them has changed"
 
 
-def test_what_moves_together_is_never_seen_apart(scene: BulletWorld) -> None:
+def test_fluents_of_bodies_that_move_together_change_together(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     robot.attach(milk, "l_gripper_tool_frame")
     apart = math.dist(robot.get_position(), milk.get_position())
@@ -81,7 +81,7 @@ def test_what_moves_together_is_never_seen_apart(scene: BulletWorld) -> None:
     assert set(seen) == {None}
 
 
-def test_a_plan_reacts_to_what_happens_while_time_is_simulated(scene: BulletWorld, sink: MemorySink) -> None:
+def test_fluents_change_during_a_simulation(scene: BulletWorld, sink: MemorySink) -> None:
     milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
     milk.set_position([1.3, 1, 1.2])
     falling = network(itemgetter(2), position(milk))
@@ -91,21 +91,21 @@ def test_a_plan_reacts_to_what_happens_while_time_is_simulated(scene: BulletWorl
     with waiting((falling < 1.15).AND(falling > 1.05)) as passing, waiting(landed) as landing:
         scene.simulate(1)
         assert (passing.end(), landing.end()) == (True, True)
-    told = [record for record in sink.of(FluentRecord) if record.source == "contact"]
-    assert json.loads(told[0].before_json) is None
-    assert json.loads(told[0].after_json) is True
-    assert begin < told[0].sim_step < scene.sim_step
+    found = [record for record in sink.of(FluentRecord) if record.source == "contact"]
+    assert json.loads(found[0].before_json) is None
+    assert json.loads(found[0].after_json) is True
+    assert begin < found[0].sim_step < scene.sim_step
     falls = [record for record in sink.of(FluentRecord) if record.source == "position"]
     assert [record.sim_step for record in falls] == sorted(record.sim_step for record in falls)
     assert json.loads(falls[-1].after_json) == milk.get_position()
 
 
-def test_handlers_and_those_who_wait_find_the_world_free(scene: BulletWorld) -> None:
+def test_waits_and_handlers_may_use_the_world(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     picked = holding(robot, "left") == "milk"
-    told: list[object] = []
+    found: list[object] = []
     event = scene.get_attachment_event()
-    event += lambda *_: told.append(Running(lambda: picked.wait_for(PATIENCE) and milk.get_position()).end())
+    event += lambda *_: found.append(Running(lambda: picked.wait_for(HANG_TIMEOUT) and milk.get_position()).end())
 
     def carry_on() -> list[float]:
         assert picked.wait_for()
@@ -114,11 +114,11 @@ def test_handlers_and_those_who_wait_find_the_world_free(scene: BulletWorld) -> 
 
     running = Running(carry_on)
     robot.attach(milk, "l_gripper_tool_frame")
-    assert told == [milk.get_position()]
+    assert found == [milk.get_position()]
     assert running.end() == milk.get_position()
 
 
-def test_what_is_gone_says_so_to_all_who_ask_or_wait(scene: BulletWorld) -> None:
+def test_fluents_of_removed_objects_and_closed_worlds_raise(scene: BulletWorld) -> None:
     robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
     robot.attach(milk, "l_gripper_tool_frame")
     held, place = holding(robot, "left"), position(bowl)
@@ -140,7 +140,7 @@ def test_what_is_gone_says_so_to_all_who_ask_or_wait(scene: BulletWorld) -> None
         position(bowl)
 
 
-def test_worlds_that_nobody_follows_do_nothing_for_fluents(scene: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_followed_and_affected_fluents_are_read(scene: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
     milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
     assert scene.transactions.observer is None
     followed = contact(milk, kitchen)
@@ -156,7 +156,7 @@ def test_worlds_that_nobody_follows_do_nothing_for_fluents(scene: BulletWorld, m
     assert len(asked) == 1
 
 
-def test_bad_names_are_told_at_once(scene: BulletWorld) -> None:
+def test_invalid_names_are_refused_at_once(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     with pytest.raises(UnknownName, match="torso_lift_joint"):
         joint(robot, "torso_lift_jont")

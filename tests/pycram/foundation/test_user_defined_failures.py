@@ -1,4 +1,4 @@
-"""Failures of a user's own making rise through all of the plan language as PyCRAM's own do."""
+"""Failures defined by users propagate through all of the plan language as PyCRAM's own do."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ WAYS = [in_time, with_cleanup, in_managers, seq, par, failure_handling(2).run]
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_frozen_failure_comes_out_as_itself(way: Callable[[Callable[[], None]], None]) -> None:
+def test_a_frozen_failure_propagates_unchanged(way: Callable[[Callable[[], None]], None]) -> None:
     with pytest.raises(Spill) as raised:
         way(spill)
     assert raised.value.litres == 0.5
@@ -101,12 +101,12 @@ def test_a_frozen_failure_comes_out_as_itself(way: Callable[[Callable[[], None]]
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_frozen_usage_error_comes_out_as_itself(way: Callable[[Callable[[], None]], None]) -> None:
+def test_a_frozen_usage_error_propagates_unchanged(way: Callable[[Callable[[], None]], None]) -> None:
     with pytest.raises(Misuse):
         way(misuse)
 
 
-def test_its_earlier_attempts_stand_behind_it() -> None:
+def test_failures_of_earlier_attempts_are_its_context() -> None:
     with pytest.raises(Spill) as raised:
         failure_handling(2).run(spill)
     earlier = raised.value.__context__
@@ -114,7 +114,7 @@ def test_its_earlier_attempts_stand_behind_it() -> None:
     assert isinstance(earlier.__context__, Spill)
 
 
-def test_its_fields_stay_frozen() -> None:
+def test_fields_of_a_frozen_failure_stay_frozen() -> None:
     with pytest.raises(FrozenInstanceError):
         BigSpill(0.5).litres = 1.0  # type: ignore[misc]
 
@@ -137,7 +137,7 @@ def test_a_block_of_failures_with_slots_has_their_fields() -> None:
     assert failed.failures[0].data == {"depth": 0.25, "block": "cup"}  # type: ignore[attr-defined]
 
 
-def test_a_block_of_failures_with_a_property_of_its_own_names_tells_them_all() -> None:
+def test_a_block_of_failures_with_a_conflicting_property_has_them_all() -> None:
     with pytest.raises(Jam) as raised:
         par(jam, jam)
     failed = raised.value

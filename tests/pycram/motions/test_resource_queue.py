@@ -1,4 +1,4 @@
-"""Motions that want the same things wait for each other, and never for ever, in whatever order they are asked for."""
+"""Motions that need the same resources wait for each other, without deadlocks, whatever their order."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Doer(ProcessModule):
         return designator.reference()["action"]()
 
 
-class Told(ProcessModule):
+class CustomModule(ProcessModule):
     """A module for a type of the user's, which may say what it needs."""
 
     def __init__(self, action: Callable[[], object], needs: Claims | None = None) -> None:
@@ -87,7 +87,7 @@ def do(action: Callable[[], object], *moves: str, module: Doer | None = None, **
     return ProcessModule.perform(Doing(list(given.items())))
 
 
-def test_what_wants_the_same_runs_in_the_order_of_asking_and_the_rest_beside_it() -> None:
+def test_motions_with_the_same_resources_run_in_order_and_others_concurrently() -> None:
     order, meeting = [], Meeting(2)
     with par:
         do(lambda: (meeting.wait(), order.append(1)), "left-arm")
@@ -97,7 +97,7 @@ def test_what_wants_the_same_runs_in_the_order_of_asking_and_the_rest_beside_it(
     assert order == [1, 2, 3]
 
 
-def test_opposite_orders_of_acquisition() -> None:
+def test_opposite_orders_of_acquisition_do_not_deadlock() -> None:
     """Two sequences that want two arms in opposite order; two modules that are made of each other."""
     done = []
     for _ in range(20):
@@ -139,7 +139,7 @@ def test_a_function_before_a_motion_in_a_sequence_gets_the_arm_first() -> None:
     [lambda _, found: found, lambda _, found: [0.5, {"x": (found,)}], lambda s, found: s(lambda: [found])],
     ids=["a slot", "within a slot", "within a result"],
 )
-def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[Block, object], object]) -> None:
+def test_a_motion_that_waits_for_a_result_holds_no_resources(where: Callable[[Block, object], object]) -> None:
     order, asked = [], Gate()
 
     def find() -> str:
@@ -154,7 +154,7 @@ def test_a_motion_that_waits_for_a_result_keeps_nobody_waiting(where: Callable[[
     assert order == [1, 2]
 
 
-def test_a_motion_that_never_began_gives_its_place_up() -> None:
+def test_a_cancelled_motion_leaves_the_queue() -> None:
     gate = Condition()
     order = []
     with pursue as s:
@@ -177,7 +177,7 @@ def test_a_motion_that_never_began_gives_its_place_up() -> None:
 
 
 @pytest.mark.parametrize("block", [par, seq], ids=["par", "seq"])
-def test_ctrl_c_as_a_motion_takes_its_place_leaves_none_taken(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_while_a_motion_is_queued_releases_its_resources(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
     arrive = ResourceQueue.arrive
 
     def interrupted(queue: ResourceQueue, ticket: Ticket) -> None:
@@ -191,7 +191,7 @@ def test_ctrl_c_as_a_motion_takes_its_place_leaves_none_taken(block: Kind, monke
         assert do(lambda: 3, "left-arm") == 3
 
 
-def test_a_motion_may_be_made_of_blocks_within_what_it_has() -> None:
+def test_a_motion_may_consist_of_blocks_that_use_its_resources() -> None:
     done = []
 
     def compose() -> None:
@@ -219,45 +219,45 @@ def test_a_motion_may_be_made_of_blocks_within_what_it_has() -> None:
 
 
 @pytest.mark.usefixtures("_resolver")
-def test_a_motion_may_not_move_what_the_one_around_it_needs_at_rest() -> None:
-    rests = Told(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
+def test_a_motion_may_not_move_what_its_parent_needs_at_rest() -> None:
+    rests = CustomModule(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
     with pytest.raises(ClaimError, match=r"do moves left-arm, but .* moves base and needs at rest left-arm;"):
         rests.perform("fly")
 
 
 @pytest.mark.usefixtures("_resolver")
 @pytest.mark.parametrize("kind", ["drive", "moving"])  # of the latter more is known, though nothing of how it is done
-def test_a_users_motion_of_which_nothing_is_known_has_the_whole_robot(kind: str) -> None:
+def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
     order, begun = [], Gate()
 
     def drive() -> None:
         begun.open()
         order.append("begins")
         do(lambda: order.append("part"), "left-arm", "anything")  # may be made of whatever it likes
-        Told(lambda: order.append("unknown part")).perform("drive")
+        CustomModule(lambda: order.append("unknown part")).perform("drive")
         order.append("ends")
 
     with par as s:
-        Told(drive).perform(kind)
+        CustomModule(drive).perform(kind)
         s(begun.pass_through)
         do(lambda: order.append("later"), "left-arm")
-        Told(lambda: order.append("last")).perform("drive")
+        CustomModule(lambda: order.append("last")).perform("drive")
     assert order == ["begins", "part", "unknown part", "ends", "later", "last"]
 
 
 @pytest.mark.usefixtures("_resolver")
-def test_a_users_motion_claims_what_its_module_says_or_its_cmd_needs() -> None:
+def test_a_motion_claims_what_its_module_or_its_command_needs() -> None:
     meeting = Meeting(2)
     for kind, needs in (("drive", Claims(frozenset({"head"}))), ("my-looking", None)):  # cmd "looking" moves the head
         order = []
         with par:
-            Told(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
+            CustomModule(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
             do(meeting.wait, "left-arm")
             do(lambda order=order: order.append(2), "head")
         assert order == [1, 2]
 
 
-def test_a_motion_that_turns_out_to_need_more_waits_for_those_that_have_it() -> None:
+def test_a_motion_whose_solution_needs_more_resources_waits_for_them() -> None:
     order, begun, resolved = [], Gate(), Gate()
 
     def resolve(designator: MotionDesignator) -> Iterator[dict[str, object]]:
@@ -271,7 +271,7 @@ def test_a_motion_that_turns_out_to_need_more_waits_for_those_that_have_it() -> 
         resolved.pass_through(20)
         order.append("arm")
 
-    pointing = Told(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
+    pointing = CustomModule(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
     with MotionDesignator.resolvers.added(resolve):
         with par:
             pointing.perform("looking")
@@ -285,14 +285,14 @@ def test_a_motion_that_turns_out_to_need_more_waits_for_those_that_have_it() -> 
 
 
 @pytest.mark.usefixtures("_resolver")
-def test_wrong_claims_are_told() -> None:
+def test_invalid_claims_are_refused() -> None:
     assert Claims(["base"], {"head"}) == Claims(frozenset({"base"}), frozenset({"head"}))
     for wrong in ("base", 3, [3]):
         with pytest.raises(BadArgument, match="names of resources"):
             Claims(wrong)
     with pytest.raises(BadArgument, match="claims of drive = 'base'"):
-        Told(lambda: None, "base").perform("drive")
-    assert Told(lambda: "free again").perform("drive") == "free again"
+        CustomModule(lambda: None, "base").perform("drive")
+    assert CustomModule(lambda: "free again").perform("drive") == "free again"
 
 
 def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
@@ -309,7 +309,7 @@ def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
         look_first(designator)
         return [{"cmd": "drive"}] if designator.type == "drive" else None
 
-    driving = Told(lambda: done.append("driven"))
+    driving = CustomModule(lambda: done.append("driven"))
     with MotionDesignator.resolvers.added(resolve), par:
         driving.perform("drive")
         do(lambda: done.append("next"), "head", quiet=True)
@@ -325,7 +325,7 @@ def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
     assert done == ["looked", "moved", "moved", "did"]
 
 
-def test_a_process_module_carries_out_one_motion_at_a_time() -> None:
+def test_a_process_module_executes_one_motion_at_a_time() -> None:
     module, running, most = Doer(), [], []
 
     def action() -> None:
@@ -341,7 +341,7 @@ def test_a_process_module_carries_out_one_motion_at_a_time() -> None:
     assert most == [1, 1, 1]
 
 
-def test_alternatives_that_want_the_same_arm() -> None:
+def test_alternatives_may_need_the_same_arm() -> None:
     with try_all as s:
         first = do(lambda: (_ for _ in ()).throw(Unreachable("left", [0, 0, 0])), "left-arm")
         second = do(lambda: "got it", "left-arm")
@@ -351,7 +351,7 @@ def test_alternatives_that_want_the_same_arm() -> None:
         first.result()
 
 
-def test_a_cancelled_branch_stops_before_its_next_change_of_the_world_but_finishes_its_motion(
+def test_a_cancelled_branch_stops_before_its_next_transaction_but_completes_its_motion(
     world: BulletWorld,
 ) -> None:
     begun, ended, gate = Gate(), [], Condition()
@@ -394,6 +394,6 @@ def test_timeouts_in_simulated_time(world: BulletWorld) -> None:
         s(lambda: wait(gate, lambda: False))  # is woken by the passing of simulated time
     assert raised.value.clock == "simulated"
     assert world.sim_step == 240
-    assert not world.alarms
+    assert not world.time_listeners
     with timeout(1, simulated=True):
         world.simulate(1)

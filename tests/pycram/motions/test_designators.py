@@ -1,4 +1,4 @@
-"""Designators: the interface of the original, and users' own resolvers."""
+"""Designators: slots, solutions, and users' own resolvers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def looking(**more: object) -> MotionDesignator:
     return MotionDesignator([("type", "looking"), ("target", [1, 0, 1]), *more.items()])
 
 
-def test_slots_and_dictionaries() -> None:
+def test_slots_are_read_checked_and_copied() -> None:
     designator = MotionDesignator([("type", "moving"), ("target", [1, 2, 0])])
     assert designator.prop_value("target") == [1, 2, 0]
     assert designator.prop_value("nothing") is None
@@ -34,7 +34,7 @@ def test_slots_and_dictionaries() -> None:
     assert designator.prop_value("target") == [1, 2, 0]
 
 
-def test_equating_and_becoming_effective() -> None:
+def test_equated_designators_share_the_newest_effective_one() -> None:
     first, second = looking(), looking()
     assert not first.equal(second)
     second.equate(first)
@@ -49,7 +49,7 @@ def test_equating_and_becoming_effective() -> None:
     assert found.timestamp == 12.0
 
 
-def test_solutions_are_found_one_after_the_other() -> None:
+def test_solutions_are_resolved_lazily() -> None:
     asked: list[int] = []
 
     def resolver(designator: MotionDesignator) -> object:
@@ -72,7 +72,7 @@ def test_solutions_are_found_one_after_the_other() -> None:
         MotionDesignator([("type", "waving")]).reference()
 
 
-def test_moving_without_orientation_keeps_the_robots() -> None:
+def test_moving_without_orientation_keeps_that_of_the_robot() -> None:
     with BulletWorld() as world:
         world.robot = Object("pr2", "robot", "pr2.urdf", [0, 0, 0], [0, 0, 0.6, 0.8])
         plain = MotionDesignator([("type", "moving"), ("target", [1, 0, 0])])
@@ -82,7 +82,7 @@ def test_moving_without_orientation_keeps_the_robots() -> None:
 
 
 @pytest.mark.parametrize(
-    ("slots", "told"),
+    ("slots", "message"),
     [
         ([("target", [1, 0, 1])], "no slot type"),
         ([("type", "loking"), ("target", [1, 0, 1])], "did you mean looking"),
@@ -94,13 +94,13 @@ def test_moving_without_orientation_keeps_the_robots() -> None:
         ([("type", "pick-up"), ("object", None)], "missing slot object"),
     ],
 )
-def test_errors_say_what_the_designator_takes(slots: list[tuple[str, object]], told: str) -> None:
-    with pytest.raises(DesignatorError, match=told) as raised:
+def test_errors_name_the_slots_of_the_type(slots: list[tuple[str, object]], message: str) -> None:
+    with pytest.raises(DesignatorError, match=message) as raised:
         MotionDesignator(slots).reference()
     assert raised.value.takes
 
 
-def test_slots_and_solutions_belong_to_the_designator_alone() -> None:
+def test_slots_and_solutions_are_copies() -> None:
     target = [1.0, 0.0, 0.0]
     designator = MotionDesignator([("type", "moving"), ("target", target), ("orientation", [0, 0, 0, 1])])
     target[0] = 9.0
@@ -112,7 +112,7 @@ def test_slots_and_solutions_belong_to_the_designator_alone() -> None:
     assert designator.copy().reference()["target"] == [1.0, 0.0, 0.0]
 
 
-def test_a_value_that_can_t_even_be_printed_is_a_value() -> None:
+def test_slots_may_hold_values_that_cannot_be_printed() -> None:
     class Shy:
         def __repr__(self) -> str:
             raise ZeroDivisionError
@@ -125,14 +125,14 @@ def test_a_value_that_can_t_even_be_printed_is_a_value() -> None:
     assert len(designator.prop_value("endless")) == 1
 
 
-def test_only_designators_are_equated() -> None:
+def test_only_designators_can_be_equated() -> None:
     with pytest.raises(BadArgument, match="equate"):
         MotionDesignator([("type", "x")]).equate("x")
     assert not MotionDesignator([("type", "x")]).equal(None)
 
 
 @pytest.mark.parametrize("garbage", [5, "abc", [5], {"cmd": "looking"}])
-def test_a_resolver_that_gives_no_solutions_is_told(garbage: object) -> None:
+def test_a_resolver_that_returns_no_solutions_is_refused_by_name(garbage: object) -> None:
     def careless(_: MotionDesignator) -> object:
         return garbage
 
@@ -140,7 +140,7 @@ def test_a_resolver_that_gives_no_solutions_is_told(garbage: object) -> None:
         looking().reference()
 
 
-def test_what_is_no_process_module_serves_nobody(scene: BulletWorld) -> None:
+def test_only_process_modules_can_be_registered_and_chosen(scene: BulletWorld) -> None:
     with pytest.raises(BadArgument, match="process modules by cmd"):
         register("pr2", "elsewhere", {"looking": 5})
 
@@ -151,7 +151,7 @@ def test_what_is_no_process_module_serves_nobody(scene: BulletWorld) -> None:
         ProcessModule.perform(looking())
 
 
-def test_a_resolver_may_wait_for_a_thread_that_asks_for_the_same() -> None:
+def test_a_resolver_may_wait_for_a_thread_that_resolves_the_same_designator() -> None:
     asked: list[object] = []
 
     def waiting(designator: MotionDesignator) -> list[dict[str, object]] | None:

@@ -1,4 +1,4 @@
-"""Attachments keep full poses, through chains, joints and simulation; drawers take along what lies in them."""
+"""Attached bodies keep their relative pose; drawers move the bodies that they support."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def assert_kept(before: object, after: object, metres: float = 1e-7, degrees: fl
     assert math.degrees(geometry.angle(before[1], after[1])) < degrees
 
 
-def test_the_full_pose_is_kept_through_chains_and_joints(scene: BulletWorld) -> None:
+def test_attached_bodies_keep_their_relative_pose_through_chains_and_joints(scene: BulletWorld) -> None:
     robot, milk, spoon = scene.robot, scene.get_object("milk"), scene.get_object("spoon")
     link = "l_gripper_tool_frame"
     milk.set_position_and_orientation([0.9, 1.1, 1.2], [0.2, 0.1, 0.3, 0.9])
@@ -41,7 +41,7 @@ def test_the_full_pose_is_kept_through_chains_and_joints(scene: BulletWorld) -> 
 
 
 @pytest.mark.slow
-def test_in_simulation_it_stays_in_the_hand(scene: BulletWorld) -> None:
+def test_an_attached_body_stays_in_the_gripper_in_simulation(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     link = "l_gripper_tool_frame"
     milk.set_position_and_orientation(robot.get_link_position(link), [0.1, 0, 0, 1])
@@ -55,7 +55,7 @@ def test_in_simulation_it_stays_in_the_hand(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_moved_by_hand_it_moves_alone_and_is_carried_on_from_there(scene: BulletWorld) -> None:
+def test_moving_an_attached_body_renews_its_relative_pose(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     robot.attach(milk, "r_gripper_tool_frame")
     stood = robot.get_position()
@@ -69,7 +69,7 @@ def test_moved_by_hand_it_moves_alone_and_is_carried_on_from_there(scene: Bullet
     assert_kept(before, relative(robot, "r_gripper_tool_frame", milk), metres=1e-3, degrees=0.1)
 
 
-def test_what_makes_no_sense_is_refused(scene: BulletWorld) -> None:
+def test_impossible_attachments_are_refused(scene: BulletWorld) -> None:
     robot, milk, bowl = scene.robot, scene.get_object("milk"), scene.get_object("bowl")
     milk.attach(bowl)
     before = dict(milk.attachments)
@@ -95,7 +95,7 @@ def test_what_makes_no_sense_is_refused(scene: BulletWorld) -> None:
             robot.attach(stranger)
 
 
-def test_a_drawer_takes_along_what_lies_in_it_and_on_that(scene: BulletWorld) -> None:
+def test_a_drawer_moves_the_bodies_that_it_supports(scene: BulletWorld) -> None:
     kitchen, spoon, milk = scene.get_object("kitchen"), scene.get_object("spoon"), scene.get_object("milk")
     kitchen.set_joint_position(DRAWER, 0.4)
     plate = Object("plate", "plate", "plate.stl", [1.2, 0.7, 0.74])
@@ -109,7 +109,7 @@ def test_a_drawer_takes_along_what_lies_in_it_and_on_that(scene: BulletWorld) ->
     assert milk.get_position() == rests[milk]
 
 
-def test_a_branch_s_handle_stands_for_its_object(scene: BulletWorld) -> None:
+def test_the_result_of_a_branch_can_be_attached(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     with par as s:
         found = s(scene.get_object, "milk")
@@ -120,7 +120,7 @@ def test_a_branch_s_handle_stands_for_its_object(scene: BulletWorld) -> None:
 
 
 @pytest.mark.slow
-def test_a_chain_that_hangs_out_far_stays_together_in_simulation(scene: BulletWorld) -> None:
+def test_a_long_chain_of_attachments_stays_together_in_simulation(scene: BulletWorld) -> None:
     robot, milk = scene.robot, scene.get_object("milk")
     x, y, z = robot.get_link_position("l_gripper_tool_frame")
     milk.set_position([x + 0.05, y, z])

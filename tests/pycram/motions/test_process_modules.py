@@ -1,4 +1,4 @@
-"""Process modules on the real PR2: right rather than pretended, and consistent after a failure."""
+"""Process modules of the PR2: exact results, and no change after a failure."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def gaze_error(robot: Object, point: list[float]) -> float:
     return math.degrees(math.atan2(math.hypot(x, y), z))
 
 
-def test_navigation_refuses_collisions_and_leaves_the_world_as_it_was(scene: BulletWorld) -> None:
+def test_moving_refuses_collisions_and_changes_nothing(scene: BulletWorld) -> None:
     before = snapshot(scene)
     with pytest.raises(InCollision, match="kitchen") as raised:
         perform(type="moving", target=[1.2, 0.7, 0])
@@ -60,7 +60,7 @@ def test_navigation_refuses_collisions_and_leaves_the_world_as_it_was(scene: Bul
     assert scene.robot.get_position() == pytest.approx([0.2, 0.3, 0])
 
 
-def test_what_the_robot_holds_collides_too(scene: BulletWorld) -> None:
+def test_attached_objects_collide_too(scene: BulletWorld) -> None:
     perform(type="pick-up", object=scene.get_object("milk"), arm="left")
     with pytest.raises(InCollision):  # the arm is stretched out over the counter
         perform(type="moving", target=[0.9, 0.7, 0])
@@ -80,7 +80,7 @@ def test_looking_points_the_camera(scene: BulletWorld, base: tuple[list[float], 
     assert snapshot(scene) == before
 
 
-def test_detecting_honours_gaze_and_occlusion(scene: BulletWorld) -> None:
+def test_detecting_respects_view_and_occlusion(scene: BulletWorld) -> None:
     milk, cereal = scene.get_object("milk"), scene.get_object("cereal")
     perform(type="looking", object=milk)
     assert perform(type="detecting", object="milk") is milk
@@ -119,7 +119,7 @@ def test_pick_up_brings_the_tool_to_the_object_within_limits(scene: BulletWorld,
     assert body.carrier is robot
 
 
-def test_out_of_reach_is_told_and_changes_nothing(scene: BulletWorld) -> None:
+def test_unreachable_targets_change_nothing(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     milk.set_position([1.75, 1, 0.95])
     before = snapshot(scene)
@@ -142,7 +142,7 @@ def test_move_tcp_reaches_position_and_orientation(scene: BulletWorld) -> None:
     assert math.degrees(geometry.angle(orientation, turn)) < 2
 
 
-def test_place_sets_down_upright_where_it_was_asked(scene: BulletWorld) -> None:
+def test_place_sets_down_upright_at_the_target(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     perform(type="pick-up", object=milk, arm="left")
     perform(type="place", object=milk, target=[1.35, 0.95, 0.98], arm="left")
@@ -158,7 +158,7 @@ def test_place_sets_down_upright_where_it_was_asked(scene: BulletWorld) -> None:
     assert milk.carrier is scene.robot
 
 
-def test_accessing_moves_the_handle_with_the_hand_and_the_spoon_with_the_drawer(scene: BulletWorld) -> None:
+def test_accessing_moves_the_gripper_with_the_handle_and_the_spoon_with_the_drawer(scene: BulletWorld) -> None:
     kitchen, spoon, robot = scene.get_object("kitchen"), scene.get_object("spoon"), scene.robot
     before = snapshot(scene)
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
@@ -206,7 +206,7 @@ def test_a_block_fails_with_all_its_failures_and_leaves_no_thread(scene: BulletW
     perform(type="moving", target=[0.3, 0.7, 0])  # the modules are free again
 
 
-def test_designators_that_no_module_takes(scene: BulletWorld) -> None:
+def test_a_command_without_process_module_is_refused(scene: BulletWorld) -> None:
     def resolver(designator: MotionDesignator) -> list[dict[str, object]]:
         return [{"cmd": "dance"}] if designator.type == "dancing" else []
 
@@ -227,7 +227,7 @@ def test_designators_that_no_module_takes(scene: BulletWorld) -> None:
                 perform(type="opening-gripper", gripper="left")
 
 
-def test_a_drawer_doesn_t_open_against_what_stands_before_it_or_with_a_full_hand(scene: BulletWorld) -> None:
+def test_accessing_refuses_obstacles_and_a_full_gripper(scene: BulletWorld) -> None:
     kitchen, milk, robot = scene.get_object("kitchen"), scene.get_object("milk"), scene.robot
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
     x, y, z = kitchen.get_link_position(HANDLE)
@@ -244,13 +244,13 @@ def test_a_drawer_doesn_t_open_against_what_stands_before_it_or_with_a_full_hand
     assert snapshot(scene) == before
 
 
-def test_the_palm_stays_before_the_handle(scene: BulletWorld) -> None:
+def test_the_palm_does_not_penetrate_the_handle(scene: BulletWorld) -> None:
     kitchen, robot = scene.get_object("kitchen"), scene.robot
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
     deepest: list[float] = []
 
     def look(_: Object) -> None:
-        touches = scene.engine.link_touches(robot.handle, "l_gripper_palm_link", kitchen.handle, 0.05)
+        touches = scene.engine.link_closest_points(robot.handle, "l_gripper_palm_link", kitchen.handle, 0.05)
         deepest.extend(touch.distance for touch in touches if touch.link_b == HANDLE)
 
     manipulated = scene.get_manipulation_event()
@@ -260,7 +260,7 @@ def test_the_palm_stays_before_the_handle(scene: BulletWorld) -> None:
     assert min(deepest) > -1e-3
 
 
-def test_what_only_hangs_beside_a_door_isn_t_dragged_along(scene: BulletWorld) -> None:
+def test_a_door_does_not_move_bodies_that_it_does_not_support(scene: BulletWorld) -> None:
     kitchen = scene.get_object("kitchen")
     door = "sink_area_dish_washer_door_joint"
     kitchen.set_joint_position(door, 0.75)
@@ -272,7 +272,7 @@ def test_what_only_hangs_beside_a_door_isn_t_dragged_along(scene: BulletWorld) -
     assert cup.get_position() == lay
 
 
-def test_arms_don_t_go_into_furniture(scene: BulletWorld) -> None:
+def test_arm_motions_refuse_collisions(scene: BulletWorld) -> None:
     before = snapshot(scene)
     with pytest.raises(Unreachable, match="kitchen"):
         perform(type="move-tcp", target=[1.3, 0.9, 0.7], arm="left")
@@ -282,13 +282,13 @@ def test_arms_don_t_go_into_furniture(scene: BulletWorld) -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "orientation", "told"),
+    ("target", "orientation", "message"),
     [([0, 0, 3], [0, 0, 0, 1], "leave the ground"), ([-0.3, -3, 0], [0.7, 0, 0, 0.7], "lean over by 90")],
 )
-def test_a_base_drives_on_its_ground(
-    scene: BulletWorld, target: list[float], orientation: list[float], told: str
+def test_a_base_moves_only_on_its_ground_and_upright(
+    scene: BulletWorld, target: list[float], orientation: list[float], message: str
 ) -> None:
     before = snapshot(scene)
-    with pytest.raises(NotDrivable, match=told):
+    with pytest.raises(NotDrivable, match=message):
         perform(type="moving", target=target, orientation=orientation)
     assert snapshot(scene) == before

@@ -1,0 +1,39 @@
+"""File descriptors redirected for a while: native code prints past ``sys.stdout`` and ``sys.stderr``."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextmanager
+def redirected(*descriptors: int, to: int) -> Iterator[None]:
+    """Redirect file descriptors of the whole process to another one during the block."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with ExitStack() as restoring:
+        for descriptor in descriptors:
+            copy = os.dup(descriptor)
+            restoring.callback(os.close, copy)
+            restoring.callback(os.dup2, copy, descriptor)
+        restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers what goes to a pipe or a file
+        for descriptor in descriptors:
+            os.dup2(to, descriptor)
+        yield
+
+
+@contextmanager
+def silenced(*descriptors: int) -> Iterator[None]:
+    """Drop what native code prints (greetings, progress): stdout belongs to results, stderr to people."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        with redirected(*descriptors, to=nowhere):
+            yield
+    finally:
+        os.close(nowhere)

@@ -1,0 +1,49 @@
+"""Text, TOML and URDF files of models; an invalid one raises an AssetError that names it."""
+
+from __future__ import annotations
+
+import tomllib
+from typing import TYPE_CHECKING
+
+from pycram.foundation.failures import AssetError
+from recorder.geometry.joints import UrdfError
+from recorder.geometry.urdf import Urdf
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def read_text(file: Path) -> str:
+    """Return the content of a UTF-8 file.
+
+    Raises:
+        AssetError: It can't be read.
+    """
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AssetError(file, f"can't be read: {error}") from error
+
+
+def parse_toml(text: str, source: str | Path) -> dict[str, object]:
+    """Return the tables of a TOML document; errors name its source.
+
+    Raises:
+        AssetError: It isn't TOML.
+    """
+    try:
+        return tomllib.loads(text)
+    except ValueError as error:
+        raise AssetError(source, f"is not TOML: {error}") from error
+
+
+def parse_urdf(text: str | bytes, source: str | Path) -> Urdf:
+    """Return the tree of links and joints of a URDF; errors name its source.
+
+    Raises:
+        AssetError: It isn't a URDF, or not one tree.
+    """
+    try:
+        return Urdf.parse(text)
+    except UrdfError as error:
+        raise AssetError(source, str(error)) from error

@@ -1,0 +1,76 @@
+"""Simulation of a world: steps of 1/240 s, with samples for the recording 30 times a simulated second."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from pycram.world import carried
+from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
+from recorder import records
+from recorder.tracing import journal
+
+if TYPE_CHECKING:
+    from pycram.world.transaction import Transaction
+    from pycram.world.world import BulletWorld
+
+_SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
+_SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples aren't visible
+_MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m by which a joint of the environment has to move to fire the event
+
+
+def simulate(world: BulletWorld, steps: int, transaction: Transaction) -> bool:
+    """Step a world's engine as part of a transaction.
+
+    Ctrl-C or the world's exit end it early, between two samples; the record then has the steps that were done.
+
+    Returns:
+        Whether all steps were done.
+    """
+    engine = world.engine
+    joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
+    done = _step(world, steps, transaction)
+    transaction.command.simulate.steps = done
+    transaction.mark_modified(*world.objects)
+    transaction.callbacks.append(world.prepare_time_listeners)
+    for body, before in joints.items():
+        after = engine.joints(body.handle)[0]
+        if any(not math.isclose(a, b, abs_tol=_MANIPULATION_TOLERANCE) for a, b in zip(before, after, strict=True)):
+            transaction.fire(world.get_manipulation_event(), body)
+    return done == steps
+
+
+def _step(world: BulletWorld, steps: int, transaction: Transaction) -> int:
+    recording = journal.recording()
+    last = {body.name: take_snapshot(body) for body in world.objects} if recording else {}
+    observer = world.transactions.observer
+    done = 0
+    while done < steps and not (transaction.interrupts.noted or world.exiting):
+        chunk = min(_SAMPLE_STEPS - world.sim_step % _SAMPLE_STEPS, steps - done)
+        world.engine.step(chunk)
+        for body in world.objects:
+            if body.fixed:  # solvers let what is attached to it in chains give way a little
+                carried.move_attached(body, transaction)
+        world.sim_step += chunk
+        done += chunk
+        if done == steps:  # the effect itself has the last state
+            break
+        if observer is not None:
+            observer.time_passed()
+        if recording:
+            sample = _sample(world, last)
+            if sample.bodies:
+                transaction.samples.append(sample)
+    return done
+
+
+def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
+    """Record the objects that moved visibly since the last sample, and update their last snapshots."""
+    sample = records.Sample(sim_step=world.sim_step)
+    for body in world.objects:
+        now = take_snapshot(body)
+        delta = state_delta(body, now, last.get(body.name), _SAMPLE_TOLERANCE)
+        if delta is not None:
+            last[body.name] = now
+            sample.bodies.append(delta)
+    return sample
