@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from pycram.reasoning.kinematics import subproblems
 from pycram.reasoning.kinematics.arm import ArmKinematics
 from pycram.reasoning.kinematics.chain import Chain
-from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.descent import TURN_TOLERANCE
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
@@ -100,8 +99,12 @@ def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> Non
 
 
 def has_closed_form(axes: list[str], lengths: list[float]) -> bool:
-    arm = chain(axes, lengths).chain
-    return ClosedForm.of(*arm.at_zero(), arm.lower, arm.upper, arm.bounded) is not None
+    """Whether a pose that some posture has is reached without searching."""
+    solver = chain(axes, lengths)
+    posture = dict.fromkeys(solver.chain.joints, 0.3)
+    pose = solver.chain.poses(np.array([[*posture.values()]]))[0]
+    (found,) = solver.closed_form([(pose[:3, 3], geometry.from_matrix(pose[:3, :3]))], posture)
+    return bool(found)
 
 
 def test_arms_with_a_spherical_shoulder_and_wrist_have_a_closed_form() -> None:
