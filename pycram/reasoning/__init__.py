@@ -1,1 +1,1 @@
-"""Queries about worlds (thesis 4.4), one idea a module; :mod:`pycram.bullet_world_reasoning` is their public face."""
+"""Reasoning about worlds (thesis 4.4); :mod:`pycram.bullet_world_reasoning` hands the queries on."""

@@ -1,1 +1,1 @@
-"""Where links are for joint values, and the other way round: arithmetic on the URDF."""
+"""Forward and inverse kinematics: arithmetic on the URDF."""
