@@ -1,6 +1,6 @@
-"""What code runs in: a thread, or a branch of a plan, which shares its thread with other branches.
+"""Where code runs: in a thread, or in a branch of a plan, which shares its thread with other branches.
 
-A branch has a call stack, a context and a name of its own. Records tell its name as that of their thread.
+A branch has a call stack, a context and a name of its own, which records have as their thread's name.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 
 class Branch(NamedTuple):
-    """A branch of a plan, as records tell it.
+    """A branch of a plan.
 
     Attributes:
         thread: identifies the thread that it runs in. Another one that it starts may inherit its context.
@@ -30,25 +30,17 @@ _idents: Final = itertools.count(-1, -1)
 
 
 def new_branch(name: str) -> Branch:
-    """A branch that runs in this thread.
-
-    Args:
-        name: what records call it.
-    """
+    """A branch that runs in this thread, by its name in records."""
     return Branch(threading.get_ident(), next(_idents), name)
 
 
 def current_branch() -> Branch | None:
-    """The branch that this context is that of; None outside of branches."""
+    """The branch whose context this is; None outside of branches."""
     return _branch.get()
 
 
 def enter_branch(branch: Branch | None) -> None:
-    """From here on this context is that of a branch.
-
-    Args:
-        branch: the branch; None for outside of branches.
-    """
+    """Makes this context that of a branch from here on; None for outside of branches."""
     _branch.set(branch)
 
 

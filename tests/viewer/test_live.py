@@ -183,7 +183,7 @@ def test_records_that_can_t_be_shown_are_skipped(
     server = serve()
     nonsense = "records.Query(name='visible', picture=records.Picture(width=1, height=1, pixels=b'none'))"
     telling = f"journal.emit({nonsense}, world=world.name)"
-    code = f"from recorder import journal, records\n{telling}\n{telling}\nmove(50)\nwait_for('shown')"
+    code = f"from recorder import records\nfrom recorder.tracing import journal\n{telling}\n{telling}\nmove(50)\nwait_for('shown')"
     running = plan(code, f"connect:{server.url}")
     until(lambda: server.rows()["/records/mutation"] > 350, "all is on its way that is told before")
     (running.folder / "shown").touch()
