@@ -26,25 +26,13 @@ _NOT_BEGUN: Final = "a plain function; one with `yield` does nothing before its 
 
 
 def name_of(action: Callable[..., Result]) -> str:
-    """What people call a function: without its module, and without the function that it is defined in.
-
-    Args:
-        action: anything that can be called.
-    """
+    """What people call a function: without its module, and without the function that it is defined in."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
 
 
 def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-    """Calls an action.
-
-    Args:
-        action: the function.
-        args: its arguments.
-        kwargs: its named arguments.
-
-    Returns:
-        What it returned.
+    """Calls an action, and returns what it returned.
 
     Raises:
         BadArgument: calling it has done nothing.

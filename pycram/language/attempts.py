@@ -91,14 +91,6 @@ class Attempt(Scope["Attempt"]):
     """
 
     def __init__(self, attempts: Attempts, number: int, parameters: Parameters, failures: list[BaseException]) -> None:
-        """Makes an attempt.
-
-        Args:
-            attempts: the row of attempts that it is one of.
-            number: which one.
-            parameters: what it is to use.
-            failures: those of the attempts before it.
-        """
         super().__init__("failure_handling")
         self.number = number
         self.parameters = parameters
@@ -209,11 +201,7 @@ class Attempts:
                 warnings.warn_explicit(text, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
-        """Ends the row.
-
-        Args:
-            error: what it failed with; None if an attempt succeeded.
-        """
+        """Ends the row; without an error an attempt succeeded."""
         self.over = True
         if self._span is not None:
             self._span.finish(error)

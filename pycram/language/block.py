@@ -52,7 +52,7 @@ from pycram.scheduling.cancellation import (
     wait,
 )
 from pycram.scheduling.future import Future
-from pycram.scheduling.locks import refuse_held
+from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.threads import current_branch, enter_branch
@@ -117,12 +117,7 @@ class Block:
     """
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
-        """Makes a block for a body that begins here.
-
-        Args:
-            policy: what kind.
-            failures: where its failures go; None to raise them.
-        """
+        """Makes a block for a body that begins here; its failures go into the list, or are raised."""
         self.policy = policy
         self.branches: list[Branch] = []
         self.scope = CancelScope(current_scope())
@@ -168,15 +163,7 @@ class Block:
     # --- branches ---------------------------------------------------------------------------------------------------
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Future:
-        """Asks for a branch.
-
-        Args:
-            action: a function.
-            args: its arguments.
-            kwargs: its named arguments.
-
-        Returns:
-            A future that serves as its result.
+        """Asks for a branch that calls a function; gives a future that serves as its result.
 
         Raises:
             BadArgument: it can't be called.
@@ -226,10 +213,7 @@ class Block:
         return Future(branch)
 
     def _take(self, branch: Branch) -> None:
-        """Runs a branch: on a stack of its own when its turn comes or, in a sequential block, here.
-
-        Args:
-            branch: one that has not begun; dropped if the block is decided.
+        """Runs a branch, unless the block is decided: on its own stack in its turn or, in a sequential block, here.
 
         Raises:
             BlockClosed: the block has ended.
@@ -365,6 +349,8 @@ class Block:
         elif error is not None:
             self.scope.cancel()
         pressed = self._join(error if isinstance(error, KeyboardInterrupt) else None)
+        if isinstance(pressed, PlanFailure):
+            self._body_failed(pressed)
         errors = (pressed, error if error is not pressed else None, *[branch.error for branch in self.branches])
         failures = self.failures
         bugs = [one for one in errors if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
@@ -384,12 +370,7 @@ class Block:
         return None if self._collected is not None else BranchesFailed(self.name, failures)
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
-        """How the block ended, where the program is right.
-
-        Args:
-            error: what came out of the body.
-            failures: the block's.
-        """
+        """How the block ended, where the program is right; the error came out of the body."""
         if any(leaves_uncleaned(failure) for failure in failures):
             return State.FAILED
         if self.decider is not None:
@@ -406,21 +387,23 @@ class Block:
             body.ask()
             body.finish(failure)
 
-    def _join(self, pressed: KeyboardInterrupt | None) -> KeyboardInterrupt | None:
+    def _join(self, pressed: BaseException | None) -> BaseException | None:
         """Waits for all branches; those of a block in which things happen in order have ended anyway.
 
         Args:
             pressed: Ctrl-C that ended the body; another one is no news then.
 
         Returns:
-            The same, or Ctrl-C that came meanwhile and has stopped the branches.
+            The same; or Ctrl-C, or what a handler of another signal raised, that came meanwhile and has stopped them.
         """
         here = scheduler()
         while True:
             joining, here.joining = here.joining, here.joining or pressed is not None
             try:
                 join(self._changed, self._all_ended)
-            except KeyboardInterrupt as interrupt:
+            except LockHeld:  # it would be refused again
+                raise
+            except BaseException as interrupt:  # noqa: BLE001  raised when the branches have ended
                 pressed = interrupt
                 self.scope.cancel()
                 continue

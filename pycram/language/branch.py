@@ -6,7 +6,7 @@ from contextvars import Context, copy_context
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
-from pycram.scheduling.cancellation import join, raise_if_cancelled, wait
+from pycram.scheduling.cancellation import raise_if_cancelled, wait
 from pycram.scheduling.future import unwrap
 from recorder.tasks import State
 from recorder.tracing.span import Span
@@ -92,23 +92,13 @@ class Branch:
         return self.state not in (State.CREATED, State.RUNNING)
 
     def begin(self) -> Result:
-        """Does its action.
-
-        Returns:
-            What that returned.
-        """
+        """Does its action; returns what that returned."""
         self._begun = True
         self.state = State.RUNNING
         return unwrap(self.action())
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
-        """Says what came of it, once.
-
-        Args:
-            state: how it ended.
-            result: what its action returned.
-            error: what its action raised.
-        """
+        """Says what came of it, once."""
         if not self._begun:
             self._dropped()
         self.action, self.context, self._dropped = _nothing, _NOWHERE, _nothing
@@ -117,31 +107,15 @@ class Branch:
         self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Waits for its end.
-
-        Args:
-            timeout: in seconds; None to wait for ever.
-
-        Returns:
-            Whether it has ended.
+        """Waits for its end, at most so many seconds; returns whether it has ended.
 
         Raises:
             Cancelled: the one who waits was told to stop.
         """
         return wait(self._changed, lambda: self.done, timeout)
 
-    def join(self) -> None:
-        """Waits for its end, whoever is told to stop."""
-        join(self._changed, lambda: self.done)
-
     def result(self, timeout: float | None = None) -> Result:
-        """Waits for its result.
-
-        Args:
-            timeout: in seconds; None to wait for ever.
-
-        Returns:
-            What its action returned.
+        """Waits for what its action returned, at most so many seconds.
 
         Raises:
             TimeoutError: it still runs.

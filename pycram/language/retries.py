@@ -131,15 +131,9 @@ class FailureHandling:
             attempts.close()
 
     def run(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-        """Calls a function until it gets through.
+        """Calls a function until it gets through, and returns what it returned.
 
-        Args:
-            action: the function.
-            args: its arguments.
-            kwargs: its named arguments; an attempt's parameters go before them.
-
-        Returns:
-            What it returned.
+        An attempt's parameters go before its named arguments.
 
         Raises:
             PlanFailure: its last failure.

@@ -25,12 +25,7 @@ class Opening(Scope[Block]):
     """Opens a block when a ``with`` statement begins; may be used again, in other threads and within itself."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
-        """Makes an opening.
-
-        Args:
-            policy: what kind of block.
-            failures: where failures of its branches go; None to raise them.
-        """
+        """Makes an opening; failures of the branches go into the list, or are raised."""
         super().__init__(policy.name)
         self._policy = policy
         self._failures = failures

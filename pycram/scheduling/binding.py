@@ -17,12 +17,6 @@ class Binding(Generic[Value]):
     _token: Token[Value]
 
     def __init__(self, variable: ContextVar[Value], value: Value) -> None:
-        """Makes a binding that doesn't hold yet.
-
-        Args:
-            variable: the variable.
-            value: what it is to have.
-        """
         self._variable = variable
         self._value = value
 

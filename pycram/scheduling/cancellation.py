@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from pycram.scheduling.binding import Binding
+from pycram.scheduling.locks import held
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from recorder.tracing.span import Cancelled
 
@@ -97,20 +98,12 @@ def current_scope() -> CancelScope | None:
 
 
 def entered(scope: CancelScope | None) -> Binding[CancelScope | None]:
-    """Runs its block in a scope.
-
-    Args:
-        scope: the scope; None for outside of all.
-    """
+    """Runs its block in a scope; None for outside of all."""
     return Binding(_scope, scope)
 
 
 def enter(scope: CancelScope) -> None:
-    """From here on this context is in a scope.
-
-    Args:
-        scope: the scope.
-    """
+    """From here on this context is in a scope."""
     _scope.set(scope)
 
 
@@ -130,12 +123,12 @@ def uninterruptible() -> Iterator[None]:
 
 
 def before_change() -> None:
-    """A checkpoint before a world is changed, unless that is part of an :func:`uninterruptible` block.
+    """A checkpoint before a world is changed, unless that is part of an :func:`uninterruptible` block or of a lock's.
 
     Raises:
         Cancelled: the branch has been told to stop.
     """
-    if not _uninterruptible.get():
+    if not _uninterruptible.get() and not held.count:  # what is made of several changes is done as a whole
         checkpoint()
 
 
@@ -192,12 +185,7 @@ def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | N
 
 
 def join(condition: Condition, predicate: Callable[[], bool]) -> None:
-    """Waits until something holds, whoever is told to stop.
-
-    Args:
-        condition: notified whenever the answer may have changed.
-        predicate: asked in the branch that waits.
-    """
+    """Waits until something holds, whoever is told to stop; see :func:`wait`."""
     with Waiter((condition,)) as waiter:
         while not predicate():
             waiter.sleep()

@@ -47,11 +47,6 @@ class Future:
     _branch: Pending
 
     def __init__(self, branch: Pending) -> None:
-        """Makes a future.
-
-        Args:
-            branch: whose result it stands for.
-        """
         object.__setattr__(self, "_branch", branch)
 
     def result(self, timeout: float | None = None) -> Result:
@@ -67,68 +62,31 @@ class Future:
     def __class__(self) -> type:  # isinstance() asks for this, after the type itself
         return type(self._branch.result())
 
+    def __repr__(self) -> str:
+        branch = self._branch
+        return repr(branch.result()) if branch.state is State.SUCCEEDED else f"<result of {branch!r}>"
+
+    def __eq__(self, other: object) -> bool:
+        return other is self or bool(self._branch.result() == unwrap(other))
+
+    def __hash__(self) -> int:
+        return hash(self._branch.result())
+
     def __getattr__(self, name: str) -> Result:
         return getattr(self._branch.result(), name)
 
     def __setattr__(self, name: str, value: object) -> None:
         setattr(self._branch.result(), name, value)
 
-    def __delattr__(self, name: str) -> None:
-        delattr(self._branch.result(), name)
-
-    def __repr__(self) -> str:
-        branch = self._branch
-        return repr(branch.result()) if branch.state is State.SUCCEEDED else f"<result of {branch!r}>"
-
-    def __str__(self) -> str:
-        return str(self._branch.result())
-
-    def __eq__(self, other: object) -> bool:
-        if other is self:
-            return True
-        return bool(self._branch.result() == unwrap(other))
-
-    def __hash__(self) -> int:
-        return hash(self._branch.result())
-
-    def __bool__(self) -> bool:
-        return bool(self._branch.result())
-
-    def __len__(self) -> int:
-        return len(self._branch.result())
-
-    def __iter__(self) -> Iterator[Result]:
-        return iter(self._branch.result())
-
-    def __contains__(self, item: object) -> bool:
-        return item in self._branch.result()
-
     def __getitem__(self, key: object) -> Result:
-        return self._branch.result()[key]
+        return self._branch.result()[unwrap(key)]
 
     def __setitem__(self, key: object, value: object) -> None:
         self._branch.result()[unwrap(key)] = value
 
-    def __delitem__(self, key: object) -> None:
-        del self._branch.result()[unwrap(key)]
-
-    def __format__(self, spec: str) -> str:
-        return format(self._branch.result(), spec)
-
-    def __round__(self, digits: int | None = None) -> Result:
-        return round(self._branch.result(), digits)
-
-    def __divmod__(self, other: object) -> Result:
-        return divmod(self._branch.result(), unwrap(other))
-
-    def __rdivmod__(self, other: object) -> Result:
-        return divmod(other, self._branch.result())
-
-    def __reversed__(self) -> Iterator[Result]:
-        return reversed(self._branch.result())
-
-    def __next__(self) -> Result:
-        return next(self._branch.result())
+    def __call__(self, *args: object, **kwargs: object) -> Result:
+        """Calls the result."""
+        return self._branch.result()(*args, **kwargs)
 
     def __enter__(self) -> Result:
         """Enters the result."""
@@ -138,79 +96,52 @@ class Future:
         """Leaves the result."""
         return self._branch.result().__exit__(*raised)
 
-    def __fspath__(self) -> str | bytes:
-        return os.fspath(self._branch.result())
-
     def __reduce__(self) -> Result:
         return unwrap, (self._branch.result(),)
 
-    def __copy__(self) -> Result:
-        return copy.copy(self._branch.result())
 
-    def __deepcopy__(self, memo: dict[int, object]) -> Result:
-        return copy.deepcopy(self._branch.result(), memo)
-
-    def __call__(self, *args: object, **kwargs: object) -> Result:
-        """Calls the result."""
-        return self._branch.result()(*args, **kwargs)
-
-    def __float__(self) -> float:
-        return float(self._branch.result())
-
-    def __int__(self) -> int:
-        return int(self._branch.result())
-
-    def __lt__(self, other: object) -> bool:
-        return bool(self._branch.result() < unwrap(other))
-
-    def __le__(self, other: object) -> bool:
-        return bool(self._branch.result() <= unwrap(other))
-
-    def __gt__(self, other: object) -> bool:
-        return bool(self._branch.result() > unwrap(other))
-
-    def __ge__(self, other: object) -> bool:
-        return bool(self._branch.result() >= unwrap(other))
+def _reflected(function: Callable[[Any, Any], Result]) -> Callable[[Any, Any], Result]:
+    return lambda result, other: function(other, result)
 
 
-def _operation(name: str) -> Callable[..., Result]:
-    function = getattr(operator, name.replace("__r", "__", 1) if name in _REFLECTED else name)
+_BINARY: Final = "add sub mul matmul truediv floordiv mod pow and or xor lshift rshift"
+_OTHERS: Final = "lt le gt ge neg pos abs invert index"
+_FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
+    **{name: getattr(operator, f"__{name}__") for name in _BINARY.split()},
+    **{f"r{name}": _reflected(getattr(operator, f"__{name}__")) for name in _BINARY.split()},
+    **{name: getattr(operator, f"__{name}__") for name in _OTHERS.split()},
+    "divmod": divmod,
+    "rdivmod": _reflected(divmod),
+    "bool": bool,
+    "contains": operator.contains,
+    "copy": copy.copy,
+    "deepcopy": copy.deepcopy,
+    "delattr": delattr,
+    "delitem": operator.delitem,
+    "float": float,
+    "format": format,
+    "fspath": os.fspath,
+    "int": int,
+    "iter": iter,
+    "len": len,
+    "next": next,
+    "reversed": reversed,
+    "round": round,
+    "str": str,
+}
+"""What Python does for ``__add__``, ``__len__``, ...: done with the result, and with the results of other futures."""
 
+
+def _operation(name: str, function: Callable[..., Result]) -> Callable[..., Result]:
     def operate(self: Future, *others: object) -> Result:
-        values = [self.result(), *(unwrap(other) for other in others)]
-        return function(*(reversed(values) if name in _REFLECTED else values))
+        return function(self.result(), *map(unwrap, others))
 
     operate.__name__ = name
     return operate
 
 
-_BINARY: Final = (
-    "add",
-    "sub",
-    "mul",
-    "matmul",
-    "truediv",
-    "floordiv",
-    "mod",
-    "pow",
-    "and",
-    "or",
-    "xor",
-    "lshift",
-    "rshift",
-)
-_REFLECTED: Final = frozenset(f"__r{name}__" for name in _BINARY)
-
-for _name in (
-    *(f"__{name}__" for name in _BINARY),
-    *_REFLECTED,
-    "__neg__",
-    "__pos__",
-    "__abs__",
-    "__invert__",
-    "__index__",
-):
-    setattr(Future, _name, _operation(_name))
+for _name, _function in _FUNCTIONS.items():
+    setattr(Future, f"__{_name}__", _operation(f"__{_name}__", _function))
 
 
 def is_future(value: object) -> bool:
@@ -228,9 +159,6 @@ def branches_in(value: object) -> Iterator[Pending]:
     """The branches of all futures in a value: of itself, and of those in lists, tuples and dictionaries, however deep.
 
     Doesn't wait. Who waits for each before asking for the next gets those in their results too.
-
-    Args:
-        value: anything.
     """
     queue = [value]
     seen = set()
@@ -246,13 +174,7 @@ def branches_in(value: object) -> Iterator[Pending]:
 
 
 def unwrap(value: Result) -> Result:
-    """The thing itself where a future stands for it; anything else unchanged.
-
-    Args:
-        value: a future, or not.
-
-    Returns:
-        The result; waits for it.
+    """The thing itself where a future stands for it (waits for it); anything else unchanged.
 
     Raises:
         BaseException: what the branch raised.

@@ -15,9 +15,7 @@ class LockHeld(UsageError):
     """Code waits, or lets other branches go on, that holds a lock: another branch of its thread would get in."""
 
     def __init__(self) -> None:
-        super().__init__(
-            "a branch must not wait, act or change a world while it holds the lock of a world or of fluents"
-        )
+        super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")
 
 
 class _Held(threading.local):

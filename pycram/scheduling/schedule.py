@@ -37,11 +37,7 @@ class Waiter:
     __slots__ = ("_greenlet", "_scheduler", "_sources", "_woken")
 
     def __init__(self, sources: Collection[Condition] = ()) -> None:
-        """Makes one for the code that runs here.
-
-        Args:
-            sources: what wakes it, until the ``with`` block ends.
-        """
+        """Makes one for the code that runs here; the sources wake it until its ``with`` block ends."""
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
@@ -58,11 +54,7 @@ class Waiter:
         self._greenlet.switch()
 
     def sleep(self, deadline: float | None = None) -> None:
-        """Gives way until it is woken, perhaps for nothing.
-
-        Args:
-            deadline: when to wake up at the latest, as time.monotonic() tells it; None for never.
-        """
+        """Gives way until it is woken, perhaps for nothing; at the latest at a time of time.monotonic()."""
         self._scheduler.park(self, deadline)
         self._woken = False
 
@@ -103,18 +95,16 @@ class _Branch:
             self._action()
         finally:
             del self._scheduler.branches[self]
+            self._scheduler.leave()
 
 
 Ready: TypeAlias = "Waiter | _Branch"
 
 
 def schedule(ready: deque[Ready]) -> Ready:
-    """Takes the one that goes on next: the one that has been ready for longest.
+    """Takes the one that goes on next out of those that could: the one that has been ready for longest.
 
     The order of a plan is decided here and nowhere else.
-
-    Args:
-        ready: those that could, in the order in which they became ready; not empty.
     """
     return ready.popleft()
 
@@ -156,13 +146,7 @@ class Scheduler:
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
 
     def begin(self, name: str, context: Context, action: Callable[[], None]) -> None:
-        """Begins a branch when its turn comes; from any thread.
-
-        Args:
-            name: what records call it.
-            context: it runs in this very one.
-            action: what it does; must not raise.
-        """
+        """Begins a branch when its turn comes, in this very context; from any thread. The action must not raise."""
         branch = _Branch(self, name, context, action)
         self.branches[branch] = None
         self.add(branch)
@@ -177,8 +161,9 @@ class Scheduler:
 
     def ring(self) -> None:
         """Wakes the thread if it sleeps; from any thread, and from handlers of signals."""
-        with suppress(RuntimeError):  # it was rung already
-            self._bell.release()
+        if self._bell.locked():  # else it was rung already
+            with suppress(RuntimeError):  # by another thread just now
+                self._bell.release()
 
     def give_way(self) -> None:
         """Lets the others that are ready go on first; outside of all branches raises Ctrl-C that was held back."""
@@ -213,6 +198,11 @@ class Scheduler:
             self._deadlines.pop(waiter, None)
         if outside and not self.joining:
             interrupts.raise_pending()
+
+    def leave(self) -> None:
+        """Has a branch that ends go back to the loop: it may have begun in one that an error has ended meanwhile."""
+        if self._loop is not None:
+            getcurrent().parent = self._loop
 
     def _is_outside(self) -> bool:
         """Whether the code that runs is outside of all branches."""
@@ -250,11 +240,7 @@ class Scheduler:
                     waiter.wake()
 
     def defers(self, frame: FrameType) -> bool:
-        """Whether Ctrl-C has to wait for the next checkpoint.
-
-        Args:
-            frame: the code that it has met.
-        """
+        """Whether Ctrl-C has to wait for the next checkpoint, where it has met this code."""
         return not self._is_outside() or _in_own_code(frame)
 
     def interrupt(self) -> None:

@@ -7,6 +7,7 @@ from contextvars import copy_context
 from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
+from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.schedule import Condition
 from recorder import threads
 
@@ -36,6 +37,7 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
         Cancelled: the branch has been told to stop meanwhile.
         LockHeld: the caller holds a lock.
     """
+    refuse_held()
     ended = Condition()
     results: list[Result] = []
     errors: list[BaseException] = []

@@ -24,11 +24,6 @@ class WorldLock(Lock):
         self._depth = 0
         self._deferred: list[Callable[[], None]] = []
 
-    @property
-    def is_held(self) -> bool:
-        """Whether the running branch holds it: its thread does, as no branch gives way while it holds the lock."""
-        return self._lock._is_owned()  # type: ignore[attr-defined, no-any-return]  # noqa: SLF001  as Condition does
-
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Have the holder's thread make calls, in order, when it has released the lock."""
         self._deferred.extend(calls)

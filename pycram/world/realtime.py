@@ -7,6 +7,8 @@ import time
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import ChangeRefused, WorldClosed
+from pycram.scheduling.cancellation import join
+from pycram.scheduling.schedule import Condition
 
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
@@ -22,6 +24,8 @@ class RealtimeClock:
         self._world = world
         self._stop = threading.Event()
         self._error: BaseException | None = None
+        self._over = False
+        self._ended = Condition()
         # the world's exit() ends it; it is a daemon for plans that don't call exit()
         self._thread = threading.Thread(target=self._run, name=f"{world.name} realtime", daemon=True)
 
@@ -37,11 +41,19 @@ class RealtimeClock:
         """
         self._stop.set()
         if self._thread is not threading.current_thread():
+            join(self._ended, lambda: self._over)  # a handler of its last stretch may wait for another branch
             self._thread.join()
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
+        try:
+            self._simulate()
+        finally:
+            self._over = True
+            self._ended.notify_all()
+
+    def _simulate(self) -> None:
         due = time.monotonic()
         while not self._stop.wait(max(0.0, due - time.monotonic())):
             due = max(due + _PERIOD, time.monotonic() - _MAX_LAG)

@@ -124,8 +124,7 @@ class TransactionManager:
             RecordingError: The record can't be written.
             Cancelled: The branch of the plan that asks for it is cancelled.
         """
-        if not self.lock.is_held:  # what is made of several transactions is done as a whole
-            before_change()
+        before_change()
         with self.lock, Uninterrupted() as interrupts:
             self.check(str(command.WhichOneof("command")).replace("_", " "))
             transaction = Transaction(command, interrupts)

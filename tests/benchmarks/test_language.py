@@ -1,4 +1,4 @@
-"""What the plan language costs: blocks of trivial branches, against bare threads in the same run."""
+"""What the plan language costs: blocks of trivial branches, beside what bare threads would in the same run."""
 
 from __future__ import annotations
 

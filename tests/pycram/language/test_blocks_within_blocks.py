@@ -58,7 +58,7 @@ def test_a_sequence_in_a_concurrent_body_stops_at_its_first_failure() -> None:
         late.result()
 
 
-def test_who_looks_at_a_handle_in_the_body_waits_for_it_or_leaves_the_body() -> None:
+def test_who_looks_at_a_future_in_the_body_waits_for_it_or_leaves_the_body() -> None:
     done = []
     with par as s:
         with seq as t:

@@ -54,9 +54,9 @@ def test_when_the_first_fails(name: str, block: State, second: State | None) -> 
 @pytest.mark.parametrize("name", KINDS)
 def test_when_all_succeed(name: str) -> None:
     with KINDS[name] as s:
-        handle = s(succeeds, 5)
+        future = s(succeeds, 5)
     assert s.state is S
-    assert handle == 5
+    assert future == 5
     assert not s.failures
     assert KINDS[name](lambda: 1, lambda: 1) in (1, [1, 1])
 
@@ -125,7 +125,7 @@ def test_every_block_in_every_other(outer: str, inner: str) -> None:
     done = []
     with KINDS[outer] as s:
         with KINDS[inner] as t:
-            handle = t(succeeds, 7)
+            future = t(succeeds, 7)
         with KINDS[inner] as u:  # try_in_order doesn't come here
             done.append("body")
             u(done.append, 8)
@@ -134,7 +134,7 @@ def test_every_block_in_every_other(outer: str, inner: str) -> None:
     if outer == "try_in_order":
         assert not done
     if outer in ("par", "seq"):
-        assert handle == 7
+        assert future == 7
         assert (t.state, u.state) == (S, S)
         assert sorted(done[1:]) == [8, 9]
     with pytest.raises(Unreachable), KINDS[outer] as s:

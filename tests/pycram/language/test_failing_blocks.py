@@ -92,7 +92,7 @@ def test_a_decided_block_stands_whatever_its_body_does_then(name: str) -> None:
     assert late(failures).state is S
     assert [type(one) for one in failures] == [Unreachable]
     with par as outer:
-        inner = late()  # read here, done in a thread of its own
+        inner = late()  # read here, done by a branch
         outer(succeeds)
     assert (outer.state, inner.state) == (S, S)
     assert [type(one) for one in inner.failures] == [Unreachable]

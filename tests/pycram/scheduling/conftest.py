@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import tasks
+from pycram.scheduling.schedule import scheduler
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -16,10 +17,11 @@ if TYPE_CHECKING:
 
 @pytest.fixture(autouse=True)
 def _watched() -> Iterator[None]:
-    """Nothing hangs, no thread outlives its block, and nothing runs on in the task tree."""
+    """Nothing hangs, no branch or worker outlives its block, and nothing runs on in the task tree."""
     faulthandler.dump_traceback_later(60, exit=True)
     before = threading.active_count()
     yield
     faulthandler.cancel_dump_traceback_later()
     assert threading.active_count() == before
+    assert not scheduler().branches
     assert all(node.finished for node in tasks.tree().nodes.values())

@@ -1,4 +1,4 @@
-"""Handles stand for the results of branches, whatever is done with them."""
+"""Futures stand for the results of branches, whatever is done with them."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pycram.language.branch import NoResult
 from tests.pycram.language.gates import Gate, fails, succeeds
 
 
-def test_handles_are_their_results() -> None:
+def test_futures_are_their_results() -> None:
     gate = Gate()
     with par as s:
-        handle = s(lambda: gate.pass_through() and [3, 1, 2])
+        future = s(lambda: gate.pass_through() and [3, 1, 2])
         gate.open()
-        assert sorted(handle) == [1, 2, 3]
-    assert handle == [3, 1, 2]
-    assert isinstance(handle, list)
-    assert handle + [0] == [3, 1, 2, 0]  # noqa: RUF005  the handle's own operator
+        assert sorted(future) == [1, 2, 3]
+    assert future == [3, 1, 2]
+    assert isinstance(future, list)
+    assert future + [0] == [3, 1, 2, 0]  # noqa: RUF005  the future's own operator
     with par as s:
         number = s(succeeds, 7)
     assert (number + 1, 10 - number, -number, number % 4, range(9)[number]) == (8, 3, -7, 3, 7)
@@ -39,7 +39,7 @@ def test_handles_are_their_results() -> None:
         bool(stopped)
 
 
-def test_handles_are_formatted_rounded_changed_and_copied_as_their_results() -> None:
+def test_futures_are_formatted_rounded_changed_and_copied_as_their_results() -> None:
     with par as s:
         number = s(lambda: 3.14159)
         table = s(lambda: {"a": [1]})
@@ -51,7 +51,7 @@ def test_handles_are_formatted_rounded_changed_and_copied_as_their_results() -> 
     assert type(copy.copy(table)) is dict
 
 
-def test_whatever_is_done_with_a_handle_is_done_with_its_result(tmp_path: Path) -> None:
+def test_whatever_is_done_with_a_future_is_done_with_its_result(tmp_path: Path) -> None:
     file = tmp_path / "x"
     file.write_text("text")
     with par as s:
