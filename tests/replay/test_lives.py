@@ -99,7 +99,9 @@ def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Rec
         assert world.name.startswith("lab@")
 
 
-@pytest.mark.parametrize(("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)])
+@pytest.mark.parametrize(
+    ("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)]
+)
 def test_simulated_time_is_that_of_the_first_world_that_gets_so_far(
     log: replay.Recording, time: str, lifetime: int, sim_step: int
 ) -> None:
