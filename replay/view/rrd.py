@@ -163,10 +163,10 @@ def cached(log: Log, at: int | None = None) -> Path:
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = unrecorded(beside.name)
-    missing = log.missing
+    missing = log.problems
     convert([log], beside)
     known = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
-    if log.missing != missing:
+    if log.problems != missing:
         known = 0  # that something is damaged was found on the way: it is to be found, and said, each time
     os.utime(beside, ns=(known, known))
     return beside

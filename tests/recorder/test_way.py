@@ -70,7 +70,7 @@ def functions(file: Path, name: str) -> list[str]:
     """The functions on the way to a task, outermost first, from the test's on."""
     with replay.open(file) as log:
         record = next(record for record in log.records(Task) if record.name == name and record.phase == Task.STARTED)
-        told = [line.function for line in Source(log).way(record)]
+        told = [line.function for line in Source(log).call_stack(record)]
     return list(itertools.dropwhile(lambda function: not function, told))  # what runs the tests in many processes
 
 
@@ -213,7 +213,7 @@ def test_ways_to_what_begins_in_one_body_are_those_that_are_walked(
             with replay.open(file) as log:
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
                 told.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
-                assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
+                assert Source(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
         monkeypatch.setattr(CallStack, "turned", lambda *_: None)
     assert told[:2] == told[2:]
     assert len(told[0]) > 30
@@ -236,7 +236,7 @@ def test_modules_of_the_plan_s_own_go_with_the_recording(ran: Path, capsys: pyte
     with replay.open(ran) as log:
         found = blame(log, "ball").causes
         assert found == causes(log, blame(log, "ball").record)
-        assert [(line.function, line.text) for line in found.way] == [
+        assert [(line.function, line.text) for line in found.call_stack] == [
             ("<module>", "tidy(ball)"),
             ("tidy", "helpers.put(ball, 2)"),
             ("put", "ball.set_position([0, 0, height])"),

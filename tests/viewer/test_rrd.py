@@ -156,7 +156,7 @@ def test_models_that_another_tool_has_left_out_are_told(tmp_path: Path, capsys: 
     for _ in range(2):
         with replay.open(log) as recording:
             cached(recording)
-            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
+            assert "cup.urdf" in recording.problems, "said again, although it was translated before"
 
 
 @pytest.mark.parametrize(

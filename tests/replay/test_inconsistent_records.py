@@ -112,12 +112,12 @@ def check(sound: Path, target: Path, seed: int) -> None:
         assert not current.opened(), f"seed {seed}: {asked}"
 
 
-def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
+def test_inconsistent_records_are_reported(sound: Path, tmp_path: Path) -> None:
     for seed in range(2):
         check(sound, tmp_path / f"{seed}.mcap", seed)
 
 
 @pytest.mark.slow
-def test_much_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
+def test_many_inconsistent_records_are_reported(sound: Path, tmp_path: Path) -> None:
     for seed in range(2, 150):
         check(sound, tmp_path / f"{seed}.mcap", seed)
