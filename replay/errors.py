@@ -1,9 +1,10 @@
-"""What opening and reading recordings can raise; every one says what, where, and what to do."""
+"""Errors of opening and reading recordings; each says what, where, and what to do."""
 
 from __future__ import annotations
 
-import difflib
 from typing import TYPE_CHECKING
+
+from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class ReplayError(Exception):
-    """Base of what this package raises on purpose."""
+    """Base of the errors of this package."""
 
 
 class NotALog(ReplayError):
@@ -19,7 +20,7 @@ class NotALog(ReplayError):
 
     Attributes:
         path: the file.
-        cause: why.
+        cause: the reason.
     """
 
     def __init__(self, path: str | Path, cause: str) -> None:
@@ -29,11 +30,11 @@ class NotALog(ReplayError):
 
 
 class Unreadable(NotALog):
-    """A recording of which nothing can be read: too damaged, cut too early, or of an unknown release."""
+    """A recording that can't be read at all: too damaged, cut too early, or of an unknown release."""
 
 
 class Damaged(ReplayError):
-    """A part of a recording that can't be read; the rest can.
+    """A part of a recording can't be read; the rest can.
 
     Attributes:
         path: the file.
@@ -49,19 +50,19 @@ class Damaged(ReplayError):
 
 
 class LogClosed(ReplayError):
-    """A recording that is read after it was closed, as behind the ``with`` that opened it.
+    """A recording was read after it was closed, as after the ``with`` that opened it.
 
     Attributes:
         path: the file.
     """
 
     def __init__(self, path: str | Path) -> None:
-        super().__init__(f"{path}: it was closed; read it within its with, or open it again")
+        super().__init__(f"{path}: it was closed; read it inside its with block, or open it again")
         self.path = str(path)
 
 
 class NoSuchStep(ReplayError, LookupError):
-    """A step that the recording doesn't have.
+    """The recording has no such step.
 
     Attributes:
         step: what was asked for.
@@ -75,27 +76,25 @@ class NoSuchStep(ReplayError, LookupError):
 
 
 class NoSuchName(ReplayError, LookupError):
-    """A body, joint, link or world that wasn't there at that step.
+    """There was no such body, joint, link or world at that step.
 
     Attributes:
         name: what was asked for.
-        known: what was there.
+        known: the names that there were.
     """
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
         self.name = name
         self.known = sorted(set(known))
-        near = difflib.get_close_matches(name, self.known, 3)
-        told = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(self.known) or 'none'}"
-        super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or told}")
+        super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or suggestion(name, self.known)}")
 
 
 class NotRestored(ReplayError):
-    """A world that can't be had again as it was.
+    """A world can't be restored.
 
     Attributes:
         step: the step that was asked for.
-        cause: why not.
+        cause: the reason.
     """
 
     def __init__(self, step: int, cause: str) -> None:

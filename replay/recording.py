@@ -1,61 +1,101 @@
-"""A recording as users have it: its records, and from them states, trees and worlds.
+"""The facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`.
 
-It is the facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`, and the
-place where names of steps become numbers.
+It turns names of steps into numbers; the functions below it take numbers only.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from replay.explain.blame import blame
 from replay.explain.step_names import step_of
 from replay.explain.tree import tree
+from replay.explain.why import why
 from replay.file.log import Log
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
+
+    from PIL import Image
 
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
+    from replay.explain.blame import Blame
+    from replay.explain.explanation import Why
+    from replay.restore.ask import Answer, Move
+    from replay.restore.question import Question
     from replay.state.state import State
 
 
 class Recording(Log):
-    """A recording; opened by ``replay.open``. Not for several threads at once."""
+    """A recording; opened by ``replay.open``. Not for several threads at once.
+
+    Steps are numbers, or names as :meth:`step` takes them.
+    """
 
     def step(self, name: int | str) -> int:
         """Return the number of a step; see :func:`replay.explain.step_names.step_of` for the names."""
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
-        """Return what is true after a step.
-
-        Args:
-            step: a number, or a name of a step.
-
-        Raises:
-            NoSuchStep: there is no such step.
-            Damaged: a record makes no sense.
-        """
+        """Return what is true after a step; see :func:`replay.state.fold.state_at`."""
         return state_at(self, self.step(step))
 
-    def tree(self) -> Tree:
-        """Return the task tree: the classes that ``pycram.tasks`` has too."""
-        return tree(self)
+    def tree(self, step: int | str | None = None) -> Tree:
+        """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
+        return tree(self, None if step is None else self.step(step) + 1)
 
-    def world_at(self, step: int | str, world: str | None = None, *, exact: bool = False) -> BulletWorld:
-        """Return a live world as it was after a step; see :func:`replay.restore.world.world_at`."""
-        from replay.restore.world import world_at  # noqa: PLC0415  it needs the executor and its engine; reading does not
+    def why(self, step: int | str | None = None) -> Why:
+        """Explain a failure; see :func:`replay.explain.why.why`."""
+        return why(self, None if step is None else self.step(step))
 
-        return world_at(self, step, world, exact=exact)
+    def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
+        """Return what last changed a body or joint; see :func:`replay.explain.blame.blame`."""
+        return blame(self, target, None if step is None else self.step(step), world)
+
+    # --- these import their modules late: they need more than reading does -----------------------------------------
+
+    def render(
+        self,
+        step: int | str,
+        *,
+        camera: str | None = None,
+        eye: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        size: tuple[int, int] = (640, 480),
+        world: str | None = None,
+    ) -> Image.Image:
+        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`."""
+        from replay.restore.render import Scene  # noqa: PLC0415
+
+        return Scene(self, self.step(step), world).picture(camera=camera, eye=eye, target=target, size=size)
+
+    def ask(
+        self,
+        step: int | str,
+        question: str | Question | None = None,
+        *,
+        world: str | None = None,
+        moves: Sequence[Move] = (),
+    ) -> Answer:
+        """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`."""
+        from replay.restore.ask import ask  # noqa: PLC0415
+
+        return ask(self, self.step(step), question, world=world, moves=moves)
+
+    def world_at(
+        self, step: int | str, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
+    ) -> BulletWorld:
+        """Return a live world, which needs the executor; see :func:`replay.restore.world.world_at`."""
+        from replay.restore.world import world_at  # noqa: PLC0415
+
+        return world_at(self, self.step(step), world, exact=exact, mode=mode)
 
 
 def open_recording(path: str | Path) -> Recording:
     """Open a recording.
-
-    Args:
-        path: the MCAP file; finished, cut, or still being written.
 
     Raises:
         NotALog: it isn't one, or nothing of it can be read.

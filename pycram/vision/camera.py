@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pycram.models.visual import Shapes
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -66,6 +67,32 @@ class Rendering:
         lit = np.clip(self.colors[numbers] * light[:, None], 0.0, 1.0)
         rows[shown] = lit[np.searchsorted(numbers, self.seen[shown])]
         return np.asarray(rows * 255, dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawable:
+    """A body as a camera needs it, whether a physics engine or a recording tells where its k links are.
+
+    Attributes:
+        shapes: its links' shapes, in the links' frames.
+        positions: (k, 3) of the links' frames in the world, m.
+        orientations: (k, 4) of the same, xyzw.
+        color: RGBA 0..1 of the whole body; None for the colours of its model.
+        is_robot: whether links of it that surround the camera are the camera's housing.
+    """
+
+    shapes: Shapes
+    positions: NDArray[np.float64]
+    orientations: NDArray[np.float64]
+    color: Sequence[float] | None
+    is_robot: bool
+
+
+def drawable(body: Object) -> Drawable:
+    """Return an object of a live world, whose lock is held, as cameras need it."""
+    shapes = shapes_of(body.model.path)
+    frames = body.world.engine.link_frames(body.handle, shapes.links)
+    return Drawable(shapes, *frames, body.color, body.is_robot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +151,12 @@ class Camera:
             size: width and height in pixels.
             far: m up to which anything matters, if less than the camera sees.
         """
+        return self.draw([drawable(body) for body in bodies], window, size, far)
+
+    def draw(
+        self, bodies: Sequence[Drawable], window: Window, size: tuple[int, int], far: float | None = None
+    ) -> Rendering:
+        """Render bodies without a physics engine; see :meth:`render` for the arguments."""
         limit = self.far if far is None else min(far, self.far)
         parts = list(self._parts(bodies, window, limit))
         owners = np.repeat([index for index, _, _ in parts], [len(part) for _, part, _ in parts]).astype(np.int64)
@@ -133,22 +166,18 @@ class Camera:
         return Rendering(depth, np.append(owners, -1)[seen], triangles, colors, seen)
 
     def _parts(
-        self, bodies: Sequence[Object], window: Window, far: float
+        self, bodies: Sequence[Drawable], window: Window, far: float
     ) -> Iterator[tuple[int, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield links that may be seen: index of the object, triangles in the camera's frame, colours."""
-        models = [shapes_of(body.model.path) for body in bodies]
+        """Yield links that may be seen: index of the body, triangles in the camera's frame, colours."""
+        models = [body.shapes for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
             return
-        frames = [
-            body.world.engine.link_frames(body.handle, shapes.links)
-            for body, shapes in zip(bodies, models, strict=True)
-        ]
         boxes = _Boxes(
             low=np.concatenate([shapes.low for shapes in models]),
             high=np.concatenate([shapes.high for shapes in models]),
-            positions=np.concatenate([found[0] for found in frames]),
-            turns=geometry.to_matrices(np.concatenate([found[1] for found in frames])),
+            positions=np.concatenate([body.positions for body in bodies]),
+            turns=geometry.to_matrices(np.concatenate([body.orientations for body in bodies])),
         )
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
         shown = self._shown(boxes, window, far) & ~(of_robots & self._in(boxes))

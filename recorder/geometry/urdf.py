@@ -138,6 +138,14 @@ class Urdf:
             pose = geometry.multiply(pose, joint.pose(positions.get(joint.name, 0.0)))
         return pose
 
+    def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
+        """Return where all links are: poses in the root link by the links' names, as for :meth:`forward_kinematics`."""
+        poses = {self.root: IDENTITY}
+        for link in self.links[1:]:  # parents come before their children
+            joint = self._parents[link]
+            poses[link] = geometry.multiply(poses[joint.parent], joint.pose(positions.get(joint.name, 0.0)))
+        return poses
+
     @cached_property
     def _parents(self) -> dict[str, Joint]:
         return {joint.child: joint for joint in self.joints.values()}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.console import print_json, results_only, tell
+from replay.cli.arguments import add_step, add_world, numbers
+from replay.cli.console import native_output_to_stderr, print_json, print_text
 from replay.errors import ReplayError
-from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
     import argparse
@@ -19,58 +19,51 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Takes the step, the question and changed conditions."""
-    parser.add_argument("step", metavar="STEP", help=HINT)
+    """Add the step, the question and changed conditions."""
+    add_step(parser)
     parser.add_argument(
         "question",
         metavar="QUESTION",
         nargs="?",
-        help="as 'visible(milk, wide_stereo_optical_frame)'; without one, the query that is on record as this step",
+        help="as 'visible(milk, wide_stereo_optical_frame)'; default: the query that is recorded as this step",
     )
     parser.add_argument(
         "--move",
         metavar="OBJECT=X,Y,Z[,QX,QY,QZ,QW]",
         action="append",
         default=[],
-        help="put an object elsewhere before asking; may be given several times",
+        help="move an object before asking, to a position in m and an orientation; repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
+    add_world(parser, "in this world (default: the one opened last)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Prints the answer and what it rests on."""
-    from replay.restore.ask import again, ask  # noqa: PLC0415  --help needn't wait for the engine
-
-    moves = [_move(text) for text in options.move]
-    with results_only():
-        if options.question is None:
-            found = again(log, options.step, moves=moves)
-        else:
-            found = ask(log, options.step, options.question, world=options.world, moves=moves)
+    """Print the answer and its evidence."""
+    with native_output_to_stderr():
+        found = log.ask(
+            options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
+        )
     if options.json:
-        print_json(_plain(found))
+        print_json(_data(found))
         return 0
-    tell(f"{found.question}: {_told(found.answer)}")
+    print_text(f"{found.question}: {_answer(found.answer)}")
     for line in _lines(found.evidence, "  "):
-        tell(line)
+        print_text(line)
     return 0
 
 
 def _move(text: str) -> Move:
-    from replay.restore.ask import Move  # noqa: PLC0415  see run
+    from replay.restore.ask import Move  # noqa: PLC0415  --help needn't wait for the engine
 
     body, _, place = text.rpartition("=")
-    try:
-        numbers = [float(part) for part in place.split(",")]
-    except ValueError:
-        numbers = []
-    if not body or len(numbers) not in (3, 7):
-        raise ReplayError(f"--move {text}: it takes OBJECT=X,Y,Z in m, or these and a quaternion x,y,z,w")
-    x, y, z, *turn = numbers
+    expected = "OBJECT=X,Y,Z in m, or these and a quaternion x,y,z,w"
+    if not body:
+        raise ReplayError(f"{text!r}: expected {expected}")
+    x, y, z, *turn = numbers(place, expected, 3, 7)
     return Move(body, (x, y, z), (turn[0], turn[1], turn[2], turn[3]) if turn else None)
 
 
-def _plain(found: Answer) -> Plain:
+def _data(found: Answer) -> Plain:
     moves: list[Plain] = [
         {
             "object": move.body,
@@ -89,9 +82,9 @@ def _plain(found: Answer) -> Plain:
     }
 
 
-def _told(answer: bool | str | list[str | bool]) -> str:
+def _answer(answer: bool | str | list[str | bool]) -> str:
     if isinstance(answer, list):
-        return ", ".join(map(_told, answer)) or "nothing"
+        return ", ".join(map(_answer, answer)) or "nothing"
     return answer if isinstance(answer, str) else "yes" if answer else "no"
 
 

@@ -8,9 +8,9 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Keyframe
-from replay.cli.console import print_json, tell
+from replay.cli.console import print_json, print_text
 from replay.explain import wording
-from replay.explain.blame import blame, commanded
+from replay.explain.blame import commanded
 from replay.explain.step_names import HINT
 from replay.state.json_data import record_data
 
@@ -25,37 +25,33 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_Way: TypeAlias = "tuple[Line, ...]"  # outermost first
-_NOTABLE: Final = math.radians(0.05)  # a turn that is worth a word
+_CallStack: TypeAlias = "tuple[Line, ...]"  # outermost first
+_MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Takes what to look at."""
+    """Add the object, the step and the world."""
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
     parser.add_argument("--at", metavar="STEP", help=f"until this step: {HINT}")
     parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last that has it)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Prints who did it."""
-    found = blame(log, options.object, options.at, options.world)
+    """Print the change and its causes."""
+    found = log.blame(options.object, options.at, options.world)
     if options.json:
         print_json(facts(found))
     else:
-        tell("\n".join(lines(found)))
+        print_text("\n".join(lines(found)))
     return 0
 
 
 def facts(found: Blame) -> dict[str, object]:
-    """What was found, for machines.
-
-    Args:
-        found: the blame.
-    """
+    """Return the change as JSON data."""
     return {
         "world": found.world,
-        "other_worlds": found.others,
-        "without": found.without,
+        "other_worlds": found.other_worlds,
+        "without": found.default_world,
         "object": found.body,
         "joint": found.joint,
         "how": found.how,
@@ -79,7 +75,7 @@ def facts(found: Blame) -> dict[str, object]:
     }
 
 
-def _causes(why: Causes) -> dict[str, object]:
+def _causes(found: Causes) -> dict[str, object]:
     return {
         "tasks": [
             {
@@ -88,50 +84,45 @@ def _causes(why: Causes) -> dict[str, object]:
                 "name": cause.name,
                 "parameters": cause.parameters,
                 "step": cause.step,
-                "line": _place(cause.line),
-                "callers": [_place(line) for line in cause.callers],
+                "line": cause.line and line_facts(cause.line),
+                "callers": [line_facts(line) for line in cause.callers],
             }
-            for cause in why.tasks
+            for cause in found.tasks
         ],
-        "line": _place(why.line),
-        "callers": [_place(line) for line in why.way[:-1]],
+        "line": found.line and line_facts(found.line),
+        "callers": [line_facts(line) for line in found.call_stack[:-1]],
     }
 
 
-def _place(line: Line | None) -> dict[str, object] | None:
-    if line is None:
-        return None
+def line_facts(line: Line) -> dict[str, object]:
+    """Return a line of the plan as JSON data."""
     return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
 
 
 def lines(found: Blame) -> Iterator[str]:
-    """What was found, for people.
-
-    Args:
-        found: the blame.
-    """
+    """Yield the change as text."""
     yield from _lines(found, [], is_earlier=False)
 
 
-def _lines(found: Blame, told: list[_Way], *, is_earlier: bool) -> Iterator[str]:
+def _lines(found: Blame, printed: list[_CallStack], *, is_earlier: bool) -> Iterator[str]:
     yield _headline(found)
     yield f"  step {found.record.seq}: {wording.line(found.record)}"
-    yield from _because(found.causes, "  ", told)
+    yield from _because(found.causes, "  ", printed)
     for carried in found.carried:
-        yield from _held(carried, told)
-    if found.others and not is_earlier:
-        yield f"  ({found.body} is in {wording.names(found.others)} too: --world tells which one is meant)"
-    if found.without and not is_earlier:
-        yield f"  ({found.without}, the world opened last, has no {found.body}: --world tells which one is meant)"
+        yield from _held(carried, printed)
+    if found.other_worlds and not is_earlier:
+        yield f"  ({found.body} is in {wording.names(found.other_worlds)} too: --world chooses one)"
+    if found.default_world and not is_earlier:
+        yield f"  ({found.default_world}, the world opened last, has no {found.body}: --world chooses one)"
     if found.earlier is not None:
         yield ""
         yield "Before that:"
-        yield from _lines(found.earlier, told, is_earlier=True)
+        yield from _lines(found.earlier, printed, is_earlier=True)
 
 
 def _headline(found: Blame) -> str:
     name = f"{found.body}.{found.joint}" if found.joint else found.body
-    name += f" in {found.world}" if found.others or found.without else ""
+    name += f" in {found.world}" if found.other_worlds or found.default_world else ""
     if found.after is None:
         return f"{name} was removed" + (f" from {_value(found.before)}" if found.before is not None else "")
     where = _value(found.after)
@@ -160,35 +151,35 @@ def _size(found: Blame) -> str:
     turned = f"turned by {wording.degrees(found.angle)}"
     if found.angle and not found.distance:
         return f"{turned}, not moved away,"
-    return f"by {wording.length(found.distance)}" + (f", {turned}," if found.angle >= _NOTABLE else "")
+    return f"by {wording.length(found.distance)}" + (f", {turned}," if found.angle >= _MIN_TURN else "")
 
 
-def _because(why: Causes, indent: str, told: list[_Way]) -> Iterator[str]:
-    for cause in why.tasks:
+def _because(found: Causes, indent: str, printed: list[_CallStack]) -> Iterator[str]:
+    for cause in found.tasks:
         yield f"{indent}in {wording.task(cause.kind, cause.name, cause.parameters)}  [step {cause.step}]"
-    if not why.tasks:
+    if not found.tasks:
         yield f"{indent}by the plan itself"
-    yield from (f"{indent}{line}" for line in _way(why.way, told))
+    yield from (f"{indent}{line}" for line in _call_stack(found.call_stack, printed))
 
 
-def _way(way: _Way, told: list[_Way]) -> Iterator[str]:
-    """The lines that led there, innermost first, down to those that were told with another way."""
-    alike = (takewhile(lambda pair: pair[0] == pair[1], zip(way, other, strict=False)) for other in told)
+def _call_stack(stack: _CallStack, printed: list[_CallStack]) -> Iterator[str]:
+    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
+    alike = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, other, strict=False)) for other in printed)
     known = max((len(list(pairs)) for pairs in alike), default=0)
-    told.append(way)
+    printed.append(stack)
     word = "from"
-    for line in reversed(way[known:] if known > 1 else way):
+    for line in reversed(stack[known:] if known > 1 else stack):
         yield f"{word} {wording.place(line)}"
         word = "called from"
     if known > 1:
-        yield f"{word} {wording.place(replace(way[known - 1], text=''))}, as above"
+        yield f"{word} {wording.place(replace(stack[known - 1], text=''))}, as above"
 
 
-def _held(carried: Carried, told: list[_Way]) -> Iterator[str]:
+def _held(carried: Carried, printed: list[_CallStack]) -> Iterator[str]:
     held = carried.held
     link = f" ({held.carrier_link})" if held.carrier_link else ""
     if carried.step is None or carried.causes is None:
         yield f"  {held.carrier}{link} held {held.body} already when the recording began"
         return
     yield f"  {held.carrier}{link} held {held.body} since step {carried.step}, where it was attached"
-    yield from _because(carried.causes, "    ", told)
+    yield from _because(carried.causes, "    ", printed)

@@ -1,8 +1,7 @@
-"""The outlet: the one way of results to stdout, and of talk to stderr.
+"""Console output: results to stdout, messages to stderr.
 
-Texts of a recording are somebody else's, and a terminal obeys what stands in them: control characters are shown as
-escapes, never sent. JSON goes out in ASCII, so that no terminal's encoding loses anything of it. While a world lives,
-what native code prints goes to stderr; stdout belongs to results.
+Recorded texts are untrusted, and terminals obey control characters: these are printed as escapes. JSON is ASCII, so
+that no terminal's encoding loses anything of it. While a world is open, what native code prints goes to stderr.
 """
 
 from __future__ import annotations
@@ -19,16 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _STDOUT, _STDERR = 1, 2
-#: What a terminal obeys or hides, but for newlines and tabs: control characters, and those that turn the direction.
+#: Control characters except newlines and tabs, and characters that change the direction of text.
 _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069]")
 
 
 def visible(text: str) -> str:
-    r"""A text whose control characters stand in it as escapes, as ``\x1b``; newlines and tabs stay.
-
-    Args:
-        text: somebody's.
-    """
+    r"""Return a text with control characters as escapes, as ``\x1b``; newlines and tabs stay."""
     return _CONTROL.sub(_escape, text)
 
 
@@ -37,24 +32,13 @@ def _escape(found: re.Match[str]) -> str:
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
-def tell(text: str, *, end: str = "\n", flush: bool = False) -> None:
-    """Prints a result.
-
-    Args:
-        text: one line, or several.
-        end: what follows it.
-        flush: whether it must be seen at once.
-    """
+def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
+    """Print a result."""
     print(visible(text), end=end, flush=flush)
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Prints a result for machines, as a line of JSON.
-
-    Args:
-        value: of JSON's own types; numbers that JSON doesn't have are told as texts, as "nan".
-        flush: whether it must be seen at once.
-    """
+    """Print a result as a line of JSON; numbers that JSON doesn't have become strings, as "nan"."""
     try:
         text = json.dumps(value, allow_nan=False)
     except ValueError:  # rare: only in recordings that make no sense
@@ -70,34 +54,30 @@ def _finite(value: object) -> object:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def remark(text: str) -> None:
-    """Says something on stderr.
-
-    Args:
-        text: what to say.
-    """
+def print_message(text: str) -> None:
+    """Print a message on stderr."""
     print(f"pycram-replay: {visible(text)}", file=sys.stderr)
 
 
 @contextmanager
-def results_only() -> Iterator[None]:
-    """Turns the file descriptor of stdout to stderr; Python's own ``sys.stdout`` goes on to where it went."""
-    from pycram.foundation.redirect import redirected  # noqa: PLC0415  what only reads doesn't need it
+def native_output_to_stderr() -> Iterator[None]:
+    """Redirect the file descriptor of stdout to stderr; Python's own ``sys.stdout`` keeps its target."""
+    from pycram.foundation.redirect import redirected  # noqa: PLC0415  verbs that only read don't need it
 
     python = sys.stdout
     python.flush()
     with ExitStack() as undoing:
         if _is_descriptor(python):
-            outlet = os.fdopen(os.dup(_STDOUT), "w", encoding=python.encoding, errors=python.errors, buffering=1)
-            undoing.callback(outlet.close)
+            stdout = os.fdopen(os.dup(_STDOUT), "w", encoding=python.encoding, errors=python.errors, buffering=1)
+            undoing.callback(stdout.close)
             undoing.callback(setattr, sys, "stdout", python)
-            sys.stdout = outlet
+            sys.stdout = stdout
         undoing.enter_context(redirected(_STDOUT, to=_STDERR))
         yield
 
 
 def _is_descriptor(stream: object) -> bool:
-    """Whether Python's stdout is the descriptor; tests and notebooks put others in its place."""
+    """Return whether Python's stdout is the descriptor; tests and notebooks replace it."""
     try:
         return stream.fileno() == _STDOUT  # type: ignore[attr-defined, no-any-return]
     except (AttributeError, OSError, ValueError):

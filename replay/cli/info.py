@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import print_json, tell
+from replay.cli.console import print_json, print_text
 from replay.explain.summary import summary
 from replay.explain.wording import one_line
 from replay.file.lifetimes import title
@@ -16,49 +16,57 @@ if TYPE_CHECKING:
     from replay.explain.summary import Summary
     from replay.recording import Recording
 
-_FEW = 8  # worlds that are told one by one
-_TOLD = ("pycram", "pybullet", "python", "platform")
+_MAX_WORLDS: Final = 8  # that are listed one by one
+_VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
 def add(_: argparse.ArgumentParser) -> None:
-    """Takes nothing more."""
+    """Add nothing."""
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Prints the summary."""
-    facts = summary(log)
+    """Print the summary."""
+    found = summary(log)
     if options.json:
-        told = dataclasses.asdict(facts) | {"file": str(log.path), "started": facts.started.isoformat()}
-        print_json(told)
+        print_json(_data(log, found))
     else:
-        tell("\n".join(f"{name:12} {text}" for name, text in _lines(log, facts) if text))
+        print_text("\n".join(f"{name:12} {text}" for name, text in _lines(log, found) if text))
     return 0
 
 
-def _lines(log: Recording, facts: Summary) -> list[tuple[str, str]]:
-    counts = ", ".join(f"{count} {kind}" for kind, count in facts.counts.items())
-    whole = "yes" if facts.checked else "yes, as far as its index tells (too long to read it all)"
+def _data(log: Recording, found: Summary) -> dict[str, object]:
+    data: dict[str, object] = dataclasses.asdict(found)
+    worlds = [{"world": each.world, "life": each.lifetime, "seconds": each.seconds} for each in found.worlds]
+    missing = data.pop("problems")
+    return data | {"worlds": worlds, "missing": missing, "file": str(log.path), "started": found.started.isoformat()}
+
+
+def _lines(log: Recording, found: Summary) -> list[tuple[str, str]]:
+    counts = ", ".join(f"{count} {kind}" for kind, count in found.counts.items())
+    complete = "yes" if found.checked else "yes, according to its index (too long to be read whole)"
     return [
-        ("file", f"{log.path} ({_size(facts.size)})"),
-        ("plan", " ".join((facts.plan, facts.metadata.get("plan_arguments", ""))).strip()),
-        ("started", f"{facts.started:%Y-%m-%d %H:%M:%S} UTC"),
-        ("took", f"{facts.seconds:.3f} s"),
-        ("outcome", facts.outcome),
-        ("failure", one_line(facts.failure)),
-        *(("", f"thread {thread} failed: {one_line(failure)}") for thread, failure in facts.threads),
-        ("steps", f"0 to {facts.records - 1}: {counts}"),
-        ("worlds", _worlds(facts)),
-        ("files", f"{facts.attachments} attached"),
-        ("versions", ", ".join(f"{key} {facts.metadata[key]}" for key in _TOLD if key in facts.metadata)),
-        ("complete", f"no: {facts.missing}" if facts.missing else whole),
+        ("file", f"{log.path} ({_size(found.size)})"),
+        ("plan", " ".join((found.plan, found.metadata.get("plan_arguments", ""))).strip()),
+        ("started", f"{found.started:%Y-%m-%d %H:%M:%S} UTC"),
+        ("took", f"{found.seconds:.3f} s"),
+        ("outcome", found.outcome),
+        ("failure", one_line(found.failure)),
+        *(("", f"thread {thread} failed: {one_line(failure)}") for thread, failure in found.threads),
+        ("steps", f"0 to {found.records - 1}: {counts}"),
+        ("worlds", _worlds(found)),
+        ("files", f"{found.attachments} attached"),
+        ("versions", ", ".join(f"{key} {found.metadata[key]}" for key in _VERSIONS if key in found.metadata)),
+        ("complete", f"no: {found.problems}" if found.problems else complete),
     ]
 
 
-def _worlds(facts: Summary) -> str:
-    told = [f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s simulated" for each in facts.worlds[:_FEW]]
-    if len(facts.worlds) > _FEW:
-        told.append(f"{len(facts.worlds) - _FEW} more")
-    return ", ".join(told)
+def _worlds(found: Summary) -> str:
+    worlds = [
+        f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s simulated" for each in found.worlds[:_MAX_WORLDS]
+    ]
+    if len(found.worlds) > _MAX_WORLDS:
+        worlds.append(f"{len(found.worlds) - _MAX_WORLDS} more")
+    return ", ".join(worlds)
 
 
 def _size(count: int) -> str:

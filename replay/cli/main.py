@@ -1,4 +1,4 @@
-"""``pycram-replay VERB LOG ...``: results on stdout, talk on stderr.
+"""``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
 
 Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done as far as possible, but the recording was incomplete.
 """
@@ -16,50 +16,43 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.extras import NotInstalled, needed
-from replay.cli.console import remark
+from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import ModuleType
 
-#: A verb's module is loaded when it is called: some need what others can do without.
+#: A verb's module is imported when it is called: some need libraries that others don't.
 VERBS: Final = {
     "info": "what ran, when, for how long, and how it ended",
     "log": "the records as lines",
-    "show": "one record whole",
-    "tree": "the tasks, how they ended, and the way down to the failure",
+    "show": "one whole record",
+    "tree": "the task tree, with the path to the failure",
     "state": "poses, joints and attachments after a step",
-    "diff": "what is different between two steps, or two recordings",
+    "diff": "the differences between two steps, or two recordings",
     "blame": "what last changed an object or a joint, and why",
-    "why": "why the plan failed, in plain words",
-    "ask": "any reasoning query at a step, also with things moved",
+    "why": "why the plan failed, and what led to it",
+    "ask": "any reasoning query at a step, also with objects moved",
     "render": "a picture of a step, without a viewer",
     "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
-    "verify": "whether a recording is sound, and its changes, made again, have the effects on record",
+    "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
 _INTERRUPTED = 130
-_POINTS: Final = ("--from", "--to")
+_POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a verb.
-
-    Args:
-        argv: the arguments; the process' own by default.
-
-    Returns:
-        The exit code.
-    """
+    """Run a verb with the given or the process' own arguments, and return the exit code."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # closed by the shell: what is opened later would take its place
+        if getattr(sys, name) is None:  # closed by the shell: the next file that is opened would get its descriptor
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names may have letters that a terminal has not
+            stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
     given = _joined(sys.argv[1:] if argv is None else argv)
     if given == ["--version"]:
         print(f"pycram-replay {version('pycram')}")
@@ -67,26 +60,26 @@ def main(argv: Sequence[str] | None = None) -> int:
     verb = _module(given[0]) if given and given[0] in VERBS else None
     try:
         options = _parser(given[:1], verb).parse_args(given)
-    except SystemExit as end:  # after its help, or its complaint
+    except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
     try:
         code = _run(_module(options.verb), options)
         sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left goes nowhere
-        if isinstance(error, BrokenPipeError):  # somebody's head has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is discarded
+        if isinstance(error, BrokenPipeError):  # as by `head`
             return FINE
-        return _complain(str(error), USAGE)  # as that the disk is full
+        return _report(str(error), USAGE)  # such as a full disk
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
 
 
 def _joined(given: Sequence[str]) -> list[str]:
-    """Arguments with points that begin with a minus joined to their options; alone they would be taken for options."""
+    """Return the arguments, points that begin with a minus joined to their options: alone they look like options."""
     joined: list[str] = []
     for text in given:
-        if joined and joined[-1] in _POINTS and _NEGATIVE.match(text):
+        if joined and joined[-1] in _POINT_OPTIONS and _NEGATIVE.match(text):
             joined[-1] += f"={text}"
         else:
             joined.append(text)
@@ -100,7 +93,7 @@ def _module(verb: str) -> ModuleType:
 def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pycram-replay",
-        description="Looks into recordings of plans.",
+        description="Reads recordings of robot plans, explains failures, and restores worlds.",
         epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
@@ -110,7 +103,7 @@ def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.Argumen
         verb.add_argument("log", metavar="LOG", help="the recording")
         if module is not None and name in given:
             module.add(verb)
-        verb.add_argument("--json", action="store_true", help="for machines")
+        verb.add_argument("--json", action="store_true", help="print JSON")
     return parser
 
 
@@ -123,23 +116,23 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
                 with needed():
                     code: int = verb.run(log, options)
             except ReplayError as error:
-                lost = log.missing or isinstance(error, Damaged | Unreadable)
-                code = _complain(str(error), INCOMPLETE if lost else USAGE)
-            except NotInstalled as error:  # reading needs little, but rebuilding a world needs the executor
-                code = _complain(f"{options.verb}: {error}", USAGE)
-            missing = log.missing
+                lost = log.problems or isinstance(error, Damaged | Unreadable)
+                code = _report(str(error), INCOMPLETE if lost else USAGE)
+            except NotInstalled as error:  # reading needs little; restoring needs the executor, rendering needs meshes
+                code = _report(f"{options.verb}: {error}", USAGE)
+            problems = log.problems
     except Unreadable as error:
-        return _complain(str(error), INCOMPLETE)
+        return _report(str(error), INCOMPLETE)
     except ReplayError as error:
-        return _complain(str(error), USAGE)
-    if missing:
-        return _complain(f"the recording is incomplete: {missing}", code or INCOMPLETE)
+        return _report(str(error), USAGE)
+    if problems:
+        return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
     return code
 
 
-def _complain(text: str, code: int) -> int:
+def _report(text: str, code: int) -> int:
     sys.stdout.flush()
-    remark(text)
+    print_message(text)
     return code
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.console import print_json, remark, results_only, visible
+from replay.cli.arguments import add_step, add_world
+from replay.cli.console import native_output_to_stderr, print_json, print_message, visible
 from replay.cli.main import FINE
 from replay.errors import ReplayError
-from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
     import argparse
@@ -21,33 +21,40 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Takes the step, and what to do there."""
-    parser.add_argument("step", metavar="STEP", help=HINT)
+    """Add the step, and what to do there."""
+    add_step(parser)
     doing = parser.add_mutually_exclusive_group()
-    doing.add_argument("--script", metavar="FILE", help="run a Python file there; it finds world, and objects by name")
-    doing.add_argument("--shell", action="store_true", help="talk Python there (what is done if nothing is said)")
-    parser.add_argument("--gui", action="store_true", help="in PyBullet's window; alone: look at it until it is closed")
-    parser.add_argument("--exact", action="store_true", help="make every change again, so that its future is the same")
-    parser.add_argument("--world", metavar="NAME", help="this world (default: the one opened last)")
-    parser.add_argument("--log", dest="target", metavar="FILE", help="record what happens there (default: nothing is)")
+    doing.add_argument(
+        "--script",
+        metavar="FILE",
+        help="run a Python file there, with the variables world, robot and the objects' names",
+    )
+    doing.add_argument("--shell", action="store_true", help="interactive Python there (the default)")
+    parser.add_argument(
+        "--gui", action="store_true", help="in PyBullet's window; without --script and --shell until it is closed"
+    )
+    parser.add_argument(
+        "--exact", action="store_true", help="execute every change again, so that its future is the original's"
+    )
+    add_world(parser, "this world (default: the one opened last)")
+    parser.add_argument("--log", dest="target", metavar="FILE", help="record what happens there")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Restores the world and does there what is wanted."""
+    """Restore the world, then run the script, the shell or the window."""
     from pycram.foundation.failures import DisplayError  # noqa: PLC0415  --help needn't wait for the engine
     from recorder import RecordingError, record  # noqa: PLC0415
-    from replay.restore.world import world_at  # noqa: PLC0415
 
     script = None if options.script is None else Path(options.script)
     if script is not None and not script.is_file():
         raise ReplayError(f"{script}: no such file")
     target = None if options.target is None else Path(options.target)
     if target is not None and target.exists() and target.samefile(log.path):
-        raise ReplayError(f"{target}: that is the recording itself; what happens there goes into another file")
+        raise ReplayError(f"{target}: that is the recording itself; name another file")
     step = log.step(options.step)
     try:
-        with results_only():
-            world = world_at(log, step, options.world, exact=options.exact, mode="GUI" if options.gui else "DIRECT")
+        with native_output_to_stderr():
+            world = log.world_at(step, options.world, exact=options.exact, mode="GUI" if options.gui else "DIRECT")
     except DisplayError as error:
         raise ReplayError(str(error)) from error
     try:
@@ -58,22 +65,22 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-    from replay.restore.session import names, run_script, shell, watch  # noqa: PLC0415  see run
+    from replay.restore.session import run_script, shell, variables_of, watch  # noqa: PLC0415  see run
 
-    given = names(world, log, step)
+    variables = variables_of(world, log, step)
     if script is not None:
-        with results_only():
-            return run_script(script, given)
+        with native_output_to_stderr():
+            return run_script(script, variables)
     if options.json:
         print_json(_plain(step, world, exact=options.exact))
     elif options.gui and not options.shell:
-        remark(f"{world.name}: close the window, or press Ctrl-C, to end")
+        print_message(f"{world.name}: close the window, or press Ctrl-C, to end")
         watch(world)
     else:
-        told = ", ".join(name for name in given if name not in ("log", "step", "btr"))
+        names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
         clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"
-        banner = f"{world.name}, {clock}. There are {told}; log, step and btr."
-        shell(given, visible(banner))
+        banner = f"{world.name}, {clock}. Variables: {names}, log, step, btr."
+        shell(variables, visible(banner))
     return FINE
 
 

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.console import print_json, remark, results_only, tell
+from replay.cli.console import native_output_to_stderr, print_json, print_message, print_text
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 from replay.recording import open_recording
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Takes another recording, where to begin, and where to show or save it."""
+    """Add another recording, the first step, and where to show or save it."""
     parser.add_argument("other", metavar="LOG2", nargs="?", help="another recording, shown beside it")
     parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write it as .rrd instead of opening it")
@@ -31,19 +31,19 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Shows or saves it, and prints where."""
+    """Show or save it, and print where."""
     if options.web and (options.save or options.at or options.connect):
         raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
-    with ExitStack() as opened, results_only():
+    with ExitStack() as opened, native_output_to_stderr():
         logs = [log, *([opened.enter_context(open_recording(options.other))] if options.other else [])]
         if options.web:
             return _serve(logs, wants_json=options.json)
-        told = _open(logs, step, options)
+        shown = _open(logs, step, options)
     if options.json:
-        print_json(told)
+        print_json(shown)
     else:
-        tell(str(told["file"]))
+        print_text(str(shown["file"]))
     return 0
 
 
@@ -62,10 +62,10 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
         names = "_".join(log.path.stem for log in logs)
         file = temporary_file(f"{names}.rrd")
         convert(logs, file, step)
-    told: dict[str, object] = {"file": str(file)}
+    shown: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
-        told["viewer"] = show(file, step, options.connect)
-    return told
+        shown["viewer"] = show(file, step, options.connect)
+    return shown
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
@@ -74,13 +74,13 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = serve_page(stream)
-        translate(logs, stream, max(len(one) for one in logs) - 1)  # pages follow what they are sent, to its end
+        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages follow what they are sent, to its end
         stream.flush()
         if wants_json:
             print_json({"page": page}, flush=True)
         else:
-            tell(page, flush=True)
-        remark("shown in the browser until Ctrl-C")
+            print_text(page, flush=True)
+        print_message("shown in the browser until Ctrl-C")
         webbrowser.open(page)
         threading.Event().wait()
     return 0

@@ -1,4 +1,4 @@
-"""What to type next: the commands by which a person who was told why a plan failed can look closer."""
+"""Suggested commands: how to look closer at a failure that was explained."""
 
 from __future__ import annotations
 
@@ -14,37 +14,28 @@ if TYPE_CHECKING:
     from recorder.records import Query
     from replay.explain.explanation import Why
 
-_STEP: Final = 0.35  # m: what a thing is moved by, to ask again
+_STEP: Final = 0.35  # m by which an object is moved to ask again
 
 
 def commands(found: Why, path: str) -> Iterator[str]:
-    """Commands that look closer at what a failure was about.
-
-    Args:
-        found: its explanation.
-        path: of the recording, quoted for a shell.
-    """
+    """Yield commands that look closer at what a failure was about; ``path`` is quoted for a shell."""
     world = "" if found.world is None or found.is_default else f" --world {shlex.quote(found.world.name)}"
-    if found.asked:
-        yield f"pycram-replay show {path} {found.asked[-1].query.seq}"
-    things = [thing.body.name for thing in found.things]
-    if things:
-        name = shlex.quote(things[-1])
+    if found.queries:
+        yield f"pycram-replay show {path} {found.queries[-1].query.seq}"
+    names = [involved.body.name for involved in found.bodies]
+    if names:
+        name = shlex.quote(names[-1])
         yield f"pycram-replay state {path} {found.step} {name}{world}"
         yield f"pycram-replay blame {path} {name} --at {found.step}{world}"
     if found.warning is not None:
         yield f"pycram-replay ask {path} {found.step} {shlex.quote(asked_again(found.warning))}{_nearer(found)}{world}"
-    if things:
+    if names:
         yield f"pycram-replay render {path} {found.step} -o moment.png{world}"
         yield f"pycram-replay restore {path} {found.step} --shell{world}"
 
 
 def asked_again(query: Query) -> str:
-    """A query as ``ask`` takes it: what it was about, without its thresholds.
-
-    Args:
-        query: its record.
-    """
+    """Return a query as ``ask`` takes it, without its thresholds."""
     about: list[Term] = []
     try:
         asked = question_of(query)
@@ -53,18 +44,18 @@ def asked_again(query: Query) -> str:
     for name, term in asked.keywords.items():
         if name in ("threshold", "margin", "grasp", "collision_free"):
             break
-        about.append(Name(term) if isinstance(term, str) else term)  # a query takes the one for the other
+        about.append(Name(term) if isinstance(term, str) else term)  # queries take either
     return str(Question(query.name, tuple(about)))
 
 
 def _nearer(found: Why) -> str:
-    """The same question with the thing nearer to the robot, if a robot is there to reach it."""
-    if not found.things:  # a damaged recording may have lost them
+    """Return the option that moves the object nearer to the robot; "" without a robot."""
+    if not found.bodies:  # a damaged recording may have lost them
         return ""
-    robot = next((thing.body for thing in found.things if thing.robot), None)
-    thing = found.things[-1]
-    if robot is None or thing.distance is None or thing.distance <= _STEP:
+    robot = next((involved.body for involved in found.bodies if involved.is_robot), None)
+    last = found.bodies[-1]
+    if robot is None or last.distance is None or last.distance <= _STEP:
         return ""
-    share = _STEP / thing.distance
-    place = [a + (b - a) * share for a, b in zip(thing.body.position[:2], robot.position[:2], strict=True)]
-    return f" --move {shlex.quote(thing.body.name)}={place[0]:.2f},{place[1]:.2f},{thing.body.position[2]:.2f}"
+    share = _STEP / last.distance
+    place = [a + (b - a) * share for a, b in zip(last.body.position[:2], robot.position[:2], strict=True)]
+    return f" --move {shlex.quote(last.body.name)}={place[0]:.2f},{place[1]:.2f},{last.body.position[2]:.2f}"

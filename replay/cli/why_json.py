@@ -1,24 +1,20 @@
-"""An explanation for machines."""
+"""An explanation as JSON data."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from replay.cli import diff
+from replay.cli.blame import line_facts
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
-    from replay.explain.explanation import Since, Why
-    from replay.explain.failed_tasks import Attempt
-    from replay.explain.source import Line
+    from replay.explain.explanation import ChangesSince, Why
+    from replay.explain.failed_tasks import TaskExecution
 
 
 def facts(found: Why) -> dict[str, object]:
-    """The explanation, for machines.
-
-    Args:
-        found: the explanation.
-    """
+    """Return the explanation as JSON data; the keys are part of the command's interface."""
     return {
         "plan": found.run.plan,
         "outcome": found.run.outcome,
@@ -26,50 +22,47 @@ def facts(found: Why) -> dict[str, object]:
         "step": found.step,
         "failure": found.failure and {"type": found.failure.type, "message": found.failure.message},
         "raised": [
-            {"type": error.type, "message": error.message, "lines": [_line_facts(line) for line in error.lines]}
-            for error in found.raised
+            {"type": error.type, "message": error.message, "lines": [line_facts(line) for line in error.lines]}
+            for error in found.exceptions
         ],
         "task": found.task and _task_facts(found.task),
         "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
-        "line": _line_facts(found.way[-1]) if found.way else None,
-        "callers": [_line_facts(line) for line in found.way[:-1]],
+        "line": line_facts(found.call_stack[-1]) if found.call_stack else None,
+        "callers": [line_facts(line) for line in found.call_stack[:-1]],
         "world": found.world and found.world.name,
         "things": [
             {
-                "object": thing.body.name,
-                "position": thing.body.position,
-                "orientation": thing.body.orientation,
-                "held_by": thing.held and thing.held.carrier,
-                "holds": [held.body for held in thing.holds],
-                "distance": thing.distance,
-                "bearing": thing.bearing,
+                "object": involved.body.name,
+                "position": involved.body.position,
+                "orientation": involved.body.orientation,
+                "held_by": involved.held and involved.held.carrier,
+                "holds": [held.body for held in involved.holds],
+                "distance": involved.distance,
+                "bearing": involved.bearing,
             }
-            for thing in found.things
+            for involved in found.bodies
         ],
-        "absent": found.absent,
+        "absent": found.removed,
         "tries": [
-            _task_facts(each.task.motion) | {"error": each.task.error, "robot": each.robot and each.robot.pose}
-            for each in found.tries
+            _task_facts(attempt.task.motion)
+            | {"error": attempt.task.error, "robot": attempt.robot and attempt.robot.pose}
+            for attempt in found.attempts
         ],
-        "others": found.others,
-        "threads": [record_data(each) for each in found.threads],
+        "others": found.other_failures,
+        "threads": [record_data(record) for record in found.failed_threads],
         "asked": [
-            record_data(asked.query)
-            | {"moved_since": asked.moved, "removed_since": asked.gone, "other_world": asked.world}
-            for asked in found.asked
+            record_data(relevant.query)
+            | {"moved_since": relevant.moved, "removed_since": relevant.removed, "other_world": relevant.world}
+            for relevant in found.queries
         ],
-        "earlier": found.earlier,
-        "same": found.same and _since_facts(found.same),
-        "last": found.last and _since_facts(found.last),
-        "running": [_task_facts(task) for task in found.running],
+        "earlier": found.earlier_queries,
+        "same": found.since_same_success and _since_facts(found.since_same_success),
+        "last": found.since_last_success and _since_facts(found.since_last_success),
+        "running": [_task_facts(task) for task in found.unfinished],
     }
 
 
-def _line_facts(line: Line) -> dict[str, object]:
-    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
-
-
-def _task_facts(task: Attempt) -> dict[str, object]:
+def _task_facts(task: TaskExecution) -> dict[str, object]:
     return {
         "id": task.started.task,
         "kind": task.started.kind,
@@ -80,5 +73,5 @@ def _task_facts(task: Attempt) -> dict[str, object]:
     }
 
 
-def _since_facts(since: Since) -> dict[str, object]:
+def _since_facts(since: ChangesSince) -> dict[str, object]:
     return {"task": _task_facts(since.task), "difference": diff.facts(since.difference)}

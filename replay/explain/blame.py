@@ -1,6 +1,6 @@
-"""Who did it: the record that last changed a body or a joint, and why that record is there.
+"""Finds the record that last changed a body or a joint, and its causes.
 
-What is carried moves with its carrier: then the record is the carrier's, and the one that attached it is told too.
+What is carried moves with its carrier: then the record is the carrier's, and the one that attached it is returned too.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
 from replay.explain.causes import Causes, causes
-from replay.explain.step_names import step_of
-from replay.explain.summary import final_of
+from replay.explain.summary import final_step
 from replay.state.diff import turn
 from replay.state.fold import state_at
 
@@ -25,20 +24,20 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, State, World
 
 
-#: In simulation, less than this is a body coming to rest: m (or a joint's rad), rad.
+#: In simulation, smaller changes are settling: m (or a joint's rad), rad.
 _SETTLING: Final = 5e-3, math.radians(5)
-#: Less than this is arithmetic, as above: what a resting hand holds moves by it when the head turns.
+#: Smaller changes are rounding, as above: an object in a resting hand moves by it when the head turns.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """That something was carried by what moved.
+    """An attachment by which a body moved.
 
     Attributes:
-        held: how, just before.
-        step: the record that attached it; None if that was before the recording began.
-        causes: why it was attached; None as well.
+        held: the attachment, just before.
+        step: of the record that attached it; None if that was before the recording began.
+        causes: of that record; None as well.
     """
 
     held: Attachment
@@ -52,8 +51,8 @@ class Blame:
 
     Attributes:
         world: name of the world.
-        others: names of other open worlds that have a body of that name.
-        without: name of the world that is meant where none is named, if that is another one: it has no such body.
+        other_worlds: names of other open worlds that have a body of that name.
+        default_world: name of the world that is meant where none is named, if that is another one: it has no such body.
         body: name of the body.
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
@@ -64,14 +63,14 @@ class Blame:
         distance: how far it moved: m, or of a revolute joint rad.
         angle: by how much it turned, rad; 0 for joints.
         carried: the attachments that made it move with the commanded body, the body's own first.
-        causes: why the record is there.
-        earlier: of a change in simulation, what happened to it before: another one that is more than coming to rest, or
-            what brought it there; of its removal, what last changed it until then; None of any other.
+        causes: of the record.
+        earlier: of a change in simulation the last earlier change that is more than settling; of its removal what last
+            changed it before; None of any other.
     """
 
     world: str
-    others: tuple[str, ...]
-    without: str
+    other_worlds: tuple[str, ...]
+    default_world: str
     body: str
     joint: str
     record: Mutation | Keyframe
@@ -85,8 +84,8 @@ class Blame:
     earlier: Blame | None = None
 
 
-def blame(log: Log, target: str, at: int | str | None = None, world: str | None = None) -> Blame:
-    """What last changed a body or a joint.
+def blame(log: Log, target: str, at: int | None = None, world: str | None = None) -> Blame:
+    """Return what last changed a body or a joint.
 
     Args:
         log: the recording.
@@ -98,70 +97,68 @@ def blame(log: Log, target: str, at: int | str | None = None, world: str | None 
         NoSuchStep: there is no such step.
         NoSuchName: the body or joint wasn't there then, nor was it removed before.
     """
-    step = final_of(log) if at is None else step_of(log, at)
+    step = final_step(log) if at is None else at
     state = state_at(log, step)
     try:
-        place, body, joint = _find(state, target, world)
-    except NoSuchName as missing:
-        gone = _removal(log, state, target, world, missing)
-        until = blame(log, target, gone.seq - 1, gone.world)
-        return replace(_removed(log, gone, until), without=_without(state, gone.world, world))
-    others = tuple(other.name for other in state.worlds.values() if other is not place and body in other.bodies)
-    about = _About(place.name, others, _without(state, place.name, world), body, joint)
-    return _Search(log, about).run(step)
+        owner, body, joint = _find(state, target, world)
+    except NoSuchName as error:
+        removal = _removal(log, state, target, world, error)
+        earlier = blame(log, target, removal.seq - 1, removal.world)
+        return replace(
+            earlier,
+            default_world=_default_world(state, removal.world, world),
+            record=removal,
+            how="removed",
+            before=earlier.after,
+            after=None,
+            distance=math.inf,
+            angle=0.0,
+            carried=(),
+            causes=causes(log, removal),
+            earlier=earlier,
+        )
+    others = tuple(other.name for other in state.worlds.values() if other is not owner and body in other.bodies)
+    subject = _Subject(owner.name, others, _default_world(state, owner.name, world), body, joint)
+    return _Search(log, subject).run(step)
 
 
-def _without(state: State, found: str, named: str | None) -> str:
-    """The world that one would think of, if it isn't the one that has the body."""
+def _default_world(state: State, found: str, named: str | None) -> str:
+    """Return the world that is meant where none is named, if it isn't the one that was found."""
     default = state.world().name
     return default if named is None and default != found else ""
 
 
-def _removal(log: Log, state: State, target: str, world: str | None, missing: NoSuchName) -> Mutation:
-    """The record that removed a body, or the one with that joint, from a world that is still open.
+def _removal(log: Log, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
+    """Return the record that removed a body, or the one with that joint, from a world that is still open.
 
     Raises:
         NoSuchName: there is none; it says so if the body was in a world that had been closed by then.
     """
-    opened = {name: log.lifetime_at(name, state.step) for name, place in state.worlds.items() if place.open}
-    meant = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error tells that itself
-    found, error = [], missing
-    for body in _bodies(target) if meant or some_closed else ():
+    opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
+    candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error says so itself
+    found: list[Mutation] = []
+    closed: NoSuchName | None = None
+    for body in _bodies(target) if candidates or some_closed else ():
         for record in log.backwards(state.step, Mutation, naming=body):
             lifetime = log.lifetime_at(record.world, record.seq)
-            if not isinstance(record, Mutation) or lifetime is None:
+            if lifetime is None:
                 continue
-            if body in record.effect.removed and lifetime == meant.get(record.world):
+            if body in record.effect.removed and lifetime == candidates.get(record.world):
                 found.append(record)
                 break
-            told = some_closed and error is missing and lifetime != opened.get(record.world)
-            if told and any(one.body == body for one in record.effect.bodies[:]):
+            in_closed = some_closed and closed is None and lifetime != opened.get(record.world)
+            if in_closed and any(changed.body == body for changed in record.effect.bodies[:]):
                 hint = f"it was in {lifetime.title}, which was closed later: --at {record.seq}, or an earlier step"
-                error = NoSuchName("object", body, missing.known, hint)
+                closed = NoSuchName("object", body, error.known, hint)
     if not found:
-        raise error from None
+        raise (closed or error) from None
     return max(found, key=lambda record: record.seq)
 
 
 def _bodies(target: str) -> list[str]:
-    """The names that a target can begin with, the longest first: names may have dots in them."""
+    """Return the names that a target can begin with, the longest first: names may have dots in them."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
-
-
-def _removed(log: Log, record: Mutation, until: Blame) -> Blame:
-    return replace(
-        until,
-        record=record,
-        how="removed",
-        before=until.after,
-        after=None,
-        distance=math.inf,
-        angle=0.0,
-        carried=(),
-        causes=causes(log, record),
-        earlier=until,
-    )
 
 
 def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]:
@@ -176,40 +173,40 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
     raise state.no_body(target.partition(".")[0], worlds)
 
 
-class _About(NamedTuple):
-    """What is looked for, as :class:`Blame` tells it."""
+class _Subject(NamedTuple):
+    """The body or joint, with the first fields of :class:`Blame`."""
 
     world: str
-    others: tuple[str, ...]
-    without: str
+    other_worlds: tuple[str, ...]
+    default_world: str
     body: str
     joint: str
 
 
 class _Search:
-    """Goes back through a world's changes."""
+    """A search backwards through a world's changes."""
 
-    def __init__(self, log: Log, about: _About) -> None:
+    def __init__(self, log: Log, subject: _Subject) -> None:
         self._log = log
-        self._about = about
-        self._world = about.world
-        self._body = about.body
-        self._joint = about.joint
+        self._subject = subject
+        self._world = subject.world
+        self._body = subject.body
+        self._joint = subject.joint
 
     def run(self, step: int) -> Blame:
-        """The last change; and if that was physics, what happened to it before."""
+        """Return the last change; and if that was physics, what happened to it before."""
         records = self._changes(step)
         for last in records:
-            found = self._told(last)
+            found = self._explained(last)
             if found.how != "command" and found.distance < _ROUNDING[0] and found.angle < _ROUNDING[1]:
                 continue
             if found.how != "physics":
                 return found
-            return replace(found, earlier=self._told(self._before(last, records)))
+            return replace(found, earlier=self._explained(self._before(last, records)))
         raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """The last record before one that did more than let it come to rest; told without folding states."""
+        """Return the last earlier record that did more than let it settle; found without folding states."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -222,13 +219,13 @@ class _Search:
         return record
 
     def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
-        """Whether a change is more than coming to rest, or than arithmetic."""
+        """Return whether a change is more than settling, or than rounding."""
         if commanded(record) == self._body:
             return True
         return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """What a record says of it: position and orientation, or the joint's value."""
+        """Return what a record says of it: position and orientation, or the joint's value."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -236,11 +233,11 @@ class _Search:
         if self._joint:
             values = dict(zip(state.joints, state.joint_positions, strict=False))
             return {"joint": [values[self._joint]]} if self._joint in values else {}
-        told = {"position": state.position, "orientation": state.orientation}
-        return {part: list(values) for part, values in told.items() if values}
+        pose = {"position": state.position, "orientation": state.orientation}
+        return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Records that changed it, the last one first, down to its loading or the first record that knows it."""
+        """Yield records that changed it, the last one first, down to its loading or the first record that knows it."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return
@@ -248,7 +245,7 @@ class _Search:
         for record in self._log.backwards(step, Mutation, naming=self._body):
             if not lifetime.has(record.seq):  # what was before is another world's
                 break
-            if not isinstance(record, Mutation) or record.world != self._world:
+            if record.world != self._world:
                 continue
             if self._body in record.effect.removed:  # how it came back is lost
                 start = record.seq
@@ -256,49 +253,33 @@ class _Search:
             if self._is_loading(record):
                 yield record
                 return
-            if self._is_change(record):
+            if self._parts(record):
                 yield record
         for frame in self._log.records_of(lifetime, Keyframe, lifetime.keyframes):
-            if frame.seq >= start and isinstance(frame, Keyframe) and self._is_in(frame):
+            if frame.seq >= start and any(loaded.body == self._body for loaded in frame.loaded):
                 yield frame
                 return
-
-    def _is_in(self, frame: Keyframe) -> bool:
-        return any(loaded.body == self._body for loaded in frame.loaded)
 
     def _is_loading(self, record: Mutation) -> bool:
         return record.HasField("load_body") and record.load_body.body == self._body
 
-    def _is_change(self, record: Mutation) -> bool:
-        for state in record.effect.bodies:
-            if state.body == self._body:
-                return self._joint in state.joints if self._joint else bool(state.position or state.orientation)
-        return False
-
-    def _told(self, record: Mutation | Keyframe) -> Blame:
+    def _explained(self, record: Mutation | Keyframe) -> Blame:
         after = self._value(state_at(self._log, record.seq))
-        why = causes(self._log, record)
         if after is None:
             raise NoSuchName("object", self._body, ())
-        if isinstance(record, Keyframe) or self._is_loading(record):
-            how = "before" if isinstance(record, Keyframe) else "load"
-            return self._blame(record, how, (None, after), (math.inf, 0.0), (), why)
-        state = state_at(self._log, record.seq - 1)
-        before = self._value(state)
-        how, chain = _how(record, state.world(self._world), self._body)
+        before: Pose | float | None = None
+        chain: list[Attachment] = []
+        if isinstance(record, Keyframe):
+            how = "before"
+        elif self._is_loading(record):
+            how = "load"
+        else:
+            state = state_at(self._log, record.seq - 1)
+            before = self._value(state)
+            how, chain = _how(record, state.world(self._world), self._body)
         carried = tuple(self._carried(held, record.seq) for held in chain)
-        return self._blame(record, how, (before, after), _size(before, after), carried, why)
-
-    def _blame(
-        self,
-        record: Mutation | Keyframe,
-        how: str,
-        values: tuple[Pose | float | None, Pose | float],
-        size: tuple[float, float],
-        carried: tuple[Carried, ...],
-        why: Causes,
-    ) -> Blame:
-        return Blame(*self._about, record, how, *values, *size, carried, why)
+        found = causes(self._log, record)
+        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, found)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)
@@ -309,7 +290,7 @@ class _Search:
 
     def _carried(self, held: Attachment, step: int) -> Carried:
         for record in self._log.backwards(step, Mutation, naming=held.body):
-            if isinstance(record, Mutation) and record.world == self._world and record.HasField("attach_body"):
+            if record.world == self._world and record.HasField("attach_body"):
                 command = record.attach_body
                 if (command.carrier, command.body) == (held.carrier, held.body):
                     return Carried(held, record.seq, causes(self._log, record))
@@ -321,11 +302,7 @@ def _is_physics(record: Mutation | Keyframe) -> bool:
 
 
 def commanded(record: Mutation | Keyframe) -> str:
-    """The body that a record's command is about; empty if it is about none.
-
-    Args:
-        record: what changed a world, or told all of it.
-    """
+    """Return the body that a record's command is about; empty if it is about none."""
     command = record.WhichOneof("command") if isinstance(record, Mutation) else None
     return str(getattr(getattr(record, command), "body", "")) if command else ""
 
@@ -345,7 +322,7 @@ def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, floa
 
 
 def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachment]]:
-    """How a command made a body move, by the state before it."""
+    """Return how a command made a body move, by the state before it."""
     if _is_physics(record):
         return "physics", []
     if record.HasField("reset"):

@@ -1,4 +1,4 @@
-"""What caused a record: the tasks that it is part of, innermost first, each with the plan's line that started it."""
+"""The causes of a record: the tasks that it is part of, innermost first, each with the plan's line that started it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from replay.explain.source import Source
 from replay.state.json_data import arguments_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     from recorder.records import Record
     from replay.explain.source import Line
@@ -25,9 +25,9 @@ class Cause:
     Attributes:
         task: its id.
         kind: of the node: motion, process-module, block, ...
-        name: what people call it.
+        name: its name.
         parameters: as given.
-        step: where it starts.
+        step: its start.
         line: the plan's line that started it; None if it is not known.
         callers: the plan's lines that led to that one, outermost first.
     """
@@ -42,12 +42,7 @@ class Cause:
 
     @classmethod
     def of(cls, started: Task, source: Source) -> Cause:
-        """A task by the record of its start.
-
-        Args:
-            started: the record.
-            source: the plan's.
-        """
+        """Return the cause that the start of a task is, with lines of the plan's source."""
         return cls(
             started.task,
             started.kind,
@@ -61,48 +56,38 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """Why a record is there.
+    """The causes of a record.
 
     Attributes:
         tasks: the tasks that it is part of, innermost first; none if the plan itself did it, outside of any task.
-        own: the lines that led to it, outermost first, where the plan's own code made it and the record tells that.
+        own_call_stack: the lines that led to it, outermost first, if the plan's own code made it and the record has
+            them.
     """
 
     tasks: tuple[Cause, ...]
-    own: tuple[Line, ...]
+    own_call_stack: tuple[Line, ...]
 
     @property
     def line(self) -> Line | None:
         """The plan's line that led to the record, if it is known."""
-        return self.way[-1] if self.way else None
+        return self.call_stack[-1] if self.call_stack else None
 
     @property
-    def way(self) -> tuple[Line, ...]:
+    def call_stack(self) -> tuple[Line, ...]:
         """The plan's lines that led to the record, outermost first and that line last."""
         of_tasks = ((*cause.callers, cause.line) for cause in self.tasks if cause.line is not None)
-        return self.own or next(of_tasks, ())
+        return self.own_call_stack or next(of_tasks, ())
 
 
 def causes(log: Log, record: Record) -> Causes:
-    """Why a record is there.
-
-    Args:
-        log: the recording.
-        record: any of its records; one of a task is part of that task.
-    """
+    """Return the causes of a record; a task's record is part of that task."""
     source = Source(log)
     found = []
     wanted = record.task
-    for started in _starts(log.backwards(record.seq, Task)) if wanted else ():
-        if started.task == wanted:  # whatever a task is part of started before it
+    for started in log.backwards(record.seq, Task) if wanted else ():
+        if started.phase == Task.STARTED and started.task == wanted:  # whatever a task is part of started before it
             found.append(Cause.of(started, source))
             wanted = started.parent
             if not wanted:
                 break
-    return Causes(tuple(found), source.way(record) if isinstance(record, Mutation) else ())
-
-
-def _starts(records: Iterator[Record]) -> Iterator[Task]:
-    for record in records:
-        if isinstance(record, Task) and record.phase == Task.STARTED:
-            yield record
+    return Causes(tuple(found), source.call_stack(record) if isinstance(record, Mutation) else ())

@@ -1,8 +1,8 @@
-"""Two recordings side by side: the first record where they part, and what that led to.
+"""Compares two recordings: the first record where they diverge, and the difference at their ends.
 
-Records are aligned by the path of their task and their place among that task's records, not by their numbers: branches
-of concurrent blocks may take turns differently in each run. What a run can't help (clocks, durations, ids, threads) is
-not compared. Both recordings are streamed.
+Records are aligned by the path of their task and their index among that task's records, not by their numbers: branches
+of concurrent blocks may be scheduled differently in each run. What depends on the run only (clocks, durations, ids,
+threads) is not compared. Both recordings are streamed.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Run, Task
 from replay.explain.causes import causes
-from replay.explain.summary import Summary, final_of, summary
+from replay.explain.summary import Summary, final_step, summary
 from replay.state.diff import Difference, difference
 from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
@@ -25,25 +25,25 @@ if TYPE_CHECKING:
     from replay.file.log import Log
     from replay.state.json_data import Plain
 
-#: Records that are read on after the runs parted, to tell what only one of them has from what is only out of turn.
+#: Records that are read on after the divergence, to distinguish missing records from those in another order.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
     "seq", "wall_time_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line", "callers",
 )  # fmt: skip
 
-_Key: TypeAlias = "tuple[int, int]"  # a task's path as a hash, and the how many-th of the task's records it is
-_Parted: TypeAlias = "tuple[Record, Record, dict[str, tuple[Plain, Plain]]]"
+_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
+_Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
-    """The first record where two runs part.
+class Divergence:
+    """The first record where two runs diverge.
 
     Attributes:
-        first: the record in the first one; None if it has none like the second's.
-        second: the record in the second one; None if it has none like the first's.
-        task: path of the task that they are of; "" for the plan itself.
+        first: the record in the first run; None if only the second has it.
+        second: the record in the second run; None if only the first has it.
+        task: path of their task; "" for the plan itself.
         fields: values that differ, by the path of the field.
     """
 
@@ -55,38 +55,32 @@ class Parting:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two runs.
+    """A comparison of two runs.
 
     Attributes:
-        alike: how many records they share until they part.
-        parting: where they part; None if they don't.
-        world: what is different at their ends, before worlds were closed.
-        outcomes: what became of each.
+        equal: number of records that are equal until the divergence.
+        divergence: None if there is none.
+        difference: of the states at their ends, before worlds were closed.
+        outcomes: summaries of both.
     """
 
-    alike: int
-    parting: Parting | None
-    world: Difference
+    equal: int
+    divergence: Divergence | None
+    difference: Difference
     outcomes: tuple[Summary, Summary]
 
 
 def compare(first: Log, second: Log, tolerance: float = 0.0) -> Comparison:
-    """Compares two recordings.
-
-    Args:
-        first: one.
-        second: the other.
-        tolerance: numbers that differ by no more than this count as equal.
-    """
-    alike, parting = _part(first, second, tolerance)
-    ends = state_at(first, final_of(first)), state_at(second, final_of(second))
-    return Comparison(alike, parting, difference(*ends), (summary(first), summary(second)))
+    """Compare two recordings; numbers within the tolerance count as equal."""
+    equal, divergence = _divergence(first, second, tolerance)
+    ends = state_at(first, final_step(first)), state_at(second, final_step(second))
+    return Comparison(equal, divergence, difference(*ends), (summary(first), summary(second)))
 
 
-def _part(first: Log, second: Log, tolerance: float) -> tuple[int, Parting | None]:
+def _divergence(first: Log, second: Log, tolerance: float) -> tuple[int, Divergence | None]:
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
-    alike = since = 0
-    parted: _Parted | None = None
+    equal = since = 0
+    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
     for pair in zip_longest(_keyed(first), _keyed(second)):
         for side, item in enumerate(pair):
             if item is None:
@@ -95,33 +89,34 @@ def _part(first: Log, second: Log, tolerance: float) -> tuple[int, Parting | Non
             other = waiting[1 - side].pop(key, None)
             if other is None:
                 waiting[side][key] = record
-            elif parted is None:
+            elif diverged is None:
                 a, b = (other, record) if side else (record, other)
                 fields = differing(a, b, tolerance)
                 if fields:
-                    parted = a, b, fields
+                    diverged = a, b, fields
                 else:
-                    alike += 1
-        since += parted is not None
+                    equal += 1
+        since += diverged is not None
         if since > _WINDOW:
             break
-    found = _earliest(parted, waiting)
+    found = _earliest(diverged, waiting)
     if found is None:
-        return alike, None
+        return equal, None
     a_record, b_record, fields = found
     path = _path(second, b_record) if a_record is None and b_record is not None else _path(first, a_record)
-    return alike, Parting(a_record, b_record, path, fields)
+    return equal, Divergence(a_record, b_record, path, fields)
 
 
 def _earliest(
-    parted: _Parted | None, waiting: tuple[dict[_Key, Record], dict[_Key, Record]]
-) -> tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]] | None:
-    """What comes first: a pair that differs, or a record that only one run has."""
-    found: list[tuple[int, tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]]] = []
-    if parted is not None:
-        found.append((min(parted[0].seq, parted[1].seq), parted))
-    for side, alone in enumerate(waiting):
-        record = next(iter(alone.values()), None)  # dictionaries are in the order of the run
+    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None,
+    waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
+) -> _Diverged | None:
+    """Return what comes first: a pair that differs, or a record that only one run has."""
+    found: list[tuple[int, _Diverged]] = []
+    if diverged is not None:
+        found.append((min(diverged[0].seq, diverged[1].seq), diverged))
+    for side, unmatched in enumerate(waiting):
+        record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
         if record is not None:
             found.append((record.seq, (None, record, {}) if side else (record, None, {})))
     return min(found, key=lambda each: each[0])[1] if found else None
@@ -132,16 +127,16 @@ def _path(log: Log, record: Record | None) -> str:
 
 
 def _keyed(log: Log) -> Iterator[tuple[_Key, Record]]:
-    """The records with what they are aligned by; knows no more than the tasks that run."""
+    """Yield the records with what they are aligned by; knows no more than the tasks that run."""
     paths: dict[int, int] = {}  # by id of the task
     counts: dict[int, int] = {}  # records by path
     parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
     for record in log:
         if isinstance(record, Task) and record.phase == Task.STARTED:
             outer, name = paths.get(record.parent, 0), (record.kind, record.name)
-            alike = parts.setdefault(outer, {})
-            alike[name] = alike.get(name, 0) + 1
-            paths[record.task] = hash((outer, *name, alike[name]))
+            siblings = parts.setdefault(outer, {})
+            siblings[name] = siblings.get(name, 0) + 1
+            paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
@@ -152,23 +147,17 @@ def _keyed(log: Log) -> Iterator[tuple[_Key, Record]]:
 
 
 def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str, tuple[Plain, Plain]]:
-    """The values in which two records differ, by the path of the field.
-
-    Args:
-        first: one.
-        second: the other.
-        tolerance: numbers that differ by no more than this count as equal.
-    """
+    """Return the different values of two records by the field's path; numbers within the tolerance are equal."""
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _bare(first), _bare(second)
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
-        return {}  # the bytes tell -0.0 from 0.0
+        return {}  # the bytes distinguish -0.0 from 0.0
     return dict(_leaves(record_data(a), record_data(b), "", tolerance))
 
 
 def _bare(record: Record) -> Record:
-    """A record without what differs from run to run."""
+    """Return a record without what differs from run to run."""
     bare = type(record)()
     bare.CopyFrom(record)  # type: ignore[arg-type]
     for field in _INCIDENTAL:
@@ -186,7 +175,7 @@ def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[s
         for key in {**a, **b}:
             yield from _leaves(a.get(key), b.get(key), f"{name}.{key}" if name else key, tolerance)
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        for at, (one, other) in enumerate(zip(a, b, strict=True)):
-            yield from _leaves(one, other, f"{name}[{at}]", tolerance)
+        for at, pair in enumerate(zip(a, b, strict=True)):
+            yield from _leaves(*pair, f"{name}[{at}]", tolerance)
     elif a != b and not (isinstance(a, int | float) and isinstance(b, int | float) and abs(a - b) <= tolerance):
         yield name, (a, b)

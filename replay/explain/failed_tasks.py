@@ -1,4 +1,4 @@
-"""The tasks that failed, as a recording is read: what went well is forgotten but for the last of each kind."""
+"""The failed tasks of a recording, collected in one pass; of successful tasks only the last of each kind is kept."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(slots=True, eq=False)
-class Attempt:
-    """A task, with those of its parts that failed or have not ended.
+class TaskExecution:
+    """One execution of a task, with those of its parts that failed or have not ended.
 
     Attributes:
         started: the record of its start.
@@ -29,9 +29,9 @@ class Attempt:
     """
 
     started: Task
-    outer: Attempt | None = None
+    outer: TaskExecution | None = None
     finished: Task | None = None
-    parts: list[Attempt] = field(default_factory=list)
+    parts: list[TaskExecution] = field(default_factory=list)
 
     @property
     def failure(self) -> Failure | None:
@@ -51,16 +51,16 @@ class Attempt:
 
     @property
     def dealt_with(self) -> bool:
-        """Whether a task around it ended well, or was cancelled: then its failure decided nothing."""
+        """Whether a task around it succeeded or was cancelled: then its failure had no consequence."""
         return is_dealt_with(task.finished for task in self.around())
 
     @property
     def parameters(self) -> dict[str, Plain]:
-        """What it was given."""
+        """Its parameters by name."""
         return arguments_data(self.started.parameters)
 
     @property
-    def outermost(self) -> Attempt:
+    def outermost(self) -> TaskExecution:
         """The outermost task around it that failed too."""
         found = self
         while found.outer is not None and found.outer.failure is not None:
@@ -68,7 +68,7 @@ class Attempt:
         return found
 
     @property
-    def origin(self) -> Attempt:
+    def origin(self) -> TaskExecution:
         """The part in which its failure began: down the parts with the same error, else the last that failed."""
         found = self
         while True:
@@ -79,16 +79,16 @@ class Attempt:
             found = (same or failed)[-1]
 
     @property
-    def motion(self) -> Attempt:
+    def motion(self) -> TaskExecution:
         """The motion that it is part of, or is; itself if there is none."""
         for task in self.around():
             if task.started.kind == "motion":
                 return task
         return self
 
-    def around(self) -> Iterator[Attempt]:
-        """The task itself and those that it is part of, outwards."""
-        found: Attempt | None = self
+    def around(self) -> Iterator[TaskExecution]:
+        """Yield the task itself and those that it is part of, outwards."""
+        found: TaskExecution | None = self
         while found is not None:
             yield found
             found = found.outer
@@ -96,45 +96,38 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """What failed.
+    """What failed, what is unfinished and what succeeded.
 
     Attributes:
         origins: the tasks in which failures began, in the order of their ends.
         running: the tasks that have not ended, in the order of their starts.
-        successes: the last of each kind and name that went well.
+        successes: the last successful one of each kind and name.
     """
 
-    origins: tuple[Attempt, ...]
-    running: tuple[Attempt, ...]
-    successes: Mapping[tuple[str, str], Attempt]
+    origins: tuple[TaskExecution, ...]
+    running: tuple[TaskExecution, ...]
+    successes: Mapping[tuple[str, str], TaskExecution]
 
     @property
-    def last_success(self) -> Attempt | None:
-        """The last motion, or else task, that went well."""
+    def last_success(self) -> TaskExecution | None:
+        """The last motion, or else task, that succeeded."""
         motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
         return max(motions or self.successes.values(), key=lambda task: task.end, default=None)
 
 
 def failures(log: Log, stop: int | None = None) -> Failures:
-    """What failed in a recording.
-
-    Args:
-        log: the recording.
-        stop: the step before which to end.
-    """
-    running: dict[int, Attempt] = {}
-    successes: dict[tuple[str, str], Attempt] = {}
-    origins: list[Attempt] = []
+    """Return what failed in a recording before a step, or at all."""
+    running: dict[int, TaskExecution] = {}
+    successes: dict[tuple[str, str], TaskExecution] = {}
+    origins: list[TaskExecution] = []
     for record in log.records(Task, stop=stop):
-        if not isinstance(record, Task):
-            continue
         if record.phase == Task.STARTED:
             outer = running.get(record.parent)
-            task = running[record.task] = Attempt(record, outer)
+            task = running[record.task] = TaskExecution(record, outer)
             if outer is not None:
                 outer.parts.append(task)
             continue
-        task = running.pop(record.task) if record.task in running else Attempt(record, running.get(record.parent))
+        task = running.pop(record.task) if record.task in running else TaskExecution(record, running.get(record.parent))
         task.finished = record
         if record.status == Task.FAILED:
             if all(part.failure is None for part in task.parts):

@@ -1,4 +1,4 @@
-"""What a plan raised: an exception's printed text taken apart into exceptions, and into lines of the plan."""
+"""Parses a printed traceback into its exceptions, each with the lines of the plan."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The executor's folder, told by the frames by which plans come into it.
+#: The executor's folder, recognised by the modules through which plans enter it.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
     r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
     r"|bullet_world_reasoning|funnel))\.py$"  # as they were named in release 0.1.0
 )
-#: Where nobody keeps plans.
+#: Files that are no plans.
 _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
 
 
@@ -43,20 +43,15 @@ class ParsedException:
     lines: tuple[Line, ...]
 
 
-def raised(traceback: str, source: Source) -> list[ParsedException]:
-    """The exceptions in a traceback, causes first.
-
-    Args:
-        traceback: as Python prints it.
-        source: the plan's source.
-    """
+def parse_traceback(traceback: str, source: Source) -> list[ParsedException]:
+    """Return the exceptions in a traceback as Python prints it, causes first."""
     frames = [frame for text in traceback.splitlines() if (frame := _FRAME.match(text))]
     roots = tuple({root["root"] for frame in frames if (root := _ROOT.match(frame["file"]))})
     parts = (part.strip("\n") for part in _NEXT.split(traceback))
-    return [_raised(part, source, roots) for part in parts if part.strip()]
+    return [_parse(part, source, roots) for part in parts if part.strip()]
 
 
-def _raised(part: str, source: Source, roots: tuple[str, ...]) -> ParsedException:
+def _parse(part: str, source: Source, roots: tuple[str, ...]) -> ParsedException:
     lines = part.splitlines()
     start = next((at for at, text in enumerate(lines) if _START.match(text)), -1)
     end = start + 1
@@ -76,10 +71,10 @@ def _lines(texts: list[str], source: Source, roots: tuple[str, ...]) -> list[Lin
         frame = _FRAME.match(text)
         if frame is None or not _is_plan(frame["file"], source, roots):
             continue
-        told = texts[at + 1].strip() if at + 1 < len(texts) and not _FRAME.match(texts[at + 1]) else ""
+        printed = texts[at + 1].strip() if at + 1 < len(texts) and not _FRAME.match(texts[at + 1]) else ""
         known = source.line(frame["file"], int(frame["line"]))
         function = (known and known.function) or frame["function"].strip()
-        found.append(Line(frame["file"], int(frame["line"]), function, (known and known.text) or told))
+        found.append(Line(frame["file"], int(frame["line"]), function, (known and known.text) or printed))
     return found
 
 

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Filter:
-    """What to look for; a record must fit all that is given.
+    """A filter; a record must match all that is given.
 
     Attributes:
         kinds: names of kinds ("task", "mutation", ...); empty for all.
-        task: id of a task, or part of its name: what it and the tasks below it did.
-        body: name of a body that records must tell of.
+        task: id of a task, or part of its name; its subtasks match too.
+        body: name of a body that records must be about.
         world: name of the world that they are about.
-        text: what their line must contain, in capitals or not.
+        text: what their line must contain, ignoring case.
     """
 
     kinds: Collection[str] = ()
@@ -36,27 +36,16 @@ class Filter:
 
 
 class Search:
-    """Goes through a recording once, from front to end, and further when it grew."""
+    """A search through a recording from front to end, which can go on when the recording has grown."""
 
     def __init__(self, log: Log, wanted: Filter) -> None:
-        """Reads nothing yet.
-
-        Args:
-            log: the recording.
-            wanted: what to look for.
-        """
         self._log = log
         self._wanted = wanted
         self._tasks: set[int] = set()
         self._known = 0  # tasks are known up to this step
 
     def matches(self, start: int, stop: int) -> Iterator[tuple[Record, str]]:
-        """The records that fit, with their lines.
-
-        Args:
-            start: the first step.
-            stop: the step before which to end.
-        """
+        """Yield the matching records with their lines."""
         if self._wanted.task is not None:
             self._learn_tasks(stop)
         for record in self._log.records(start=start, stop=stop):
@@ -66,7 +55,7 @@ class Search:
 
     def _learn_tasks(self, stop: int) -> None:
         for record in self._log.records(Task, self._known, stop):
-            if isinstance(record, Task) and record.phase == Task.STARTED and self._is_of_task(record):
+            if record.phase == Task.STARTED and self._is_of_task(record):
                 self._tasks.add(record.task)
         self._known = stop
 

@@ -38,14 +38,10 @@ class Line:
 
 
 class Source:
-    """All source that is attached to a recording; of files that share a name nobody can tell which is which."""
+    """The attached source files of a recording; those that share a name are ambiguous and left out."""
 
     def __init__(self, log: Log) -> None:
-        """Reads nothing yet.
-
-        Args:
-            log: the recording.
-        """
+        """Read nothing yet."""
         self._assets = log.assets
         keys = [key for key in log.assets if key.endswith(".py")]
         names = [name_of(key) for key in keys]
@@ -53,12 +49,7 @@ class Source:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """A line by its place.
-
-        Args:
-            file: path of the file when the plan ran.
-            number: from 1; 0 is none.
-        """
+        """Return a line by its file's path when the plan ran, and its number from 1; 0 is none."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -67,30 +58,18 @@ class Source:
             return Line(file, number)
         return Line(file, number, _function(text, number), lines[number - 1].strip())
 
-    def way(self, record: Task | Mutation) -> tuple[Line, ...]:
-        """The plan's lines that led to a task or a change, outermost first; none if the record doesn't tell.
-
-        Args:
-            record: of the task's start, or of the change.
-        """
+    def call_stack(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """Return the plan's lines that led to a task or a change, outermost first; none if the record has none."""
         line = self.line(record.source_file, record.source_line)
         return (*self.callers(record), line) if line is not None else ()
 
     def callers(self, record: Task | Mutation) -> tuple[Line, ...]:
-        """The lines that led to the one that asked for a task, or made a change, outermost first.
-
-        Args:
-            record: of the task's start, or of the change.
-        """
-        told = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
-        return tuple(line for line in told if line is not None)
+        """Return the lines that led to the one that asked for a task, or made a change, outermost first."""
+        lines = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
+        return tuple(line for line in lines if line is not None)
 
     def text(self, file: str) -> str:
-        """What a file said; "" if it is not attached, or damaged.
-
-        Args:
-            file: path of the file when the plan ran.
-        """
+        """Return what a file said; "" if it is not attached, or damaged."""
         key = self._keys.get(name_of(file))
         if key is None:
             return ""
@@ -102,26 +81,18 @@ class Source:
         return self._texts[key]
 
     def has(self, file: str) -> bool:
-        """Whether a file is attached.
-
-        Args:
-            file: path of the file when the plan ran.
-        """
+        """Return whether a file is attached."""
         return name_of(file) in self._keys
 
 
 def name_of(path: str) -> str:
-    """The file's own name, of a path of any system.
-
-    Args:
-        path: the path.
-    """
+    """Return the file's own name, of a path of any system."""
     return PurePosixPath(path.replace("\\", "/")).name
 
 
 @lru_cache(maxsize=8)
 def _functions(text: str) -> tuple[tuple[int, int, str], ...]:
-    """First and last line of each function, inner ones last."""
+    """Return first and last line of each function, inner ones last."""
     try:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError):

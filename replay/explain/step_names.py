@@ -1,16 +1,17 @@
-"""Steps as people name them: numbers, ``last``, ``failure``, ``12.5s`` of simulated time, ``task:pick-up#2@end``."""
+"""Names of steps: numbers, ``last``, ``failure``, ``12.5s`` of simulated time, ``task:pick-up#2@end``."""
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
+from bisect import bisect_left
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from recorder.suggestions import suggestion
 from replay.errors import NoSuchStep
 from replay.explain.root_cause import root_cause
-from replay.explain.summary import closes
+from replay.explain.summary import closes_world
 
 if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
@@ -21,13 +22,13 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 
 
 def step_of(log: Log, name: int | str) -> int:
-    """The number of a step.
+    """Return the number of a step.
 
     Args:
         log: the recording.
         name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
-            explains), simulated seconds with an ``s``: the last step before the clock of a world passes them, of the
-            first one that gets so far, or a task, see :func:`task_step`.
+            explains), simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the
+            first world that gets so far), or a task, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -52,14 +53,14 @@ def step_of(log: Log, name: int | str) -> int:
 
 
 def _failure(log: Log) -> int:
-    broken = root_cause(log)
-    if broken is None:
+    cause = root_cause(log)
+    if cause is None:
         raise NoSuchStep("failure", len(log), "nothing failed")
-    return broken.step
+    return cause.step
 
 
 def task_step(log: Log, text: str) -> int:
-    """The start or the end of a task.
+    """Return the start or the end of a task.
 
     Args:
         log: the recording.
@@ -76,7 +77,7 @@ def task_step(log: Log, text: str) -> int:
     which = int(asked["which"] or 1)
     found = _tasks(log, asked["path"], which)
     if not which or len(found) < abs(which):
-        raise NoSuchStep(repr(text), len(log), _which_are(log, asked["path"], len(found)))
+        raise NoSuchStep(repr(text), len(log), _no_task_hint(log, asked["path"], len(found)))
     step = found[which - 1 if which > 0 else which][asked["end"] == "end"]
     if step is None:
         raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
@@ -84,14 +85,12 @@ def task_step(log: Log, text: str) -> int:
 
 
 def _tasks(log: Log, path: str, which: int) -> list[list[int | None]]:
-    """Start and end of the tasks that fit a path; not more than it takes to tell."""
+    """Return start and end of the tasks that fit a path, up to the wanted one."""
     wanted = path.strip("/").casefold().split("/")
     paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
     found: list[list[int | None]] = []
     running: dict[int, list[int | None]] = {}
     for record in log.records(Task):
-        if not isinstance(record, Task):
-            continue
         if record.phase == Task.STARTED:
             names = (*paths.get(record.parent, ()), record.name.casefold())
             paths[record.task] = names[-len(wanted) :]
@@ -108,14 +107,11 @@ def _tasks(log: Log, path: str, which: int) -> list[list[int | None]]:
     return found
 
 
-def _which_are(log: Log, path: str, count: int) -> str:
+def _no_task_hint(log: Log, path: str, count: int) -> str:
     if count:
         return f"{count} tasks fit {path!r}; #1 is the first of them, #-1 the last"
-    names = {record.name for record in log.records(Task) if isinstance(record, Task)}
-    near = difflib.get_close_matches(path.rpartition("/")[2], names, 3)
-    return f"no task fits {path!r}; " + (
-        f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(sorted(names)[:10]) or 'none'}"
-    )
+    names = (record.name for record in log.records(Task))
+    return f"no task fits {path!r}; {suggestion(path.rpartition('/')[2], names)}"
 
 
 def _at_time(log: Log, seconds: float, text: str) -> int:
@@ -127,28 +123,25 @@ def _at_time(log: Log, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        if end is not None and end.sim_step == limit:  # to the end of it, but a world that is closed shows nothing
-            return end.seq - 1 if closes(end) else (lifetime.stop or len(log)) - 1
+        if end is not None and end.sim_step == limit:  # up to its end, but not when it is closed: then it is empty
+            return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
     longest = max(ends, key=lambda title: ends[title])
-    raise NoSuchStep(text, len(log), f"no world got so far; the clock of {longest} ends at {ends[longest]:.3f}s")
+    raise NoSuchStep(
+        text, len(log), f"no world was simulated so long; the clock of {longest} ends at {ends[longest]:.3f}s"
+    )
 
 
 def _passing(log: Log, lifetime: Lifetime, limit: float) -> int:
-    """The first step at which a world's clock is past a moment that it does pass."""
+    """Return the first step at which a world's clock is past a moment that it does pass."""
 
     def passes(at: int) -> int | None:
-        """The first such step in a chunk."""
+        """Return the first such step in a chunk."""
         for record in log.records_of(lifetime, (Mutation, Keyframe), [lifetime.changes[at]]):
             if record.sim_step > limit:
                 return record.seq
         return None
 
-    low, high = 0, len(lifetime.changes) - 1  # its clock never goes back: the first such chunk is found by halving
-    while low < high:
-        middle = (low + high) // 2
-        if passes(middle) is None:
-            low = middle + 1
-        else:
-            high = middle
-    return passes(low) or 0
+    # the clock never decreases: the first such chunk is found by binary search
+    first = bisect_left(range(len(lifetime.changes) - 1), True, key=lambda at: passes(at) is not None)
+    return passes(first) or 0

@@ -1,4 +1,4 @@
-"""What ran, when, for how long, and how it ended: read from both ends of a recording, whatever its length."""
+"""A recording in short: what ran, when, for how long, and how it ended. Only both ends of a long one are read."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
     from replay.file.log import Log
 
-#: Recordings up to this size are read whole to tell whether they are sound, bytes; of larger ones only both ends.
-CHECKED: Final = 16 << 20
-_ENDS: Final = 2  # records of the run itself: that it started, that it finished
+#: Recordings up to this size, in bytes, are read whole to check them; of larger ones only both ends.
+MAX_CHECKED: Final = 16 << 20
+_RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +26,7 @@ class Simulated:
 
     Attributes:
         world: its name.
-        life: which world of that name it is, from 1.
+        lifetime: number of its lifetime, from 1.
         seconds: its simulated time at its last change, s.
     """
 
@@ -45,15 +45,15 @@ class Summary:
         seconds: wall-clock time from the first to the last record.
         worlds: with the simulated time that each reached, in the order of their opening.
         outcome: "succeeded", "failed", "running" or "cut off".
-        failure: what the plan failed with, as "Type: message"; or "".
+        failure: of the plan, as "Type: message"; or "".
         threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
         records: number of steps.
         counts: number of records of each kind.
         attachments: number of attached files.
         size: of the file, bytes.
-        missing: in words, what of the recording is missing; or "".
-        checked: whether every part was read to tell so.
-        metadata: all that the recorder said of the run.
+        problems: what is missing or damaged, in words; or "".
+        checked: whether every part was read for this.
+        metadata: of the run.
     """
 
     plan: str
@@ -67,7 +67,7 @@ class Summary:
     counts: Mapping[str, int]
     attachments: int
     size: int
-    missing: str
+    problems: str
     checked: bool
     metadata: Mapping[str, str]
 
@@ -78,14 +78,10 @@ def _simulated(log: Log, lifetime: Lifetime) -> Simulated:
 
 
 def summary(log: Log) -> Summary:
-    """Sums up a recording.
-
-    Args:
-        log: the recording.
-    """
+    """Sum up a recording."""
     size = log.path.stat().st_size
-    checked = size <= CHECKED
-    missing = log.check() if checked else log.missing
+    checked = size <= MAX_CHECKED
+    problems = log.check() if checked else log.problems
     first, last = next(log.records()), next(log.backwards())
     end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
     outcome = "running" if log.live else "cut off"
@@ -103,34 +99,29 @@ def summary(log: Log) -> Summary:
         counts=log.counts(),
         attachments=len(log.assets),
         size=size,
-        missing=missing,
+        problems=problems,
         checked=checked,
         metadata=log.metadata,
     )
 
 
 def failed_threads(log: Log) -> tuple[Run, ...]:
-    """The records of threads of the plan's own that ended with a failure while it went on.
-
-    Args:
-        log: the recording.
-    """
-    if log.counts().get("run", 0) <= _ENDS:
+    """Return the records of threads of the plan's own that ended with a failure while it went on."""
+    if log.counts().get("run", 0) <= _RUN_RECORDS:
         return ()
-    runs = (record for record in log.records(Run) if isinstance(record, Run))
-    return tuple(record for record in runs if record.phase == Run.THREAD_FAILED)
+    return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
 
 
-def final_of(log: Log) -> int:
-    """The last step before worlds were closed at the end: plans that clean up leave nothing to look at behind it."""
+def final_step(log: Log) -> int:
+    """Return the last step before worlds were closed at the end: there is nothing to see after it."""
     closing = len(log)
     for record in log.backwards(-1, (Mutation, Keyframe)):
-        if not closes(record):
+        if not closes_world(record):
             break
         closing = record.seq
     return max(closing - 1, 0)
 
 
-def closes(record: Record) -> bool:
-    """Whether a record is the end of a world."""
+def closes_world(record: Record) -> bool:
+    """Return whether a record is the end of a world."""
     return isinstance(record, Mutation) and record.HasField("close_world")

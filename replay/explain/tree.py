@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Task
 from recorder.tasks import Node, State, Tree
-from replay.explain.root_cause import root_cause, uncaught
+from replay.explain.root_cause import root_cause, uncaught_failure
 
 if TYPE_CHECKING:
     from replay.file.log import Log
@@ -15,17 +15,11 @@ __all__ = ["Node", "State", "Tree", "tree"]
 
 
 def tree(log: Log, stop: int | None = None) -> Tree:
-    """The task tree of a recording.
-
-    Args:
-        log: the recording.
-        stop: the step before which to end: the tree as it was then.
-    """
+    """Return the task tree of a recording, as it was before a step if one is given."""
     found = Tree()
     for record in log.records(Task, stop=stop):
-        if isinstance(record, Task):
-            found.apply(record)
-    if stop is None and uncaught(log) is not None:
-        broken = root_cause(log)  # what the plan failed with tells more than its tasks do
-        found.began = broken.task.started.task if broken is not None and broken.task is not None else 0
+        found.apply(record)
+    if stop is None and uncaught_failure(log) is not None:
+        cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks
+        found.began = cause.task.started.task if cause is not None and cause.task is not None else 0
     return found

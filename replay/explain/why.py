@@ -1,7 +1,7 @@
-"""Why a plan failed: what failed and where in the plan, what was tried, what it rested on, and what had changed.
+"""Why a plan failed: what failed and where in the plan, what was attempted, the queries it relied on, what had changed.
 
-Everything here is read from the recording; nothing is guessed. What the robot was told (queries) is set beside what was
-so then, and beside what has moved since.
+Everything here is read from the recording; nothing is guessed. The answers to the plan's queries are set beside what
+has moved since.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query
 from replay.errors import NoSuchStep
-from replay.explain.explanation import Asked, Since, Thing, Try, Why, heading
+from replay.explain.explanation import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.explain.failed_tasks import failures
 from replay.explain.root_cause import root_cause
 from replay.explain.source import Source
-from replay.explain.step_names import step_of
-from replay.explain.summary import failed_threads, final_of, summary
+from replay.explain.summary import failed_threads, final_step, summary
 from replay.state.diff import difference
 from replay.state.fold import state_at
 from replay.state.json_data import arguments_data, mentions
@@ -25,20 +24,20 @@ from replay.state.json_data import arguments_data, mentions
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from replay.explain.failed_tasks import Attempt, Failures
+    from replay.explain.failed_tasks import Failures, TaskExecution
     from replay.explain.root_cause import RootCause
     from replay.explain.summary import Summary
     from replay.file.log import Log
     from replay.state.json_data import Plain
     from replay.state.state import State, World
 
-_MOST_ASKED: Final = 8  # queries that are told
-_FIRST, _LAST = 5, 20  # of many attempts, those with what was so then
-_NEAR: Final = 0.001  # m; what moved less has not moved since a query
+_MAX_QUERIES: Final = 8
+_FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is folded
+_MOVED: Final = 0.001  # m from which on a body counts as moved since a query
 
 
-def why(log: Log, step: int | str | None = None) -> Why:
-    """Explains a failure.
+def why(log: Log, step: int | None = None) -> Why:
+    """Explain a failure.
 
     Args:
         log: the recording.
@@ -51,20 +50,21 @@ def why(log: Log, step: int | str | None = None) -> Why:
     found = failures(log)
     run = summary(log)
     if step is not None:
-        return _of_task(log, run, _chosen(log, found, step_of(log, step)))
-    broken = root_cause(log, found)
-    running = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
-    if broken is None:
-        return Why(run, final_of(log), None, running=running)
-    if broken.task is None:
-        told = _of_plan(log, run, failures(log, broken.step) if broken.thread else found, broken)
+        return _task_failure(log, run, _failed_at(log, found, step))
+    cause = root_cause(log, found)
+    unfinished = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
+    if cause is None:
+        return Why(run, final_step(log), None, unfinished=unfinished)
+    if cause.task is None:
+        explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else found, cause)
     else:
-        told = _of_task(log, run, broken.task, broken, running)
-    return replace(told, threads=tuple(each for each in failed_threads(log) if each.failure != broken.failure))
+        explained = _task_failure(log, run, cause.task, cause, unfinished)
+    others = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
+    return replace(explained, failed_threads=others)
 
 
-def _chosen(log: Log, found: Failures, step: int) -> Attempt:
-    """The failed task that a step is part of, or that ended last until then."""
+def _failed_at(log: Log, found: Failures, step: int) -> TaskExecution:
+    """Return the failed task that a step is part of, or that ended last until then."""
     record = log[step]
     until = [task for task in found.origins if task.finished is not None and task.finished.seq <= step]
     of_step = [task for task in found.origins if any(outer.started.task == record.task for outer in task.around())]
@@ -75,166 +75,163 @@ def _chosen(log: Log, found: Failures, step: int) -> Attempt:
     return until[-1]
 
 
-def _of_task(
-    log: Log, run: Summary, task: Attempt, broken: RootCause | None = None, running: tuple[Attempt, ...] = ()
+def _task_failure(
+    log: Log,
+    run: Summary,
+    task: TaskExecution,
+    cause: RootCause | None = None,
+    unfinished: tuple[TaskExecution, ...] = (),
 ) -> Why:
     source, motion = Source(log), task.motion
-    began, ended = motion.started.seq, task.end
-    before = failures(log, ended + 1)
+    start, end = motion.started.seq, task.end
+    before = failures(log, end + 1)
     objects = _objects(motion.parameters)
     alike = [other for other in before.origins if _is_alike(log, other.motion, motion, objects)]
     previous = next(
-        (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < began), None
+        (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < start), None
     )
     same = before.successes.get((motion.started.kind, motion.started.name))
     window = max((each.end for each in (previous, same) if each is not None), default=0)
-    asked, earlier = _asked(log, window, ended, objects, _ids(task))
-    state = state_at(log, ended)
-    world = _world(state, objects, asked)
+    queries, earlier = _queries(log, window, end, objects, {each.started.task for each in task.around()})
+    state = state_at(log, end)
+    world = _world(state, objects, queries)
+    names = _of_world(objects, world)
     return Why(
         run,
-        ended,
-        (broken.failure if broken is not None else None) or task.failure,
-        thread=broken.thread if broken is not None else "",
-        raised=broken.chain if broken is not None else (),
+        end,
+        (cause.failure if cause is not None else None) or task.failure,
+        thread=cause.thread if cause is not None else "",
+        exceptions=cause.exceptions if cause is not None else (),
         task=task,
-        way=next(filter(None, (source.way(each.started) for each in task.around())), ()),
+        call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
         world=world,
         is_default=world is None or world is state.world(),
-        things=tuple(_things(world, [*_of_world(objects, world), *_named(world, task)])),
-        absent=tuple(name for name in _of_world(objects, world) if world is not None and name not in world.bodies),
-        tries=tuple(_tries(log, alike, world)),
-        others=sum(1 for other in before.origins if other not in alike),
-        asked=tuple(_with_changes(log, query, world) for query in asked),
-        earlier=earlier,
-        same=_since(log, same, state),
-        last=_since(log, before.last_success, state),
-        running=running,
+        bodies=tuple(_bodies(world, [*names, *_failure_bodies(world, task)])),
+        removed=tuple(name for name in names if world is not None and name not in world.bodies),
+        attempts=tuple(_attempts(log, alike, world)),
+        other_failures=sum(1 for other in before.origins if other not in alike),
+        queries=tuple(_with_changes(log, query, world) for query in queries),
+        earlier_queries=earlier,
+        since_same_success=_since(log, same, state),
+        since_last_success=_since(log, before.last_success, state),
+        unfinished=unfinished,
     )
 
 
-def _of_plan(log: Log, run: Summary, found: Failures, broken: RootCause) -> Why:
-    """Of a failure that the plan's own code raised, not a task."""
-    state = state_at(log, broken.step)
+def _plan_failure(log: Log, run: Summary, found: Failures, cause: RootCause) -> Why:
+    """Explain a failure that the plan's own code raised, not a task."""
+    state = state_at(log, cause.step)
     last = found.last_success
     window = last.started.seq if last is not None else 0
-    asked, earlier = _asked(log, window, broken.step if broken.thread else len(log), (), ())
-    objects = list(dict.fromkeys(each for query in asked for each in _objects(arguments_data(query.arguments))))
-    world = _world(state, objects, asked)
+    queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
+    objects = list(dict.fromkeys(each for query in queries for each in _objects(arguments_data(query.arguments))))
+    world = _world(state, objects, queries)
     return Why(
         run,
-        broken.step,
-        broken.failure,
-        thread=broken.thread,
-        raised=broken.chain,
+        cause.step,
+        cause.failure,
+        thread=cause.thread,
+        exceptions=cause.exceptions,
         world=world,
         is_default=world is None or world is state.world(),
-        things=tuple(_things(world, _of_world(objects, world))),
-        others=len(found.origins),
-        asked=tuple(_with_changes(log, query, world) for query in asked),
-        earlier=earlier,
-        last=_since(log, last, state),
+        bodies=tuple(_bodies(world, _of_world(objects, world))),
+        other_failures=len(found.origins),
+        queries=tuple(_with_changes(log, query, world) for query in queries),
+        earlier_queries=earlier,
+        since_last_success=_since(log, last, state),
     )
 
 
-# --- what was tried --------------------------------------------------------------------------------------------------
+# --- attempts --------------------------------------------------------------------------------------------------------
 
 
-def _is_alike(log: Log, task: Attempt, wanted: Attempt, objects: Iterable[tuple[str, str]]) -> bool:
-    """Whether it is the same that was tried, with one of the same bodies: those of a later world are others."""
+def _is_alike(log: Log, task: TaskExecution, wanted: TaskExecution, objects: Iterable[tuple[str, str]]) -> bool:
+    """Return whether a task is the same with one of the same bodies; bodies of a later world are others."""
     if (task.started.kind, task.started.name) != (wanted.started.kind, wanted.started.name):
         return False
-    told = set(_objects(task.parameters))
+    own = set(_objects(task.parameters))
     now, then = wanted.started.seq, task.started.seq
-    common = told.intersection(objects)
+    common = own.intersection(objects)
     return (
         not objects
-        or not told
+        or not own
         or any(log.lifetime_at(world, now) == log.lifetime_at(world, then) for _, world in common)
     )
 
 
-def _ids(task: Attempt) -> set[int]:
-    return {each.started.task for each in task.around()}
-
-
-def _tries(log: Log, tasks: Sequence[Attempt], world: World | None) -> Iterator[Try]:
+def _attempts(log: Log, tasks: Sequence[TaskExecution], world: World | None) -> Iterator[Attempt]:
     for number, task in enumerate(tasks):
         robot = None
         if world is not None and (number < _FIRST or number >= len(tasks) - _LAST):
             then = state_at(log, max(task.motion.started.seq - 1, 0)).worlds.get(world.name)
             robot = then.bodies.get(then.robot) if then is not None else None
-        yield Try(task, robot)
+        yield Attempt(task, robot)
 
 
 def _objects(parameters: Plain) -> list[tuple[str, str]]:
-    """Names of the bodies in values, with their worlds."""
+    """Return the names of the bodies in values, with their worlds."""
     if isinstance(parameters, dict):
         if set(parameters) == {"object", "world"}:
             return [(str(parameters["object"]), str(parameters["world"]))]
-        return [found for value in parameters.values() for found in _objects(value)]
-    if isinstance(parameters, list):
-        return [found for value in parameters for found in _objects(value)]
-    return []
+        parameters = list(parameters.values())
+    return [found for value in parameters for found in _objects(value)] if isinstance(parameters, list) else []
 
 
-# --- what it rested on -----------------------------------------------------------------------------------------------
+# --- queries ---------------------------------------------------------------------------------------------------------
 
 
-def _asked(
+def _queries(
     log: Log, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """The last queries about some bodies, or of some tasks, each question once; and how many more there are."""
+    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out."""
     latest: dict[tuple[object, ...], Query] = {}
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.records(Query, start, stop):
-        if isinstance(query, Query) and (
-            not names or query.task in ids or any(mentions(query, name) for name in names)
-        ):
+        if not names or query.task in ids or any(mentions(query, name) for name in names):
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
             latest.pop(question, None)
             latest[question] = query
     found = list(latest.values())
-    return found[-_MOST_ASKED:], max(len(found) - _MOST_ASKED, 0)
+    return found[-_MAX_QUERIES:], max(len(found) - _MAX_QUERIES, 0)
 
 
-def _with_changes(log: Log, query: Query, world: World | None) -> Asked:
-    """A query with what became of the things that it was about, until the failure in a world."""
+def _with_changes(log: Log, query: Query, world: World | None) -> RelevantQuery:
+    """Return a query with what has changed of its bodies until the failure in a world."""
     then = state_at(log, query.seq).worlds.get(query.world)
     if then is None or world is None:
-        return Asked(query)
+        return RelevantQuery(query)
     if then.title != world.title:
-        return Asked(query, world=then.title)
-    moved, gone = [], []
+        return RelevantQuery(query, world=then.title)
+    moved, removed = [], []
     for name, _ in dict.fromkeys(_objects(arguments_data(query.arguments))):
         before, after = then.bodies.get(name), world.bodies.get(name)
         if before is None:
             continue
         if after is None:
-            gone.append(name)
-        elif math.dist(before.position, after.position) > _NEAR:
+            removed.append(name)
+        elif math.dist(before.position, after.position) > _MOVED:
             moved.append(name)
-    return Asked(query, tuple(moved), tuple(gone))
+    return RelevantQuery(query, tuple(moved), tuple(removed))
 
 
-# --- what was so -----------------------------------------------------------------------------------------------------
+# --- the world at the failure ----------------------------------------------------------------------------------------
 
 
-def _world(state: State, objects: Iterable[tuple[str, str]], asked: Iterable[Query]) -> World | None:
-    """The world that it was about."""
+def _world(state: State, objects: Iterable[tuple[str, str]], queries: Iterable[Query]) -> World | None:
+    """Return the world that a failure was about."""
     opened = {name: world for name, world in state.worlds.items() if world.open}
-    for name in (*(world for _, world in objects), *(query.world for query in asked)):
+    for name in (*(world for _, world in objects), *(query.world for query in queries)):
         if name in opened:
             return opened[name]
     return max(opened.values(), key=lambda world: bool(world.robot), default=None)
 
 
 def _of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
-    """The names of those bodies that are of a world."""
-    return [name for name, place in objects if world is not None and place == world.name]
+    """Return the names of those bodies that are of a world."""
+    return [name for name, owner in objects if world is not None and owner == world.name]
 
 
-def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
+def _bodies(world: World | None, names: Iterable[str]) -> Iterator[InvolvedBody]:
     if world is None:
         return
     robot = world.bodies.get(world.robot)
@@ -243,23 +240,24 @@ def _things(world: World | None, names: Iterable[str]) -> Iterator[Thing]:
         if body is not None:
             distance = bearing = None
             if robot is not None and body is not robot:
-                across, along = body.position[0] - robot.position[0], body.position[1] - robot.position[1]
-                distance = math.hypot(across, along)
-                bearing = math.remainder(math.atan2(along, across) - heading(robot), math.tau)
-            yield Thing(body, world.carrier(name), tuple(world.carried(name)), body is robot, distance, bearing)
+                dx, dy = body.position[0] - robot.position[0], body.position[1] - robot.position[1]
+                distance = math.hypot(dx, dy)
+                bearing = math.remainder(math.atan2(dy, dx) - heading(robot), math.tau)
+            carried = tuple(world.carried(name))
+            yield InvolvedBody(body, world.carrier(name), carried, body is robot, distance, bearing)
 
 
-def _named(world: World | None, task: Attempt) -> Iterator[str]:
-    """The bodies that a failure names in its data."""
+def _failure_bodies(world: World | None, task: TaskExecution) -> Iterator[str]:
+    """Yield the names of movable bodies in the data of a task's failure."""
     data = arguments_data(task.failure.data) if task.failure is not None else {}
     for value in data.values():
         for name in value if isinstance(value, list) else [value]:
             body = world.bodies.get(name) if world is not None and isinstance(name, str) else None
-            if body is not None and not body.fixed_base:  # furniture is where it always is
+            if body is not None and not body.fixed_base:
                 yield body.name
 
 
-def _since(log: Log, task: Attempt | None, now: State) -> Since | None:
+def _since(log: Log, task: TaskExecution | None, now: State) -> ChangesSince | None:
     if task is None or task.finished is None:
         return None
-    return Since(task, difference(state_at(log, min(task.finished.seq, now.step)), now))
+    return ChangesSince(task, difference(state_at(log, min(task.finished.seq, now.step)), now))

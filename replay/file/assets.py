@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
 from replay.errors import Damaged, NoSuchName
-from replay.file.unpack import DAMAGE
+from replay.file.layout import DAMAGE, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,23 +26,17 @@ class Assets(Mapping[str, bytes]):
     """Contents by name, ``<sha256>/<file name>``; each is read when it is asked for.
 
     Attributes:
-        hurt: what is wrong with the damaged ones, as far as they were read, by name.
+        damaged: what is wrong with the damaged ones that were read, by name.
     """
 
     def __init__(self, path: Path, index: Index) -> None:
-        """Reads nothing yet.
-
-        Args:
-            path: of the recording, for errors.
-            index: of its file.
-        """
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
         self.damaged: dict[str, str] = {}
 
     def __getitem__(self, name: str) -> bytes:
-        """The content of a file.
+        """Return the content of a file.
 
         Raises:
             KeyError: there is none of that name.
@@ -52,11 +46,11 @@ class Assets(Mapping[str, bytes]):
         try:
             data: bytes = Attachment.read(ReadDataStream(io.BytesIO(content))).data
         except DAMAGE as error:
-            raise self._damaged(name, str(error) or type(error).__name__) from error
+            raise self._damaged(name, describe(error)) from error
         sha256, slash, _ = name.partition("/")
-        torn = zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little")
-        if torn or (slash and len(sha256) == 64 and hashlib.sha256(data).hexdigest() != sha256):
-            raise self._damaged(name, "its sum is not the one that it was stored with")
+        corrupt = zlib.crc32(content[:-4]) != int.from_bytes(content[-4:], "little")
+        if corrupt or (slash and len(sha256) == 64 and hashlib.sha256(data).hexdigest() != sha256):
+            raise self._damaged(name, "its checksum differs")
         return data
 
     def _damaged(self, name: str, cause: str) -> Damaged:
@@ -70,7 +64,7 @@ class Assets(Mapping[str, bytes]):
         return len(self._index.attachments)
 
     def urdf(self, name: str) -> Urdf:
-        """An attached model, parsed; once for all who ask.
+        """Return an attached model, parsed; once for all who ask.
 
         Args:
             name: ``<sha256>/<file name>``.

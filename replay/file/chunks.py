@@ -1,12 +1,11 @@
-"""The records in a recording's chunks: decompressed when they are asked for, and found by searching.
+"""The records in a recording's chunks: decompressed on demand, found by interpolation search.
 
-A chunk has about 50 records. What is damaged is left out and noted; the rest is delivered.
+A chunk has about 50 records. What is damaged is noted and left out.
 """
 
 from __future__ import annotations
 
 import struct
-from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -16,7 +15,7 @@ from mcap.opcode import Opcode
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
 from replay.errors import LogClosed
-from replay.file.layout import HEADER
+from replay.file.layout import HEADER, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -35,7 +34,7 @@ _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
 
 @dataclass(slots=True)
 class _Entries:
-    """What a chunk has of ours: channel and payload of each record, decoded when asked for."""
+    """The records of a chunk: channels, payloads, and those that were decoded by their index."""
 
     channels: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
@@ -46,20 +45,13 @@ class Chunks:
     """The chunks of a file.
 
     Attributes:
-        hurt: what is wrong with the damaged ones, as far as they were read, by their number.
+        damaged: what is wrong with the damaged ones that were read, by their number.
     """
 
     def __init__(self, index: Index) -> None:
-        """Reads nothing yet.
-
-        Args:
-            index: of the file.
-        """
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
-        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of chunks, as far as they were looked at
-        self._numbers: list[int] = []  # of these chunks, in order
-        self._firsts: list[int] = []  # their first steps
+        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
         self.damaged: dict[int, str] = {}
         self.refresh(0)
 
@@ -67,38 +59,29 @@ class Chunks:
         return len(self._index.chunks)
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """The channels in each chunk, as :class:`replay.file.layout.ChunkPlace` has them."""
+        """Return the channels in each chunk, as :class:`replay.file.layout.ChunkExtent` has them."""
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
-        """Forgets what was read of a chunk and those behind it.
-
-        Args:
-            number: of the first chunk that may have become another.
-        """
+        """Forget what was read of a chunk and those behind it."""
         for known in (self._cache, self._spans, self.damaged):
-            for stale in [other for other in known if other >= number]:
+            for stale in [cached for cached in known if cached >= number]:
                 del known[stale]
-        self._numbers = sorted(self._spans)
-        self._firsts = [self._spans[known][0] for known in self._numbers]
         self._kinds = kinds_of(self._index)
-        told = {channel: self._index.channels[channel].metadata for channel in self._kinds}
-        self._worlds = {channel: metadata.get("world") for channel, metadata in told.items()}
-        self._owners = {channel: _owner(metadata) for channel, metadata in told.items()}
+        metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
+        self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
+        self._owners = {channel: _owner(values) for channel, values in metadata.items()}
 
-    # --- what is in a chunk ----------------------------------------------------------------------------------------
+    # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """What a chunk has, as far as its channels tell.
-
-        Args:
-            number: of the chunk.
+        """Return the types of record in a chunk, and their worlds, by its channels.
 
         Returns:
-            Type of record, and the world that the channel is for; None for a channel that doesn't tell, or not exactly.
+            Type of record, and the world that the channel is for; None if it doesn't name exactly one.
         """
-        place = self._index.chunks[number]
-        ids = self._kinds if place.channels is None else place.ids()
+        chunk = self._index.chunks[number]
+        ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
 
     def records(
@@ -110,7 +93,7 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """The records of a chunk; nothing but what is asked for is decoded.
+        """Yield the records of a chunk; nothing but what is asked for is decoded.
 
         Args:
             number: of the chunk.
@@ -124,8 +107,8 @@ class Chunks:
             return
         text = naming.encode(errors="replace")
         entries = self._load(number, text)
-        places = range(len(entries.channels))
-        for at in reversed(places) if backwards else places:
+        indices = range(len(entries.channels))
+        for at in reversed(indices) if backwards else indices:
             channel = entries.channels[at]
             if wanted is not None and self._kinds[channel] not in wanted:
                 continue
@@ -138,11 +121,7 @@ class Chunks:
                 yield record
 
     def whole(self, number: int) -> list[Record]:
-        """All records of a chunk, at once: for going through a recording, which doesn't come back to it.
-
-        Args:
-            number: of the chunk.
-        """
+        """Return all records of a chunk, at once: for going through a recording, which doesn't come back to it."""
         entries, kinds = self._load(number), self._kinds
         try:
             return [
@@ -153,11 +132,7 @@ class Chunks:
             return list(self.records(number))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
-        """The mutations and keyframes of a chunk, with the worlds that their channels are for.
-
-        Args:
-            number: of the chunk.
-        """
+        """Yield the mutations and keyframes of a chunk, with the worlds that their channels are for."""
         entries = self._load(number)
         for at, channel in enumerate(entries.channels):
             if self._kinds[channel] in (Mutation, Keyframe):
@@ -166,18 +141,14 @@ class Chunks:
                     yield record, self._owners[channel]
 
     def check(self, number: int) -> None:
-        """Reads and decodes a whole chunk, and notes in ``damaged`` what is wrong with it."""
+        """Read and decodes a whole chunk, and notes in ``damaged`` what is wrong with it."""
         for _ in self.records(number):
             pass
 
-    # --- where a step is -------------------------------------------------------------------------------------------
+    # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """The first and the last step in a chunk; of one without readable records, the last one before it twice.
-
-        Args:
-            number: of the chunk.
-        """
+        """Return the first and the last step in a chunk; of an unreadable one an empty span after the last one."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -185,27 +156,19 @@ class Chunks:
                 if first is None or last is None:
                     continue
                 self._spans[at] = first.seq, last.seq
-                place = bisect_left(self._numbers, at)
-                self._numbers.insert(place, at)
-                self._firsts.insert(place, first.seq)
             first_step, last_step = self._spans[at]
-            return (first_step, last_step) if at == number else (last_step, last_step)
-        return 0, 0
+            return (first_step, last_step) if at == number else (last_step + 1, last_step)
+        return 0, -1
 
     def chunk_of(self, step: int, steps: int) -> int:
-        """The number of the chunk that a step is in, if it is in any: the last one that doesn't begin behind it.
-
-        Args:
-            step: from 0.
-            steps: how many there are.
-        """
-        low, first, high, end = self._between(step, steps)
+        """Return the number of the chunk that can have a step, of so many: the last one that doesn't begin after it."""
+        low, first, high, end = 0, 0, len(self) - 1, steps
         probes = 0
         while low < high:
-            # steps increase almost evenly, so a guess comes near; halving each third time makes sure
+            # steps increase almost evenly, so interpolation gets near; halving each third time bounds the search
             probes += 1
-            even = low + (high + 1 - low) * (step - first) // max(1, end - first)
-            middle = min(max(even, low + 1), high) if probes % 3 else (low + high + 1) // 2
+            guess = low + (high + 1 - low) * (step - first) // max(1, end - first)
+            middle = min(max(guess, low + 1), high) if probes % 3 else (low + high + 1) // 2
             begin, last = self.span(middle)
             if begin > step:
                 high, end = middle - 1, begin
@@ -215,22 +178,10 @@ class Chunks:
                 low, first = middle, begin
         return low
 
-    def _between(self, step: int, steps: int) -> tuple[int, int, int, int]:
-        """What is known of where a step is.
-
-        Returns:
-            The last chunk that surely doesn't begin behind it, its first step; the last chunk that may be it, and the
-            first step behind that.
-        """
-        at = bisect_right(self._firsts, step)
-        low, first = (self._numbers[at - 1], self._firsts[at - 1]) if at else (0, 0)
-        high, end = (self._numbers[at] - 1, self._firsts[at]) if at < len(self._numbers) else (len(self) - 1, steps)
-        return low, first, high, end
-
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """What a chunk has; nothing if a text isn't anywhere in it."""
+        """Return what a chunk has; nothing if a text isn't anywhere in it."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -243,7 +194,7 @@ class Chunks:
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
-            self.damaged.setdefault(number, str(error) or type(error).__name__)
+            self.damaged.setdefault(number, describe(error))
         self._cache[number] = entries
         if len(self._cache) > _CACHED:
             self._cache.popitem(last=False)
@@ -272,11 +223,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """The types of record by the channels of a file that are ours.
-
-    Args:
-        index: of the file.
-    """
+    """Return the types of record by the channels of a file that are ours."""
     found = {}
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -286,6 +233,6 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Which world a channel is for, and which one of that name; None if it doesn't say so."""
+    """Return the world of a channel and the number of its lifetime; None if it has none."""
     lifetime = metadata.get("life", "")
     return (metadata["world"], int(lifetime)) if "world" in metadata and lifetime.isdecimal() else None

@@ -1,4 +1,4 @@
-"""The file of a recording: whether it is one at all, and whether somebody is writing it."""
+"""The file of a recording: whether it is one, and whether a recorder is writing it."""
 
 from __future__ import annotations
 
@@ -20,21 +20,18 @@ if TYPE_CHECKING:
 
     from replay.file.index import Index
 
-_ALIKE: Final = len(MAGIC) - 2  # so many of the first bytes are right in a damaged file of the kind
+_MIN_MAGIC: Final = len(MAGIC) - 2  # bytes that must be right: a damaged file may have wrong ones
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Opens a file if it is MCAP's by its first bytes, or was before it was damaged.
-
-    Args:
-        path: the file.
+    """Open a file if it is MCAP's by its first bytes, or was before it was damaged.
 
     Raises:
         NotALog: it isn't there, or is something else.
         Unreadable: it is empty, or cut off within these bytes.
     """
     try:
-        file = open(path, "rb", opener=_without_waiting)  # noqa: SIM115  the log closes it
+        file = open(path, "rb", opener=_nonblocking)  # noqa: SIM115  the log closes it
         try:
             _check_start(path, file)
         except BaseException:
@@ -45,32 +42,28 @@ def open_file(path: Path) -> BinaryIO:
     return file
 
 
-def _without_waiting(path: str, flags: int) -> int:
-    """Opens a pipe at once too; otherwise it would wait for somebody who writes into it."""
+def _nonblocking(path: str, flags: int) -> int:
+    """Open a file without blocking: a pipe would wait for a writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def _check_start(path: Path, file: BinaryIO) -> None:
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-        raise NotALog(path, "is no regular file; a recording is read here and there: write it to a file first")
+        raise NotALog(path, "is no regular file; recordings are read at random positions: write it to a file first")
     start = file.read(len(MAGIC))
     if len(start) < len(MAGIC) and MAGIC.startswith(start):
         raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
-    alike = sum(one == other for one, other in zip(start, MAGIC, strict=False))
+    matching = sum(a == b for a, b in zip(start, MAGIC, strict=False))
     file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
-    if alike < _ALIKE and file.read() != MAGIC:
+    if matching < _MIN_MAGIC and file.read() != MAGIC:
         raise NotALog(path, "is no MCAP file")
 
 
 def check_ours(path: Path, index: Index) -> None:
-    """Says what a file without any channel that we know is.
-
-    Args:
-        path: the file.
-        index: what is in it.
+    """Say what a file without any channel that we know is.
 
     Raises:
-        NotALog: it is somebody else's.
+        NotALog: it is another program's.
         Unreadable: it is of another release, or too damaged to say.
     """
     if kinds_of(index):
@@ -84,11 +77,7 @@ def check_ours(path: Path, index: Index) -> None:
 
 
 def is_locked(file: BinaryIO) -> bool:
-    """Whether a recorder holds its lock on the file.
-
-    Args:
-        file: the open file.
-    """
+    """Return whether a recorder holds its lock on the file."""
     if fcntl is None:
         return False
     try:

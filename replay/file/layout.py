@@ -1,13 +1,21 @@
-"""Where the chunks of a file lie, and how its format frames them.
+"""The MCAP format's framing, the positions of a file's chunks, and their decompression.
 
-A recording of a million records has 20,000 of them, and a question needs a few. So what the file's summary says of a
-chunk stays as it is until it is asked for.
+A recording of a million records has 20,000 chunks, and a question needs a few: the file's summary is decoded chunk by
+chunk on demand.
 """
 
 from __future__ import annotations
 
+import io
 import struct
+import zlib
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Chunk
+from mcap.stream_reader import get_chunk_data_stream
+from zstandard import ZstdDecompressor
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -20,17 +28,20 @@ FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
 _MAP_LENGTH: Final = struct.Struct("<I")
+CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
+#: What a damaged file can raise in the libraries that decode it.
+DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 
 
-class Place(NamedTuple):
-    """Where an MCAP record's content lies: the file's offset, behind opcode and length, and its own length."""
+class Extent(NamedTuple):
+    """The extent of an MCAP record's content: its offset in the file, after opcode and length, and its length."""
 
     offset: int
     length: int
 
 
-class ChunkPlace(NamedTuple):
-    """A chunk: where its content lies, and which channels have messages in it.
+class ChunkExtent(NamedTuple):
+    """The extent of a chunk's content, and the channels that have messages in it.
 
     ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where nothing says it.
     """
@@ -40,44 +51,39 @@ class ChunkPlace(NamedTuple):
     channels: bytes | None
 
     def ids(self) -> Iterator[int]:
-        """Ids of the channels that have messages in this chunk."""
+        """Return the ids of the channels that have messages in this chunk."""
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(self.channels or b""))
 
 
-class ChunkPlaces:
-    """The chunks in the file's order: those of its summary, or found by walking."""
+class ChunkTable:
+    """The chunks in the file's order: those of its summary, or found by scanning."""
 
     def __init__(self) -> None:
         self._summary = b""
-        self._items: list[int | ChunkPlace] = []  # an int is the place in the summary
+        self._items: list[int | ChunkExtent] = []  # an int is the offset in the summary
 
     def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
-        """Takes all chunks of a file's summary.
-
-        Args:
-            summary: its bytes.
-            starts: where in it the contents of the chunk indexes begin.
-        """
+        """Take all chunks of a file's summary."""
         self._summary = summary
         self._items = list(starts)
 
-    def append(self, place: ChunkPlace) -> None:
-        """Adds the next chunk."""
-        self._items.append(place)
+    def append(self, chunk: ChunkExtent) -> None:
+        """Add the next chunk."""
+        self._items.append(chunk)
 
-    def tell_channels(self, channels: bytes) -> None:
-        """Says of the last chunk which channels have messages in it."""
+    def set_channels(self, channels: bytes) -> None:
+        """Set the channels that have messages in the last chunk."""
         self._items[-1] = self[-1]._replace(channels=channels)
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Remove all chunks."""
         self._items.clear()
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """What :class:`ChunkPlace` has as ``channels``, of each chunk."""
+        """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""
         summary = self._summary
         for item in self._items:
-            if isinstance(item, ChunkPlace):
+            if isinstance(item, ChunkExtent):
                 yield item.channels
             else:
                 first = item + _CHUNK_INDEX.size
@@ -87,10 +93,38 @@ class ChunkPlaces:
     def __len__(self) -> int:
         return len(self._items)
 
-    def __getitem__(self, number: int) -> ChunkPlace:
+    def __getitem__(self, number: int) -> ChunkExtent:
         item = self._items[number]
-        if isinstance(item, ChunkPlace):
+        if isinstance(item, ChunkExtent):
             return item
         _, _, offset, size, length = _CHUNK_INDEX.unpack_from(self._summary, item)
         first = item + _CHUNK_INDEX.size
-        return ChunkPlace(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
+        return ChunkExtent(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
+
+
+def describe(error: Exception) -> str:
+    """Return an error's message, or its type's name if it has none."""
+    return str(error) or type(error).__name__
+
+
+class Decompressor:
+    """Decompresses chunks one after the other; not for several threads at once."""
+
+    def __init__(self) -> None:
+        self._zstd = ZstdDecompressor()
+
+    def contents(self, chunk: bytes) -> bytes:
+        """Return the messages of a chunk.
+
+        Raises:
+            Exception: it is damaged; what the decompressors raise has no common base.
+        """
+        _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
+        start = CHUNK_HEAD.size + length
+        if chunk[CHUNK_HEAD.size : start] != b"zstd":  # other recorders may choose; ours takes this
+            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(io.BytesIO(chunk))), validate_crc=True)
+            return stream.read(size)
+        data = self._zstd.decompress(memoryview(chunk)[start + 8 :], max_output_size=size)
+        if crc and zlib.crc32(data) != crc:
+            raise ValueError("its checksum differs")
+        return data

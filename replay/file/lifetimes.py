@@ -1,7 +1,7 @@
-"""The lives of worlds: a name is free again when its world has ended, and the next one of that name is another world.
+"""The lifetimes of worlds: a name is free again when its world has ended, and the next one of that name is another.
 
-The recorder gives each life channels of its own, so the index tells in which chunks it has something. Where channels
-don't tell (more worlds than a file has channels for, recordings of earlier releases), the changes themselves are read.
+The recorder gives each lifetime its own channels, so the index has the chunks of each. Where channels don't have it
+(more worlds than a file has channels for, recordings of earlier releases), the changes themselves are read.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from replay.file.chunks import Chunks
 
-Owner: TypeAlias = "tuple[str, int]"  # a world's name, and which one of that name it is
-_Mark: TypeAlias = "tuple[type[Record], Owner]"  # what sort of record a chunk has of a world
+Owner: TypeAlias = "tuple[str, int]"  # a world's name, and the number of its lifetime, from 1
+_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record that a chunk has of a world
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,25 +43,16 @@ class Lifetime:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Its name for people; see :func:`title`."""
         return title(self.world, self.number)
 
     def has(self, step: int) -> bool:
-        """Whether this one is meant, of all that had its name, at a step.
-
-        Args:
-            step: from 0.
-        """
+        """Return whether its name means this world at a step."""
         return self.start <= step and (self.stop is None or step < self.stop)
 
 
 def title(world: str, number: int) -> str:
-    """What people call a world: its name, and which of that name it is if it isn't the first.
-
-    Args:
-        world: its name.
-        number: which one of that name it is, from 1.
-    """
+    """Return what people call a world: its name, and which of that name it is if it isn't the first."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -69,11 +60,7 @@ def title(world: str, number: int) -> str:
 
 
 def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
-    """The lives of all worlds, in the order of their opening.
-
-    Args:
-        chunks: of the file.
-    """
+    """Return the lifetimes of all worlds, in the order of their opening."""
     found = _found(chunks)
     starts = _starts(chunks, found)
     lifetimes = []
@@ -85,17 +72,17 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 
 
 def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
-    """The numbers of the chunks that have changes of each life, and of those with keyframes."""
+    """Return the numbers of the chunks that have changes of each lifetime, and of those with keyframes."""
     found: dict[Owner, tuple[list[int], list[int]]] = {}
-    latest: dict[str, int] = {}  # lives so far, by name of the world
-    alike: dict[bytes, list[list[int]]] = {}  # where a chunk belongs, by the ids of its channels
+    latest: dict[str, int] = {}  # number of the latest lifetime by name of the world
+    alike: dict[bytes, list[list[int]]] = {}  # the lists to which a chunk belongs, by the ids of its channels
     for number, channels in enumerate(chunks.channel_maps()):
         ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
         belongs = alike.get(ids)
         if belongs is None:
-            told = [(kind, owner) for kind, owner in chunks.channels(number) if kind in (Mutation, Keyframe)]
-            marks: list[_Mark] = [(kind, owner) for kind, owner in told if owner is not None]
-            exact = bool(ids) and len(marks) == len(told)
+            kinds = [(kind, owner) for kind, owner in chunks.channels(number) if kind in (Mutation, Keyframe)]
+            marks: list[_Mark] = [(kind, owner) for kind, owner in kinds if owner is not None]
+            exact = bool(ids) and len(marks) == len(kinds)
             if not exact:
                 marks = [(type(record), _owner(record, owner, latest)) for record, owner in chunks.changes(number)]
             for _, (world, lifetime) in marks:
@@ -108,10 +95,10 @@ def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
     return found
 
 
-def _owner(record: Record, told: Owner | None, latest: dict[str, int]) -> Owner:
-    """Which life a record is of: what its channel tells, else by counting."""
-    lifetime = told[1] if told is not None else latest.get(record.world, 0)
-    if not lifetime or (told is None and _opens(record)):
+def _owner(record: Record, known: Owner | None, latest: dict[str, int]) -> Owner:
+    """Return the world of a record: the one of its channel if that is known, else by counting."""
+    lifetime = known[1] if known is not None else latest.get(record.world, 0)
+    if not lifetime or (known is None and _opens(record)):
         lifetime += 1
     latest[record.world] = lifetime
     return record.world, lifetime
@@ -122,21 +109,21 @@ def _opens(record: Record) -> bool:
 
 
 def _where(found: dict[Owner, tuple[list[int], list[int]]], marks: Iterable[_Mark]) -> list[list[int]]:
-    """The lists that a chunk belongs to, by what it has."""
+    """Return the lists that a chunk belongs to, by what it has."""
     belongs = []
     kinds: defaultdict[Owner, set[type[Record]]] = defaultdict(set)
     for kind, owner in marks:
         kinds[owner].add(kind)
-    for owner, there in kinds.items():
+    for owner, present in kinds.items():
         changes, keyframes = found.setdefault(owner, ([], []))
         belongs.append(changes)
-        if Keyframe in there:
+        if Keyframe in present:
             belongs.append(keyframes)
     return belongs
 
 
 def _starts(chunks: Chunks, found: dict[Owner, tuple[list[int], list[int]]]) -> dict[Owner, int]:
-    """The first steps of lives; 0 where nothing depends on it, so that nothing need be read to know it."""
+    """Return the first steps of lifetimes; 0 where nothing depends on it, to avoid reading."""
     begun: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
     for owner, (changes, _) in found.items():
         begun[changes[0]].append(owner)
@@ -148,7 +135,7 @@ def _starts(chunks: Chunks, found: dict[Owner, tuple[list[int], list[int]]]) -> 
 
 
 def _begun(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """The first steps of the lives that begin in a chunk, as far as it can be read."""
+    """Yield the first steps of the lifetimes that begin in a chunk, as far as it can be read."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

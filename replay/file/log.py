@@ -10,9 +10,9 @@ import contextlib
 import os
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from recorder.records import TOPICS, Keyframe, Mutation
+from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Query, Run, Task
 from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "Log"]
 
+R = TypeVar("R", Run, Task, Mutation, Event, Fluent, Query, Keyframe)
+
 
 class Log:
     """The records of a recording. Not for several threads at once.
@@ -37,7 +39,7 @@ class Log:
         path: the file.
         assets: the attached files by ``<sha256>/<file name>``.
         written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
-        identity: tells the file from others, whatever stands under its name meanwhile.
+        identity: of the file, whatever other file gets its name later.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -66,26 +68,26 @@ class Log:
     def __repr__(self) -> str:
         if self._file.closed:
             return f"<Log {self.path}: closed>"
-        return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.missing}>"
+        return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.problems}>"
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         self._file.close()
 
-    # --- what is there ---------------------------------------------------------------------------------------------
+    # --- the run and the file ---------------------------------------------------------------------------------------
 
     @property
     def metadata(self) -> Mapping[str, str]:
-        """What the recorder said of the run: plan, versions, platform, arguments."""
+        """The run's metadata: plan, versions, platform, arguments."""
         return {
             key if name == "pycram" else f"{name}.{key}": value
-            for name, told in self._index.metadata.items()
-            for key, value in told.items()
+            for name, values in self._index.metadata.items()
+            for key, value in values.items()
         }
 
     @property
     def closed(self) -> bool:
-        """Whether its recorder closed the file; then nothing will be added."""
+        """Whether the recorder closed the file; then nothing will be added."""
         return self._index.closed
 
     @property
@@ -93,7 +95,7 @@ class Log:
         """Whether a recorder is writing the file now.
 
         Raises:
-            LogClosed: the file was closed, and nobody can tell any more.
+            LogClosed: this object was closed, so that it can't be known.
         """
         if self._file.closed and not self.closed:
             raise LogClosed(self.path)
@@ -101,33 +103,34 @@ class Log:
 
     @property
     def complete(self) -> bool:
-        """Whether the file was closed by its recorder, and nothing of it was found to be damaged so far."""
-        return not self.missing
+        """Whether the recorder closed the file, and no damage was found so far."""
+        return not self.problems
 
     @property
-    def missing(self) -> str:
-        """In words, what is missing of the recording; empty if nothing is known to be."""
-        told = []
+    def problems(self) -> str:
+        """What is known to be missing or damaged, in words; empty if nothing is."""
+        found = []
         if not self.closed:
             writer = "it is still being written" if self.live else "its process was killed"
-            torn = f", its last {self._index.torn} bytes are torn" if self._index.torn else ""
-            told.append(f"it was not closed ({writer}){torn}")
+            cut = self._index.incomplete_bytes
+            tail = f", its last {cut} bytes are incomplete" if cut else ""
+            found.append(f"it was not closed ({writer}){tail}")
         elif not self._index.whole:
-            told.append("the index at its end is damaged")
-        told += self._index.damage
-        told += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
-        told += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
+            found.append("the index at its end is damaged")
+        found += self._index.damage
+        found += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
+        found += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
         if self._lost and not self._chunks.damaged:
-            told.append(f"{self._lost} records are lost on the way")
-        return "; ".join(told)
+            found.append(f"{self._lost} records are lost")
+        return "; ".join(found)
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
-        """The worlds in the order of their opening; one whose name was taken again is another one."""
+        """The lifetimes of worlds in the order of their opening; a name that is taken again begins another one."""
         return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
-        """How many records of each kind there are, by the file's own index; nothing is decoded."""
+        """Return the number of records of each kind, from the file's own index; nothing is decoded."""
         found: dict[str, int] = {}
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
@@ -142,7 +145,7 @@ class Log:
         return self._steps
 
     def __getitem__(self, step: int) -> Record:
-        """The record of a step; negative steps count from the end.
+        """Return the record of a step; negative steps count from the end.
 
         Raises:
             NoSuchStep: there is none.
@@ -159,8 +162,12 @@ class Log:
     def __iter__(self) -> Iterator[Record]:
         return self.records()
 
-    def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]:
-        """Streams records; nothing but what is asked for is decoded.
+    @overload
+    def records(self, kind: type[R], start: int = 0, stop: int | None = None) -> Iterator[R]: ...
+    @overload
+    def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
+    def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
+        """Stream records; nothing but what is asked for is decoded.
 
         Args:
             kind: only those of this type, or of one of these.
@@ -175,13 +182,17 @@ class Log:
                 if start <= record.seq < end:
                     yield record
 
-    def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]:
-        """Streams records from a step down to the first.
+    @overload
+    def backwards(self, start: int, kind: type[R], *, naming: str = "") -> Iterator[R]: ...
+    @overload
+    def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
+    def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
+        """Stream records from a step down to the first.
 
         Args:
             start: the step to begin with; negative ones count from the end.
             kind: only those of this type, or of one of these.
-            naming: only those that have this text in one of their fields; the others cost next to nothing.
+            naming: only those that have this text in one of their fields; the others are not decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -190,67 +201,48 @@ class Log:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """The world that a name meant at a step, or will mean first; None if there is none of that name.
-
-        Args:
-            world: its name.
-            step: from 0.
-        """
+        """Return the world that a name meant at a step, or will mean first; None if there is none of that name."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
-    def records_of(self, lifetime: Lifetime, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]:
-        """Streams a world's records of certain chunks.
-
-        Args:
-            lifetime: the world.
-            kind: only those of this type, or of one of these.
-            chunks: their numbers, some of those that the world names.
-        """
+    @overload
+    def records_of(self, lifetime: Lifetime, kind: type[R], chunks: Sequence[int]) -> Iterator[R]: ...
+    @overload
+    def records_of(self, lifetime: Lifetime, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]: ...
+    def records_of(self, lifetime: Lifetime, kind: Any, chunks: Sequence[int]) -> Iterator[Any]:
+        """Stream a world's records of one or several types in certain chunks."""
         for number in chunks:
             for record in self._chunks.records(number, kind, lifetime.world):
                 if lifetime.has(record.seq):
                     yield record
 
     def chunk_of(self, step: int) -> int:
-        """The number of the chunk that a step is in, if it is in any.
-
-        Args:
-            step: from 0.
-        """
+        """Return the number of the chunk that a step is in, if it is in any."""
         return self._chunks.chunk_of(step, self._steps)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
-        """The last change of a world, or its last keyframe if that comes later; None if it is lost.
-
-        Args:
-            lifetime: the world.
-        """
+        """Return the last change of a world, or its last keyframe if that comes later; None if it is lost."""
         last = None
         for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last one
             pass
         return last
 
-    # --- whole or not ----------------------------------------------------------------------------------------------
+    # --- completeness ----------------------------------------------------------------------------------------------
 
     def check(self) -> str:
-        """Reads everything once.
-
-        Returns:
-            What is missing or damaged, in words; empty if nothing is.
-        """
+        """Read everything once, and return :attr:`problems`."""
         for number in range(len(self._chunks)):
             self._chunks.check(number)
         for name in self.assets:
-            with contextlib.suppress(Damaged):  # which it notes
+            with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]
-        if not self.missing:
+        if not self.problems:
             self._index.check()
-        return self.missing
+        return self.problems
 
     def lost(self) -> list[range]:
-        """The steps that are not there although later ones are; reads a damaged recording whole, any other not."""
-        sound = self._index.whole or (not self._index.closed and not self._index.damage)
-        if sound and not self._chunks.damaged and not self._lost:
+        """Return the ranges of steps that are missing before the last one; only a damaged recording is read."""
+        intact = self._index.whole or (not self._index.closed and not self._index.damage)
+        if intact and not self._chunks.damaged and not self._lost:
             return []
         found = []
         expected = 0
@@ -261,11 +253,7 @@ class Log:
         return found
 
     def refresh(self) -> bool:
-        """Looks for what was written since, if the file was not closed.
-
-        Returns:
-            Whether there is anything new.
-        """
+        """Look for records that were written since, if the file was not closed; return whether there are any."""
         last = len(self._chunks) - 1
         if not self._index.refresh():
             return False
@@ -275,7 +263,7 @@ class Log:
         return True
 
     def _count(self) -> int:
-        """The number of steps: one more than the last one's."""
+        """Return the number of steps: one more than the last one's."""
         for number in range(len(self._chunks) - 1, -1, -1):
             last = next(self._chunks.records(number, backwards=True), None)
             if last is not None:

@@ -1,1 +1,1 @@
-"""From a recording back to a live world. This room and those above need the executor."""
+"""From a recording back to a live world, or to a picture of it. This room and those above import the executor."""

@@ -1,15 +1,14 @@
-"""Asks the reasoning queries at any past step, also under changed conditions.
+"""Asks reasoning queries at any past step, also under changed conditions.
 
-The world of that step is rebuilt aside, things are put elsewhere if wanted, and the query is asked there: it is the
-same code that plans ask, so at a step where a plan asked, the answer is the plan's. A query that is on record can be
-asked again as it was.
+The world of that step is rebuilt unrecorded, objects are moved if wanted, and the query runs there: it is the same code
+that plans call, so at a step where a plan asked, the answer is the plan's.
 """
 
 from __future__ import annotations
 
 import inspect
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram import bullet_world_reasoning as btr
@@ -17,7 +16,6 @@ from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import Verdict
 from recorder.records import Query, to_json
 from replay.errors import NoSuchName
-from replay.explain.step_names import step_of
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
 from replay.restore.world import unrecorded
 from replay.state.fold import state_at
@@ -37,12 +35,12 @@ QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getatt
 
 #: Parameters that take an object, or several; a pose may be one, or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
-_RECORDED: Final = {"gripper": "gripper_name"}  # what records call arguments whose parameter has another name
+_RECORDED: Final = {"gripper": "gripper_name"}  # recorded argument names that differ from the parameter's
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """What shall be elsewhere.
+    """An object that is moved before the query.
 
     Attributes:
         body: name of the object.
@@ -57,15 +55,15 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What was found out.
+    """The answer to a query.
 
     Attributes:
         step: the step after which it was asked.
         world: name of the world.
-        question: what was asked.
-        moves: what was put elsewhere before.
+        question: the query with its arguments.
+        moves: what was moved before.
         answer: true or false, names of objects, or true or false for each of several.
-        evidence: what it rests on.
+        evidence: what the answer is based on.
     """
 
     step: int
@@ -73,66 +71,57 @@ class Answer:
     question: Question
     answer: bool | list[str | bool]
     evidence: Mapping[str, Plain]
-    moves: tuple[Move, ...] = field(default=())
+    moves: tuple[Move, ...] = ()
 
 
 def ask(
-    log: Log, step: int | str, question: str | Question, *, world: str | None = None, moves: Sequence[Move] = ()
+    log: Log,
+    step: int,
+    question: str | Question | None = None,
+    *,
+    world: str | None = None,
+    moves: Sequence[Move] = (),
 ) -> Answer:
-    """Asks a query at a past step; nothing of it appears in any recording.
+    """Ask a query at a past step; no recording mentions it.
 
     Args:
         log: the recording.
-        step: a number, or a name as :func:`replay.explain.step_names.step_of` knows them.
+        step: from 0.
         question: as ``visible(milk, wide_stereo_optical_frame)``; all of :data:`QUERIES`, with the arguments of
-            :mod:`pycram.bullet_world_reasoning`.
-        world: its name; without one, the open one that was opened last.
-        moves: what is put elsewhere before, with all that it carries.
+            :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again.
+        world: its name; by default the open one that was opened last.
+        moves: what is moved before, with all that it carries.
 
     Raises:
-        BadQuestion: it can't be read, or that world has no answer to it.
+        BadQuestion: it can't be read, that world has no answer to it, or the step's record is no query.
         NotRestored: no world was open then.
     """
+    if question is None:
+        record = log[step]
+        if not isinstance(record, Query):
+            raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
+        question, world = question_of(record), record.world
     asked = parse(question) if isinstance(question, str) else question
     if asked.query not in QUERIES:
         raise NoSuchName("query", asked.query, QUERIES)
-    number = step_of(log, step)
-    state = state_at(log, number)
+    state = state_at(log, step)
     name = state.world(world).name if world is not None else None
-    with unrecorded(log, number, name) as restored:
+    with unrecorded(log, step, name) as restored:
         try:
             for move in moves:
-                _put(restored, move)
+                _apply(restored, move)
             found = _call(restored, asked)
         except NoSuchName as error:  # of an object, which another world may have
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(asked), str(error)) from error
-        answer = [_told(item) for item in found] if isinstance(found, list) else bool(found)
+        answer = [_item(item) for item in found] if isinstance(found, list) else bool(found)
         evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
         title = restored.name.rpartition("@")[0]
-    return Answer(number, title, asked, answer, evidence, tuple(moves))
+    return Answer(step, title, asked, answer, evidence, tuple(moves))
 
 
-def again(log: Log, step: int | str, *, moves: Sequence[Move] = ()) -> Answer:
-    """Asks a query that is on record once more, where it was asked.
-
-    Args:
-        log: the recording.
-        step: the query's.
-        moves: what is put elsewhere before.
-
-    Raises:
-        BadQuestion: the step's record isn't a query.
-    """
-    number = step_of(log, step)
-    record = log[number]
-    if not isinstance(record, Query):
-        raise BadQuestion(f"step {number}", "it is no query that could be asked again; say what to ask")
-    return ask(log, number, question_of(record), world=record.world, moves=moves)
-
-
-def _put(world: BulletWorld, move: Move) -> None:
+def _apply(world: BulletWorld, move: Move) -> None:
     body = _object(world, move.body)
     try:
         body.set_position(move.position, move.orientation)
@@ -149,17 +138,15 @@ def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | F
     except TypeError as error:
         takes = ", ".join(str(parameter).partition(":")[0] for parameter in signature.parameters.values())
         raise BadQuestion(str(question), f"{error}; it is {question.query}({takes})") from None
-    given = {name: _value(world, name, term) for name, term in bound.arguments.items()}
-    return query(**given)
+    return query(**{name: _value(world, name, term) for name, term in bound.arguments.items()})
 
 
-def _told(item: Object | Verdict) -> str | bool:
-    """An item of a list that was found."""
+def _item(item: Object | Verdict) -> str | bool:
     return bool(item) if isinstance(item, Verdict) else item.name
 
 
 def _value(world: BulletWorld, parameter: str, term: object) -> object:
-    """What a query gets for a term."""
+    """Return a term's value."""
     if parameter == "world":
         return world
     if parameter in _OBJECTS and isinstance(term, Name | str):

@@ -1,8 +1,8 @@
 """Questions as people type them: ``visible(milk, wide_stereo_optical_frame)``.
 
-A small language, read with Python's own parser but never executed: one call of a query with names, texts, numbers,
-lists and keyword arguments. A name stands for an object, for the robot, or for a frame: whichever the query takes.
-What records show of a query can be typed as a question too, with ``true``, ``false`` and ``null``.
+A small language, read with Python's parser but never executed: one call of a query with names, strings, numbers, lists
+and keyword arguments. A name is an object, the robot, or a frame: whichever the query takes. A query as records show it
+can be typed as a question too, with ``true``, ``false`` and ``null``.
 """
 
 from __future__ import annotations
@@ -24,38 +24,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A word that isn't in quotes.
-
-    Attributes:
-        text: the word; of a dotted one the last part, so that ``BulletWorld.robot`` is the robot.
-    """
+    """An identifier that isn't in quotes; of a dotted one the last part: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
 
-_WORDS: Final[Mapping[str, bool | None]] = {"true": True, "false": False, "null": None}
+_LITERALS: Final[Mapping[str, bool | None]] = {"true": True, "false": False, "null": None}
 
 Term: TypeAlias = "Name | str | float | int | bool | list[Term] | None"
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One call of a query.
-
-    Attributes:
-        query: its name.
-        arguments: in order.
-        keywords: by name.
-    """
+    """One call of a query, with positional and keyword arguments."""
 
     query: str
     arguments: tuple[Term, ...] = ()
     keywords: Mapping[str, Term] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        told = [_text(term) for term in self.arguments]
-        told += [f"{name}={_text(term)}" for name, term in self.keywords.items()]
-        return f"{self.query}({', '.join(told)})"
+        terms = [_text(term) for term in self.arguments]
+        terms += [f"{name}={_text(term)}" for name, term in self.keywords.items()]
+        return f"{self.query}({', '.join(terms)})"
 
 
 class BadQuestion(ReplayError):
@@ -73,16 +63,13 @@ class BadQuestion(ReplayError):
 
 
 def question_of(record: Query) -> Question:
-    """The question that a query on record was, with the names of arguments that are on record.
-
-    Args:
-        record: the query.
+    """Return a recorded query as a question with its recorded argument names.
 
     Raises:
         BadQuestion: its arguments can't be read.
     """
     try:
-        arguments = {told.name: _recorded(json.loads(told.json)) for told in record.arguments}
+        arguments = {argument.name: _recorded(json.loads(argument.json)) for argument in record.arguments}
     except ValueError as error:
         raise BadQuestion(f"step {record.seq}", f"its arguments make no sense: {error}") from error
     return Question(record.name, (), {name: term for name, term in arguments.items() if term is not None})
@@ -97,10 +84,7 @@ def _recorded(value: Plain) -> Term:
 
 
 def parse(text: str) -> Question:
-    """Reads a question.
-
-    Args:
-        text: as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``.
+    """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``.
 
     Raises:
         BadQuestion: it isn't one call with plain arguments.
@@ -113,31 +97,27 @@ def parse(text: str) -> Question:
     if not isinstance(call, ast.Call):
         raise BadQuestion(text, "a question is the call of a query, as stable(milk)")
     try:
-        query = _word(call.func)
+        query = _identifier(call.func)
         arguments = tuple(_term(node) for node in call.args)
         keywords = {str(keyword.arg): _term(keyword.value) for keyword in call.keywords if keyword.arg is not None}
-    except (_NoTerm, RecursionError) as error:
+    except (_NotATerm, RecursionError) as error:
         cause = str(error) or "it is nested too deeply"
-        raise BadQuestion(text, f"{cause}; arguments are names, texts, numbers and lists") from None
+        raise BadQuestion(text, f"{cause}; arguments are names, strings, numbers and lists") from None
     if len(keywords) < len(call.keywords):
         raise BadQuestion(text, "** can't be used here")
     return Question(query, arguments, keywords)
 
 
-class _NoTerm(Exception):
-    """A part that the language doesn't have."""
+class _NotATerm(Exception):
+    """An expression that the language doesn't have."""
 
 
 def _term(node: ast.expr) -> Term:
-    """A part of a question.
-
-    Raises:
-        _NoTerm: it is more than plain data.
-    """
-    if isinstance(node, ast.Name) and node.id in _WORDS:
-        return _WORDS[node.id]
+    """Return an argument; raise :class:`_NotATerm` if it is more than plain data."""
+    if isinstance(node, ast.Name) and node.id in _LITERALS:
+        return _LITERALS[node.id]
     if isinstance(node, ast.Name | ast.Attribute):
-        return Name(_word(node))
+        return Name(_identifier(node))
     if isinstance(node, ast.List | ast.Tuple):
         return [_term(item) for item in node.elts]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
@@ -146,22 +126,22 @@ def _term(node: ast.expr) -> Term:
             return -number if isinstance(node.op, ast.USub) else number
     if isinstance(node, ast.Constant) and (node.value is None or isinstance(node.value, bool | int | float | str)):
         return node.value
-    raise _NoTerm(f"{ast.unparse(node)} can't be an argument (a name that is no word goes into quotes)")
+    raise _NotATerm(f"{ast.unparse(node)} can't be an argument (a name that is no identifier goes into quotes)")
 
 
-def _word(node: ast.expr) -> str:
+def _identifier(node: ast.expr) -> str:
     if isinstance(node, ast.Attribute):
-        _word(node.value)
+        _identifier(node.value)
         return node.attr
     if isinstance(node, ast.Name):
         return node.id
-    raise _NoTerm(f"{ast.unparse(node)} is no name")
+    raise _NotATerm(f"{ast.unparse(node)} is no name")
 
 
 def _text(term: Term) -> str:
     if isinstance(term, Name):
         text = term.text
-        return text if text.isidentifier() and not iskeyword(text) and text not in _WORDS else repr(text)
+        return text if text.isidentifier() and not iskeyword(text) and text not in _LITERALS else repr(text)
     if isinstance(term, list):
         return f"[{', '.join(map(_text, term))}]"
     return repr(term)

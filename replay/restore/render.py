@@ -1,156 +1,203 @@
-"""Pictures of any step, without a viewer: the world is rebuilt aside and seen by the software renderer.
+"""Pictures of any step, without a viewer and without the physics engine: the folded state, drawn by our rasterizer.
 
-From a camera of the robot, as it was directed; from a point to a point; or, if nothing is said, from where the things
-that the plan is about are seen well.
+A picture is taken by a camera of the robot, as it was directed then; from a point to a point; or, by default, from a
+viewpoint that shows the robot and the movable objects.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.vision.camera import Camera
+from pycram.foundation.failures import PycramError
+from pycram.models.visual import shapes_of
+from pycram.vision.camera import Camera, Drawable
 from recorder import geometry
 from recorder.extras import needed
-from replay.errors import NoSuchName, ReplayError
-from replay.restore.world import unrecorded
+from replay.errors import Damaged, NoSuchName, ReplayError
+from replay.restore.recorded import description_of, model_of, world_state
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Vector
+    from numpy.typing import NDArray
+
+    from recorder.geometry import Pose, Vector
+    from replay.explain.explanation import Why
     from replay.file.log import Log
+    from replay.state.state import Body
 
-with needed():
+with needed("render"):
     from PIL import Image
 
-_WIDE: Final = math.radians(60)  # horizontal field of view where no camera says another
+_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, where no camera says another
 _NEAR, _FAR = 0.02, 30.0  # m
-_SIDE: Final = (-0.55, -0.65, 0.55)  # the direction to look from, of the robot's heading
-_FINER: Final = 2  # pixels a side that are averaged to one: edges are smooth then
-_LARGEST: Final = 4096  # pixels a side
+_SIDE: Final = (-0.55, -0.65, 0.55)  # default direction from the middle to the viewpoint, in the robot's frame
+_PADDING: Final = 0.004  # m around collision shapes, as the physics engine has it
+_OVERSAMPLING: Final = 2  # pixels a side that are averaged to one: edges are smooth then
+_MAX_SIDE: Final = 4096  # pixels
 
 
-def render(
-    log: Log,
-    step: int | str,
-    *,
-    camera: str | None = None,
-    eye: Sequence[float] | None = None,
-    target: Sequence[float] | None = None,
-    size: tuple[int, int] = (640, 480),
-    world: str | None = None,
-) -> Image.Image:
-    """A picture of a world as it was after a step.
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """A body with where its links are, in the world."""
 
-    Args:
-        log: the recording.
-        step: a number, or a name as :func:`replay.explain.step_names.step_of` knows them.
-        camera: a frame of the robot, as "wide_stereo_optical_frame"; its own field of view if it is the robot's camera.
-        eye: where to look from, xyz in m; by default from the side.
-        target: where to look, xyz in m; by default the middle of robot and movable things.
-        size: width and height in pixels.
-        world: its name; without one, the open one that was opened last.
+    body: Body
+    frames: Mapping[str, Pose]
+    drawable: Drawable
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+
+
+class Scene:
+    """The bodies of a world after a step, ready to be drawn.
 
     Raises:
-        NotRestored: none was open then.
-        NoSuchName: there is no such frame.
-        ReplayError: a size or a point that can't be.
+        NotRestored: no world was open then.
+        Damaged: records or files are lost, or make no sense.
     """
-    with unrecorded(log, step, world) as restored:
-        return seen(restored, camera=camera, eye=eye, target=target, size=size)
+
+    def __init__(self, log: Log, step: int, world: str | None = None) -> None:
+        state = world_state(log, step, world)
+        try:
+            self._bodies = {name: _drawn(log, body) for name, body in state.bodies.items()}
+        except (PycramError, ValueError) as error:
+            raise Damaged(log.path, f"the world after step {step}", str(error)) from error
+        self._robot = self._bodies.get(state.robot)
+
+    @property
+    def camera(self) -> str:
+        """Frame of the robot's camera; "" if there is no robot, or its description names none."""
+        description = description_of(self._robot.body.loaded.robot_description) if self._robot else None
+        return description.camera.frame if description and description.camera else ""
+
+    def picture(
+        self,
+        *,
+        camera: str | None = None,
+        eye: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        size: tuple[int, int] = (640, 480),
+    ) -> Image.Image:
+        """Return a picture of it.
+
+        Args:
+            camera: a frame of the robot, as "wide_stereo_optical_frame"; with the field of view and the range of the
+                robot's camera if it is that one's.
+            eye: viewpoint, xyz in m; by default over the robot's shoulder.
+            target: point in the middle of the picture, xyz in m; by default the middle of robot and movable objects.
+            size: width and height in pixels, up to 4096 each.
+
+        Raises:
+            NoSuchName: there is no such frame.
+            ReplayError: the size or a point is impossible.
+        """
+        if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
+            raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_MAX_SIDE} a side")
+        if camera is not None:
+            return self._draw(self._robot_camera(camera, size), size)
+        low, high = self._bounds()
+        aim = _vector((low + high) / 2) if target is None else _point("target", target)
+        place = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
+        if math.dist(place, aim) < 1e-6:
+            raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
+        return self._draw(_pinhole((place, geometry.look_at(place, aim)), _FIELD_OF_VIEW, size), size)
+
+    def _draw(self, camera: Camera, size: tuple[int, int]) -> Image.Image:
+        up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
+        finer = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
+        sight = camera.draw([drawn.drawable for drawn in self._bodies.values()], camera.window, finer)
+        return Image.fromarray(sight.picture(up)).resize(size, Image.Resampling.BOX)
+
+    def _robot_camera(self, frame: str, size: tuple[int, int]) -> Camera:
+        """Return the camera at a frame of the robot."""
+        if self._robot is None:
+            raise NoSuchName("robot with a camera", frame, ())
+        if frame not in self._robot.frames:
+            raise NoSuchName(f"frame of {self._robot.body.name}", frame, self._robot.frames)
+        description = description_of(self._robot.body.loaded.robot_description)
+        own = description.camera if description else None
+        if own is None or own.frame != frame:
+            return _pinhole(self._robot.frames[frame], _FIELD_OF_VIEW, size)
+        return _pinhole(self._robot.frames[frame], own.horizontal_fov, size, max(own.near, _NEAR), own.far)
+
+    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return lowest and highest corner of robots and movable objects; of everything if there are none."""
+        movable = [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
+        chosen = movable or list(self._bodies.values())
+        if not chosen:
+            return np.zeros(3), np.ones(3)
+        return np.min([drawn.low for drawn in chosen], axis=0), np.max([drawn.high for drawn in chosen], axis=0)
+
+    def _viewpoint(self, aim: Vector, low: NDArray[np.float64], high: NDArray[np.float64]) -> Vector:
+        """Return a place over the robot's shoulder from which a box is seen whole."""
+        distance = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
+        heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
+        direction = np.array(geometry.rotate(heading, _SIDE))
+        return _vector(np.array(aim) + distance * direction / np.linalg.norm(direction))
 
 
-def seen(
-    world: BulletWorld,
-    *,
-    camera: str | None = None,
-    eye: Sequence[float] | None = None,
-    target: Sequence[float] | None = None,
-    size: tuple[int, int] = (640, 480),
-) -> Image.Image:
-    """A picture of a live world.
-
-    Args:
-        world: the world.
-        camera: as for :func:`render`, as are the others.
-        eye: where to look from.
-        target: where to look.
-        size: width and height in pixels.
+def write_pictures(log: Log, why: Why, folder: Path) -> list[Path]:
+    """Write the pictures of an explained failure, and return their files.
 
     Raises:
-        NoSuchName: there is no such frame.
-        ReplayError: a size or a point that can't be.
+        ReplayError: they can't be drawn or written.
     """
-    if not all(isinstance(side, int) and 0 < side <= _LARGEST for side in size):
-        raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_LARGEST} a side")
-    if camera is not None:
-        return _picture(world, _of_robot(world, camera, size), size)
-    aim = _middle(world) if target is None else _point("target", target)
-    place = _beside(world, aim) if eye is None else _point("eye", eye)
-    if math.dist(place, aim) < 1e-6:
-        raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
-    return _picture(world, _camera(place, geometry.look_at(place, aim), _WIDE, size), size)
+    files = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not why.bodies:
+            return []
+        scene = Scene(log, why.step, why.world.name if why.world is not None else None)
+        if scene.camera:
+            files.append(folder / f"step_{why.step}_robot.png")
+            scene.picture(camera=scene.camera).save(files[-1])
+        files.append(folder / f"step_{why.step}_side.png")
+        scene.picture(target=_middle(why)).save(files[-1])
+    except OSError as error:
+        raise ReplayError(f"{folder}: {error.strerror or error}") from error
+    return files
 
 
-def _picture(world: BulletWorld, camera: Camera, size: tuple[int, int]) -> Image.Image:
-    up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
-    finer = (size[0] * _FINER, size[1] * _FINER)
-    picture = Image.fromarray(camera.render(world.objects, camera.window, finer).picture(up))
-    return picture.resize(size, Image.Resampling.BOX)
+def _middle(why: Why) -> Vector:
+    """Return a point between robot and objects, at the height of the objects."""
+    places = [involved.body.position for involved in why.bodies]
+    x, y = (sum(place[axis] for place in places) / len(places) for axis in (0, 1))
+    return x, y, max(place[2] for place in places)
 
 
-def _camera(
-    place: Vector,
-    turn: geometry.Quaternion,
-    angle: float,
-    size: tuple[int, int],
-    near: float = _NEAR,
-    far: float = _FAR,
-) -> Camera:
+def _drawn(log: Log, body: Body) -> _Drawn:
+    model = model_of(log, body.loaded)
+    frames = {link: geometry.multiply(body.pose, pose) for link, pose in model.urdf.link_poses(body.joints).items()}
+    shapes = shapes_of(model.path)
+    drawable = Drawable(shapes, *_poses(frames, shapes.links), body.color or None, body.type == "robot")
+    return _Drawn(body, frames, drawable, *_box(model.path, frames))
+
+
+def _poses(frames: Mapping[str, Pose], links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return positions (n, 3) and orientations (n, 4) of links."""
+    positions = np.array([frames[link][0] for link in links]).reshape(-1, 3)
+    return positions, np.array([frames[link][1] for link in links]).reshape(-1, 4)
+
+
+def _box(path: Path, frames: Mapping[str, Pose]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the corners of a box around all link frames and the boxes of all collision shapes."""
+    shapes = shapes_of(path, "collision")
+    positions, orientations = _poses(frames, shapes.links)
+    turns = geometry.to_matrices(orientations)
+    middles = positions + np.einsum("kij,kj->ki", turns, (shapes.low + shapes.high) / 2)
+    reach = np.einsum("kij,kj->ki", np.abs(turns), (shapes.high - shapes.low) / 2) + _PADDING
+    origins = _poses(frames, list(frames))[0]
+    return np.vstack([origins, middles - reach]).min(axis=0), np.vstack([origins, middles + reach]).max(axis=0)
+
+
+def _pinhole(pose: Pose, angle: float, size: tuple[int, int], near: float = _NEAR, far: float = _FAR) -> Camera:
     right = math.tan(angle / 2)
-    return Camera((place, turn), right, right * size[1] / size[0], near, far)
-
-
-def _of_robot(world: BulletWorld, frame: str, size: tuple[int, int]) -> Camera:
-    robot = world.robot
-    if robot is None:
-        raise NoSuchName("robot with a camera", frame, ())
-    if frame not in robot.links:
-        raise NoSuchName(f"frame of {robot.name}", frame, robot.links)
-    position, orientation = robot.get_link_position_and_orientation(frame)
-    place, turn = _vector(position), geometry.from_matrix(geometry.to_matrix(orientation))
-    own = robot.description.camera if robot.description else None
-    if own is None or own.frame != frame:
-        return _camera(place, turn, _WIDE, size)
-    return _camera(place, turn, own.horizontal_fov, size, max(own.near, _NEAR), own.far)
-
-
-def _middle(world: BulletWorld) -> Vector:
-    """The middle of what a plan is about: robots and all that isn't fixed; of everything if there is nothing else."""
-    low, high = _bounds(world)
-    return _vector((low + high) / 2)
-
-
-def _bounds(world: BulletWorld) -> tuple[np.ndarray, np.ndarray]:
-    chosen: list[Object] = [body for body in world.objects if not body.is_environment] or world.objects
-    if not chosen:
-        return np.zeros(3), np.ones(3)
-    boxes = np.array([body.get_AABB() for body in chosen])
-    return boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-
-
-def _beside(world: BulletWorld, aim: Vector) -> Vector:
-    """A place from which the middle is seen with all around it, over the robot's shoulder."""
-    low, high = _bounds(world)
-    away = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
-    heading = world.robot.get_orientation() if world.robot else (0.0, 0.0, 0.0, 1.0)
-    direction = np.array(geometry.rotate(heading, _SIDE))
-    return _vector(np.array(aim) + away * direction / np.linalg.norm(direction))
+    return Camera(pose, right, right * size[1] / size[0], near, far)
 
 
 def _point(name: str, values: Sequence[float]) -> Vector:
@@ -160,6 +207,6 @@ def _point(name: str, values: Sequence[float]) -> Vector:
     return _vector(numbers)
 
 
-def _vector(values: Sequence[float] | np.ndarray) -> Vector:
+def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector:
     x, y, z = map(float, values)
     return x, y, z

@@ -1,4 +1,4 @@
-"""A session in the past: what a script or a shell finds when a world has been restored for it."""
+"""Scripts, shells and windows in a restored world."""
 
 from __future__ import annotations
 
@@ -21,28 +21,21 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from replay.file.log import Log
 
-_FRAME: Final = 1 / 30  # s between looks whether a window is still there
+_POLL_PERIOD: Final = 1 / 30  # s
 _DONE, _FAILED = 0, 1
 
 
-def names(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
-    """The names that are there: objects by theirs, and what one needs beside them.
+def variables_of(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
+    """Return the variables of a session: objects by their names, with underscores for what can't be in an identifier.
 
-    Args:
-        world: the restored world.
-        log: the recording.
-        step: the step.
-
-    Returns:
-        ``world``, ``robot``, ``objects`` (all of them by name), ``log``, ``step``, ``btr`` (the reasoning queries), and
-        each object under its own name, with an underscore for what can't stand in one.
+    Beside them ``world``, ``robot``, ``objects`` (by name), ``log``, ``step`` and ``btr`` (the reasoning queries).
     """
     objects = {body.name: body for body in world.objects}
     found: dict[str, object] = {}
     for name, body in objects.items():
-        word = re.sub(r"\W", "_", name)
-        if word.isidentifier() and not keyword.iskeyword(word):
-            found.setdefault(word, body)
+        identifier = re.sub(r"\W", "_", name)
+        if identifier.isidentifier() and not keyword.iskeyword(identifier):
+            found.setdefault(identifier, body)
     return found | {
         "world": world,
         "robot": world.robot,
@@ -53,21 +46,13 @@ def names(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
     }
 
 
-def run_script(script: Path, given: Mapping[str, object]) -> int:
-    """Runs a Python file as a program of its own, with names in it from the start.
-
-    Args:
-        script: the file.
-        given: the names.
-
-    Returns:
-        The exit code: the script's own, or 1 if it raised.
-    """
+def run_script(script: Path, variables: Mapping[str, object]) -> int:
+    """Run a Python file as a program, with variables given; return its exit code, or 1 if it raised."""
     before = sys.argv, list(sys.path)
     sys.argv = [str(script)]
     sys.path.insert(0, str(script.parent.resolve()))
     try:
-        runpy.run_path(str(script), init_globals=dict(given), run_name="__main__")
+        runpy.run_path(str(script), init_globals=dict(variables), run_name="__main__")
     except SystemExit as end:
         if isinstance(end.code, str):
             print(end.code, file=sys.stderr)
@@ -80,14 +65,9 @@ def run_script(script: Path, given: Mapping[str, object]) -> int:
     return _DONE
 
 
-def shell(given: Mapping[str, object], banner: str) -> None:
-    """Talks Python with the user until the end of the input.
-
-    Args:
-        given: the names.
-        banner: what to say first, on stderr.
-    """
-    local = dict(given)
+def shell(variables: Mapping[str, object], banner: str) -> None:
+    """Run an interactive Python shell until the end of the input; the banner is printed on stderr."""
+    local = dict(variables)
     if sys.stdin.isatty():
         with contextlib.suppress(ImportError):  # where it isn't, lines can't be edited
             import readline  # noqa: PLC0415
@@ -98,7 +78,7 @@ def shell(given: Mapping[str, object], banner: str) -> None:
         code.interact(banner, local=local, exitmsg="")
         return
     prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
-    sys.ps1 = sys.ps2 = ""  # nobody sees them, and they would stand among the results
+    sys.ps1 = sys.ps2 = ""  # invisible to the user, and they would be mixed into the results
     try:
         code.interact(banner, local=local, exitmsg="")
     finally:
@@ -110,11 +90,7 @@ def shell(given: Mapping[str, object], banner: str) -> None:
 
 
 def watch(world: BulletWorld) -> None:
-    """Keeps a window open until it is closed by hand, or by Ctrl-C.
-
-    Args:
-        world: one with a window.
-    """
+    """Keep a world's window open until it is closed by hand, or by Ctrl-C."""
     while world.engine.connected:
         world.engine.pump()
-        time.sleep(_FRAME)
+        time.sleep(_POLL_PERIOD)

@@ -1,9 +1,9 @@
-"""Verifies a recording: that it agrees with itself, and that its changes, made again, have the effects on record.
+"""Verifies a recording: that it is consistent, and that its changes, made again, have the recorded effects.
 
-The changes are executed in fresh worlds, in order, and what the funnel tells of each is compared with its record to the
-last bit: every pose, joint, velocity, attachment and sample on the way. That holds for one build of the physics engine
-on one kind of machine; elsewhere the last bits may differ, and contacts make more of it. Then the verdict says how near
-it is. Of a world that began before its recording, changes without physics are compared to a micrometre.
+The changes are executed in fresh worlds, in order, and the mutation of each is compared with the recorded one to the
+last bit: every pose, joint, velocity, attachment and simulated sample. That holds for one build of the physics engine
+on one kind of computer; elsewhere the last bits may differ, which contacts amplify. Then the result says how near it
+is. In a world that began before its recording, changes without physics are compared to a micrometre.
 
 What a recording says to other tools (``/tf``, ``/log``) follows from its records and is not compared.
 """
@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from replay.file.log import Log
     from replay.state.state import World
 
-ELSEWHERE: Final = 1e-3
-"""m or rad within which effects are called the same on another machine, or with another build of the engine."""
+OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
+"""m or rad within which effects count as the same on another computer, or with another build of the engine."""
 
-_OTHER: Final = "made again, it has another effect"
-_LATE: Final = 1e-6  # m or rad, of changes without physics in a world that goes on from a keyframe
-_DECIDES: Final = ("pycram", "pybullet", "machine", "platform")  # what the last bits depend on
+_DIFFERENT: Final = "made again, it has another effect"
+_LATE_TOLERANCE: Final = 1e-6  # m or rad, of changes without physics in a world that continues from a keyframe
+_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # what the last bits depend on
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What verifying a recording gave.
+class Verification:
+    """The result of verifying a recording.
 
     Attributes:
         steps: how many were checked.
@@ -52,10 +52,10 @@ class Verdict:
         files: how many are attached.
         changes: how many were made again.
         worlds: in how many worlds.
-        late: names of worlds that began before the recording: what physics did in them is not compared.
-        environment: what is other here than where it was recorded, in words.
-        largest: the largest deviation of those that the environment or the engine's rounding may explain.
-        problem: the first thing that isn't as it should be; None for a sound recording.
+        late: names of worlds that began before the recording: their physics are not compared.
+        environment: how this environment differs from the one it was recorded in, in words.
+        largest: the largest deviation that the environment or the engine's rounding may explain.
+        problem: the first problem; None for a sound recording.
     """
 
     steps: int
@@ -80,21 +80,16 @@ class Verdict:
         return self.sound and self.largest is None and not self.late
 
 
-def verify(log: Log, progress: Callable[[int], None] | None = None) -> Verdict:
-    """Verifies a recording up to the first problem.
-
-    Args:
-        log: the recording.
-        progress: told each step that is checked.
-    """
-    with Reexecution(log, "again") as again:
-        return _Verification(log, again).verdict(progress)
+def verify(log: Log, progress: Callable[[int], None] | None = None) -> Verification:
+    """Verify a recording up to the first problem; ``progress`` is called with each step."""
+    with Reexecution(log, "again") as reexecution:
+        return _Verifier(log, reexecution).run(progress)
 
 
-class _Verification:
-    def __init__(self, log: Log, again: Reexecution) -> None:
+class _Verifier:
+    def __init__(self, log: Log, reexecution: Reexecution) -> None:
         self._log = log
-        self._again = again
+        self._reexecution = reexecution
         self._integrity = Integrity()
         self._environment = _environment(log)
         self._changes = 0
@@ -102,9 +97,9 @@ class _Verification:
         self._late: dict[str, None] = {}
         self._largest: Deviation | None = None
 
-    def verdict(self, progress: Callable[[int], None] | None) -> Verdict:
+    def run(self, progress: Callable[[int], None] | None) -> Verification:
         problem = files_problem(self._log) or self._first_problem(progress)
-        return Verdict(
+        return Verification(
             self._integrity.steps,
             self._integrity.tasks,
             self._integrity.keyframes,
@@ -121,20 +116,20 @@ class _Verification:
         for record in self._log.records():
             if progress is not None:
                 progress(record.seq)
-            problem = self._integrity.take(record)
+            problem = self._integrity.check(record)
             if problem is None and isinstance(record, Keyframe | Mutation):
-                problem = self._make(record)
+                problem = self._check(record)
             if problem is not None:
                 return problem
         return None
 
-    def _make(self, record: Keyframe | Mutation) -> Problem | None:
-        """Makes a change again and compares; a world that isn't there begins with its keyframe."""
+    def _check(self, record: Keyframe | Mutation) -> Problem | None:
+        """Make a change again and compare it; a world that isn't there begins with its keyframe."""
         try:
             if isinstance(record, Mutation):
                 return self._repeat(record)
-            if record.world not in self._again.worlds:
-                self._again.begin(record)
+            if record.world not in self._reexecution.worlds:
+                self._reexecution.begin(record)
                 self._worlds.add((record.world, record.seq))
                 self._late[record.world] = None
         except (PycramError, ReplayError, ValueError) as error:
@@ -142,13 +137,13 @@ class _Verification:
         return None
 
     def _repeat(self, record: Mutation) -> Problem | None:
-        now = self._again.repeat(record)
+        now = self._reexecution.repeat(record)
         self._changes += 1
         if record.HasField("open_world"):
             self._worlds.add((record.world, record.seq))
         if now is None:
             return self._problem(record, "it is no change that this release knows")
-        if record.world in self._again.late:
+        if record.world in self._reexecution.late:
             return self._compare_late(record)
         if now.SerializeToString() == record.SerializeToString():
             return None
@@ -157,30 +152,30 @@ class _Verification:
             deviation = Deviation("a last bit", "another", "another")
         if self._environment:
             return self._compare_elsewhere(record, deviation)
-        return self._problem(record, _OTHER, deviation)
+        return self._problem(record, _DIFFERENT, deviation)
 
     def _compare_late(self, record: Mutation) -> Problem | None:
-        world = self._again.worlds.get(record.world)
+        world = self._reexecution.worlds.get(record.world)
         if world is None:  # it has ended
             return None
-        told = self._integrity.world(record.world)
+        state = self._integrity.world(record.world)
         if not record.HasField("simulate"):
-            worst = _worst(world, told)
-            if worst is not None and worst.size > _LATE:
-                return self._problem(record, _OTHER, worst)
+            worst = _worst(world, state)
+            if worst is not None and worst.size > _LATE_TOLERANCE:
+                return self._problem(record, _DIFFERENT, worst)
             self._note(worst)
             return None
         with unrecorded():
             for body in world.objects:
-                restore_snapshot(body, reading(told.body(body.name)))
+                restore_snapshot(body, reading(state.body(body.name)))
         return None
 
     def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
-        world = self._again.worlds.get(record.world)
+        world = self._reexecution.worlds.get(record.world)
         worst = deviation if world is None else _worst(world, self._integrity.world(record.world)) or deviation
-        if worst.size > ELSEWHERE:
+        if worst.size > OTHER_ENVIRONMENT_TOLERANCE:
             where = ", ".join(self._environment)
-            return self._problem(record, f"{_OTHER}; but the environment is another: {where}", worst)
+            return self._problem(record, f"{_DIFFERENT}; but the environment is a different one: {where}", worst)
         self._note(worst)
         return None
 
@@ -192,25 +187,25 @@ class _Verification:
         return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self._integrity.task(record.task))
 
 
-def _worst(world: BulletWorld, told: World) -> Deviation | None:
-    """Where a world is farthest from what is told of it; None if bit for bit the same."""
+def _worst(world: BulletWorld, state: World) -> Deviation | None:
+    """Return the largest deviation of a world from its recorded state; None if they are the same bit for bit."""
     bodies = [body.name for body in world.objects]
     pairs = [(body.name, held.body.name) for body in world.objects for held in body.carried]
-    if sorted(bodies) != sorted(told.bodies):
-        return Deviation("objects", ", ".join(told.bodies), ", ".join(bodies))
-    if sorted(pairs) != sorted(told.attachments):
-        return Deviation("attachments", ", ".join(map(str, told.attachments)), ", ".join(map(str, pairs)))
-    return max(_deviations(world, told), key=lambda deviation: deviation.size, default=None)
+    if sorted(bodies) != sorted(state.bodies):
+        return Deviation("objects", ", ".join(state.bodies), ", ".join(bodies))
+    if sorted(pairs) != sorted(state.attachments):
+        return Deviation("attachments", ", ".join(map(str, state.attachments)), ", ".join(map(str, pairs)))
+    return max(_deviations(world, state), key=lambda deviation: deviation.size, default=None)
 
 
-def _deviations(world: BulletWorld, told: World) -> Iterator[Deviation]:
+def _deviations(world: BulletWorld, state: World) -> Iterator[Deviation]:
     for body in world.objects:
-        wanted, now = told.body(body.name), take_snapshot(body)
-        for field, one, other in (
+        wanted, now = state.body(body.name), take_snapshot(body)
+        for field, recorded, found in (
             ("position", wanted.position, now.pose[0]),
             ("orientation", wanted.orientation, now.pose[1]),
         ):
-            for index, (a, b) in enumerate(zip(one, other, strict=True)):
+            for index, (a, b) in enumerate(zip(recorded, found, strict=True)):
                 if a != b:
                     yield Deviation(f"{body.name}.{field}[{index}]", a, b)
         for name, value in zip(body.joints, now.positions, strict=True):
@@ -219,8 +214,10 @@ def _deviations(world: BulletWorld, told: World) -> Iterator[Deviation]:
 
 
 def _environment(log: Log) -> tuple[str, ...]:
-    """What is other here than where a recording was made."""
+    """Return how this environment differs from the one that a recording was made in."""
     now, then = versions(), log.metadata
     return tuple(
-        f"{name} {now[name]} instead of {then[name]}" for name in _DECIDES if name in then and then[name] != now[name]
+        f"{name} {now[name]} instead of {then[name]}"
+        for name in _ENVIRONMENT_KEYS
+        if name in then and then[name] != now[name]
     )

@@ -1,4 +1,4 @@
-"""Deviations: where two things that should be the same are not, and by how much."""
+"""Deviations of what is found from what is recorded, with their place and size."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class Deviation:
 
     Attributes:
         field: where, as ``effect.bodies[milk].position[0]``.
-        recorded: what the recording says; None if it says nothing.
-        found: what is found; None for nothing.
+        recorded: the recorded value; None if there is none.
+        found: the actual value; None if there is none.
     """
 
     field: str
@@ -28,25 +28,19 @@ class Deviation:
 
     @property
     def size(self) -> float:
-        """By how much numbers differ, in their unit; infinite for what aren't numbers."""
+        """The difference of numbers, in their unit; infinite for other values."""
         if isinstance(self.recorded, int | float) and isinstance(self.found, int | float):
             size = abs(self.recorded - self.found)
             return math.inf if math.isnan(size) else size
         return math.inf
 
     def __str__(self) -> str:
-        told = f"{self.field}: recorded {_short(self.recorded)}, found {_short(self.found)}"
-        return told + (f" (they differ by {self.size:.3g})" if math.isfinite(self.size) else "")
+        text = f"{self.field}: recorded {_short(self.recorded)}, found {_short(self.found)}"
+        return text + (f" (they differ by {self.size:.3g})" if math.isfinite(self.size) else "")
 
 
 def first_deviation(recorded: Plain, found: Plain, field: str = "") -> Deviation | None:
-    """The first place in which two values of plain data differ; None if they are the same.
-
-    Args:
-        recorded: what the recording says.
-        found: what is found.
-        field: name of the whole.
-    """
+    """Return the first place in which two values of plain data differ; None if they are the same."""
     return next(_deviations(recorded, found, field), None)
 
 
@@ -55,8 +49,8 @@ def _deviations(recorded: Plain, found: Plain, field: str) -> Iterator[Deviation
         for key in [*recorded, *(key for key in found if key not in recorded)]:
             yield from _deviations(recorded.get(key), found.get(key), f"{field}.{key}" if field else key)
     elif isinstance(recorded, list) and isinstance(found, list):
-        for index, (one, other) in enumerate(zip(recorded, found, strict=False)):
-            yield from _deviations(one, other, f"{field}[{_name(one) or index}]")
+        for index, (a, b) in enumerate(zip(recorded, found, strict=False)):
+            yield from _deviations(a, b, f"{field}[{_name(a) or index}]")
         if len(recorded) != len(found):
             yield Deviation(f"number of {field}", len(recorded), len(found))
     elif recorded != found or type(recorded) is not type(found):
@@ -64,7 +58,7 @@ def _deviations(recorded: Plain, found: Plain, field: str) -> Iterator[Deviation
 
 
 def _name(item: Plain) -> str:
-    """What an item of a list is called, if it has a name."""
+    """Return the name of the body that an item of a list is about; "" if there is none."""
     return str(item["body"]) if isinstance(item, dict) and "body" in item else ""
 
 

@@ -1,4 +1,4 @@
-"""What is different between two states: which bodies came, went, moved, and who holds what."""
+"""Compares two states: bodies that were added, removed, moved, and attachments that changed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from replay.state.state import Attachment, Body, State, World
 
-#: What is less than this is physics settling, not something that happened.
+#: Smaller changes are physics settling.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 
@@ -29,8 +29,8 @@ class BodyChange:
         distance: how far its base is from where it was, m.
         angle: by how much it is turned, rad.
         joints: values before and after, of those that differ.
-        carrier: who carries it, before and after.
-        details: names of what else differs for good: color, type, fixed_base, models.
+        carrier: how it is carried, before and after.
+        details: names of further fields that differ: color, type, fixed_base, models.
     """
 
     world: str
@@ -45,70 +45,65 @@ class BodyChange:
 
     @property
     def moved(self) -> bool:
-        """Whether its base is somewhere else, by more than physics settle."""
+        """Whether its base moved by more than settling."""
         return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
 
     @property
     def moved_joints(self) -> dict[str, tuple[float, float]]:
-        """The joints that moved by more than physics settle."""
+        """The joints that moved by more than settling."""
         return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
 
     @property
-    def changed_hands(self) -> bool:
-        """Whether somebody else carries it, or with another link."""
+    def carrier_changed(self) -> bool:
+        """Whether another body carries it, or another link."""
         before, after = self.carrier
         return (before and (before.carrier, before.carrier_link)) != (after and (after.carrier, after.carrier_link))
 
     @property
     def notable(self) -> bool:
-        """Whether it is more than physics settling."""
-        return bool(self.moved or self.moved_joints or self.changed_hands or self.details)
+        """Whether it is more than settling."""
+        return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What is different in a second state.
+    """The difference of a second state from a first.
 
     Attributes:
-        opened: worlds that are open in the second only; one that has taken another's name is not the other.
-        closed: worlds that are open in the first only.
-        came: bodies that are in the second only, as pairs of world and body.
-        went: bodies that are in the first only.
+        opened: titles of worlds that are open in the second only.
+        closed: titles of worlds that are open in the first only.
+        added: bodies that are in the second only, as pairs of world and body.
+        removed: bodies that are in the first only.
         changed: the others that are not the same, to the last bit.
-        facts: what differs of the worlds themselves, before and after, by world and name of the fact.
+        facts: values of worlds that differ, before and after, by world and name: gravity, robot, realtime, seconds.
     """
 
     opened: tuple[str, ...] = ()
     closed: tuple[str, ...] = ()
-    came: tuple[tuple[str, str], ...] = ()
-    went: tuple[tuple[str, str], ...] = ()
+    added: tuple[tuple[str, str], ...] = ()
+    removed: tuple[tuple[str, str], ...] = ()
     changed: tuple[BodyChange, ...] = ()
     facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return bool(self.opened or self.closed or self.came or self.went or self.changed or self.facts)
+        return bool(self.opened or self.closed or self.added or self.removed or self.changed or self.facts)
 
     @property
     def notable(self) -> tuple[BodyChange, ...]:
-        """Bodies that changed by more than physics settle."""
+        """Bodies that changed by more than settling."""
         return tuple(change for change in self.changed if change.notable)
 
 
 def difference(before: State, after: State) -> Difference:
-    """Compares two states, which may be of two recordings.
-
-    Args:
-        before: the first.
-        after: the second.
-    """
+    """Compare two states, which may be of two recordings."""
     first = {world.title: world for world in before.worlds.values() if world.open}
     second = {world.title: world for world in after.worlds.values() if world.open}
     both = [(world, second[title]) for title, world in first.items() if title in second]
     return Difference(
         opened=tuple(title for title in second if title not in first),
         closed=tuple(title for title in first if title not in second),
-        came=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
-        went=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
+        added=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
+        removed=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
         changed=tuple(change for a, b in both for change in _changes(a, b)),
         facts={fact: pair for a, b in both for fact, pair in _facts(a, b)},
     )
@@ -156,12 +151,7 @@ def _change(a: World, body: Body, b: World, other: Body) -> BodyChange | None:
 
 
 def turn(before: Sequence[float], after: Sequence[float]) -> float:
-    """The angle between two orientations, rad.
-
-    Args:
-        before: xyzw.
-        after: xyzw.
-    """
+    """Return the angle between two orientations xyzw, rad."""
     if before == after:
         return 0.0
     from recorder import geometry  # noqa: PLC0415  needs numpy

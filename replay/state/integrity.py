@@ -1,7 +1,7 @@
-"""Whether a recording agrees with itself; for this no world is needed.
+"""Checks whether a recording is consistent; for this no world is needed.
 
-Steps count without a gap and wall time never goes back; every task that starts ends once, and what it is part of is
-there; every keyframe is what the records before it add up to; every attached file is what its name says.
+Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; every keyframe
+equals the fold of the records before it; every attached file has the content that its name's hash says.
 """
 
 from __future__ import annotations
@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import Keyframe, Mutation, Run, Task
 from replay.errors import Damaged
 from replay.state.deviation import Deviation, first_deviation
-from replay.state.fold import fold, take
-from replay.state.json_data import state_data
-from replay.state.state import State
+from replay.state.fold import apply, fold
+from replay.state.json_data import world_data
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,12 +34,12 @@ _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that isn't as it should be.
+    """An inconsistency.
 
     Attributes:
-        step: where; None if it is no step's.
+        step: where; None if it belongs to no step.
         cause: in words.
-        deviation: where exactly and by how much, if there is such.
+        deviation: the first wrong value, if there is one.
         task: names of the task in which it is and of those around it, outermost first.
     """
 
@@ -51,12 +50,12 @@ class Problem:
 
 
 class Integrity:
-    """Takes all records in their order and says of each whether it fits.
+    """Checks records one after the other.
 
     Attributes:
-        steps: how many were taken.
-        tasks: how many there are.
-        keyframes: how many were compared with what the records before them add up to.
+        steps: number of records checked.
+        tasks: number of tasks.
+        keyframes: number of keyframes that were compared with the fold of the records before them.
     """
 
     def __init__(self) -> None:
@@ -70,22 +69,19 @@ class Integrity:
         self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
-        """What the records so far say of a world that they know."""
-        return self._worlds[name].frozen()
+        """Return what the records so far say of a world that they know."""
+        return self._worlds[name].build()
 
     def task(self, number: int) -> tuple[str, ...]:
-        """A task and what it is part of, outermost first."""
+        """Return a task and what it is part of, outermost first."""
         names: list[str] = []
         while number in self._names and len(names) <= len(self._names):
             name, number = self._names[number]
             names.append(name)
         return tuple(reversed(names))
 
-    def take(self, record: Record) -> Problem | None:
-        """Takes the next record.
-
-        Args:
-            record: the record.
+    def check(self, record: Record) -> Problem | None:
+        """Take the next record.
 
         Returns:
             What is wrong with it, or with what should have come before it.
@@ -93,15 +89,15 @@ class Integrity:
         step = record.seq
         if step != self.steps:
             lost = str(self.steps) if step == self.steps + 1 else f"{self.steps} to {step - 1}"
-            return Problem(self.steps, f"step {lost} is not there: what followed from it can't be checked")
+            return Problem(self.steps, f"step {lost} is missing: what followed from it can't be checked")
         self.steps += 1
         if record.wall_time_ns < self._time:
-            return Problem(step, "its wall time lies before that of the step before")
+            return Problem(step, "its wall time is before that of the previous step")
         self._time = record.wall_time_ns
         if isinstance(record, Task):
-            cause = self._take_task(record)
+            cause = self._check_task(record)
         elif isinstance(record, Run):
-            cause = self._take_run(record)
+            cause = self._check_run(record)
         else:
             cause = "" if record.task in self._names or not record.task else f"its task {record.task} never started"
         if cause:
@@ -110,23 +106,26 @@ class Integrity:
             deviation = self._compare(record)
             if deviation is not None:
                 return Problem(
-                    step, "the keyframe isn't what the records before it add up to", deviation, self.task(record.task)
+                    step,
+                    "the keyframe differs from the fold of the records before it",
+                    deviation,
+                    self.task(record.task),
                 )
         if isinstance(record, Mutation | Keyframe):
             try:
-                take(self._worlds, record)
+                apply(self._worlds, record)
             except (ValueError, IndexError) as error:
                 return Problem(step, f"the record makes no sense: {error}", task=self.task(record.task))
         return None
 
-    def _take_task(self, record: Task) -> str:
+    def _check_task(self, record: Task) -> str:
         number, before = record.task, self._phases.get(record.task)
         if record.phase not in _AFTER.get(before, ()):
-            told = "isn't there" if before is None else f"was {Task.Phase.Name(before).lower()} before"
-            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {told}"
+            last = "never started" if before is None else f"was {Task.Phase.Name(before).lower()} before"
+            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {last}"
         if before is None:
             if record.parent and record.parent not in self._names:
-                return f"what task {number} is part of never started"
+                return f"the parent of task {number} never started"
             self.tasks += 1
             self._names[number] = record.name, record.parent
         self._phases[number] = record.phase
@@ -136,38 +135,31 @@ class Integrity:
             self._running[number] = record.seq
         return ""
 
-    def _take_run(self, record: Run) -> str:
+    def _check_run(self, record: Run) -> str:
         if record.phase == Run.FINISHED and self._running:
             number, start = next(iter(self._running.items()))
             return f"the run ends, but task {number} ({self._names[number][0]}), which started at step {start}, doesn't"
         return ""
 
     def _compare(self, frame: Keyframe) -> Deviation | None:
-        """How a keyframe differs from what the records before it add up to."""
+        """Return how a keyframe differs from what the records before it add up to."""
         self.keyframes += 1
         return first_deviation(
-            _plain(fold([frame]).worlds[frame.world]), _plain(self._worlds[frame.world].frozen()), frame.world
+            _plain(fold([frame]).worlds[frame.world]), _plain(self._worlds[frame.world].build()), frame.world
         )
 
 
 def _plain(world: World) -> Plain:
-    """A world as plain data, bodies by name, attachments by their pairs."""
-    told = state_data(State(0, {world.name: world}))["worlds"]
-    assert isinstance(told, dict)  # noqa: S101  tells mypy
-    facts = told[world.name]
-    assert isinstance(facts, dict)  # noqa: S101  tells mypy
-    held = facts.pop("attachments")
-    assert isinstance(held, list)  # noqa: S101  tells mypy
-    pairs: dict[str, Plain] = {f"{one['carrier']}, {one['body']}": one for one in held if isinstance(one, dict)}
-    return facts | {"attachments": dict(sorted(pairs.items()))}
+    """Return a world as JSON data, bodies by name, attachments by their pairs."""
+    data = world_data(world)
+    held = data.pop("attachments")
+    assert isinstance(held, list)  # noqa: S101  for mypy
+    pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
+    return data | {"attachments": dict(sorted(pairs.items()))}
 
 
 def files_problem(log: Log) -> Problem | None:
-    """The first attached file that isn't what was attached.
-
-    Args:
-        log: the recording.
-    """
+    """Return the first attached file that isn't what was attached."""
     for name in log.assets:
         try:
             log.assets[name]

@@ -1,4 +1,4 @@
-"""Records and states as plain data, for JSON and for people: short names, real numbers, users' values unpacked."""
+"""Records and states as JSON data: enums by name, numbers as numbers, users' values decoded."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 
 def kind_of(record: Record) -> str:
-    """What kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
+    """Return what kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
     return TOPICS[type(record)].removeprefix("/")
 
 
 def record_data(record: Record) -> dict[str, Plain]:
-    """A record whole; fields that are not set are left out."""
-    told: dict[str, Plain] = {
+    """Return a record whole; fields that are not set are left out."""
+    envelope: dict[str, Plain] = {
         "step": record.seq,
         "kind": kind_of(record),
         "wall_time_ns": record.wall_time_ns,
@@ -38,7 +38,7 @@ def record_data(record: Record) -> dict[str, Plain]:
         "task": record.task,
         "thread": record.thread,
     }
-    return told | {key: value for key, value in _fields(record) if key not in _ENVELOPE}
+    return envelope | {key: value for key, value in _fields(record) if key not in _ENVELOPE}
 
 
 def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
@@ -65,11 +65,7 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
 
 
 def arguments_data(arguments: Iterable[Argument]) -> dict[str, Plain]:
-    """Named values, unpacked.
-
-    Args:
-        arguments: as records carry them.
-    """
+    """Return named values as records carry them, decoded."""
     return {argument.name: to_plain(argument.json) for argument in arguments}
 
 
@@ -78,35 +74,26 @@ def _is_repeated(value: object) -> bool:
 
 
 def to_plain(text: str) -> Plain:
-    """A value that stands as JSON in a record.
-
-    Args:
-        text: the JSON.
-    """
+    """Decode a value that a record has as JSON."""
     try:
         value: Plain = json.loads(text)
-    except ValueError:  # somebody else's, or damaged: shown as it is
+    except ValueError:  # another program's, or damaged: shown as it is
         return text
     return value
 
 
 def mentions(record: Record, name: str) -> bool:
-    """Whether a record tells of a body: changes it, has it as an argument, answers with it.
-
-    Args:
-        record: any; keyframes tell of all bodies and count for none.
-        name: of the body.
-    """
+    """Return whether a record changes a body, or has it as an argument or answer; keyframes never count."""
     if isinstance(record, Keyframe):
         return False
     if isinstance(record, Mutation):
         command = record.WhichOneof("command")
         effect = record.effect
-        told = {getattr(getattr(record, command), field, "") for field in ("body", "carrier")} if command else set()
-        told.update(state.body for state in effect.bodies)
-        told.update(effect.removed)
-        told.update(body for held in (*effect.attached, *effect.detached) for body in (held.carrier, held.body))
-        return name in told
+        names = {getattr(getattr(record, command), field, "") for field in ("body", "carrier")} if command else set()
+        names.update(state.body for state in effect.bodies)
+        names.update(effect.removed)
+        names.update(body for held in (*effect.attached, *effect.detached) for body in (held.carrier, held.body))
+        return name in names
     return _has(record_data(record), name)
 
 
@@ -119,22 +106,17 @@ def _has(value: Plain, name: str) -> bool:
 
 
 def state_data(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
-    """A state.
-
-    Args:
-        state: the state.
-        body: only this one, and only worlds that have it.
-        world: only this one.
-    """
+    """Return a state; with a body only that one and the worlds that have it, with a world only that one."""
     worlds: dict[str, Plain] = {
-        told.name: _world(told, body)
-        for told in state.worlds.values()
-        if world in (None, told.name) and (body is None or body in told.bodies)
+        each.name: world_data(each, body)
+        for each in state.worlds.values()
+        if world in (None, each.name) and (body is None or body in each.bodies)
     }
-    return {"step": state.step, "doubt": state.doubt, "worlds": worlds}
+    return {"step": state.step, "doubt": state.uncertainty, "worlds": worlds}
 
 
-def _world(world: World, only: str | None) -> Plain:
+def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
+    """Return a world; with a body's name only that body and its attachments."""
     return {
         "open": world.open,
         "life": world.lifetime,

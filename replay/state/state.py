@@ -1,4 +1,4 @@
-"""What is true of worlds after a step: plain data, without a physics engine. Each state has its own mappings."""
+"""States of worlds after a step: plain data, without a physics engine. Each state has its own mappings."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Body:
 
     Attributes:
         name: its name.
-        type: what it is ("robot", "environment", "milk", ...).
-        loaded: the record of how it was loaded: models, pose then, robot description.
+        type: "robot", "environment", "milk", ...
+        loaded: the record of its loading: models, initial pose, robot description.
         position: of its base link in the world, m.
         orientation: of its base link, xyzw.
         velocity: of its base, linear (m/s), then angular (rad/s).
@@ -51,7 +51,7 @@ class Body:
 
     @property
     def fixed_base(self) -> bool:
-        """Whether physics leave its base where it is."""
+        """Whether physics doesn't move its base."""
         return self.loaded.fixed_base
 
     @property
@@ -61,7 +61,7 @@ class Body:
         return tuple(f"{asset.sha256}/{name}" for asset, name in zip(self.loaded.assets, names, strict=True))
 
     def joint(self, name: str) -> float:
-        """The value of a joint, rad or m.
+        """Return the value of a joint, rad or m.
 
         Raises:
             NoSuchName: there is none of that name.
@@ -78,9 +78,9 @@ class Attachment:
     Attributes:
         carrier: name of the body that carries.
         carrier_link: its link; "" is its base.
-        body: name of the carried one.
+        body: name of the carried body.
         body_link: the link that is held; "" is its base.
-        position: of the carried one's base in the carrier's link, m.
+        position: of the carried body's base in the carrier's link, m.
         orientation: of the same, xyzw.
     """
 
@@ -98,13 +98,13 @@ class World:
 
     Attributes:
         name: its name.
-        open: whether it still is; a closed one is empty.
+        open: whether it is open; a closed one is empty.
         mode: "DIRECT" or "GUI".
         sim_step: simulated steps of 1/240 s.
         gravity: m/s^2.
-        realtime: whether it runs at the pace of the clock.
+        realtime: whether it is simulated in real time.
         robot: name of the robot that plans control, or "".
-        life: which world of that name it is, from 1: a name can be taken again.
+        lifetime: number of its lifetime, from 1: a name can be taken again.
         bodies: by name, in the order of loading.
         attachments: by names of carrier and body.
     """
@@ -122,7 +122,7 @@ class World:
 
     @property
     def title(self) -> str:
-        """What people call it: its name, and which of that name it is if it isn't the first."""
+        """Its name for people; see :func:`replay.file.lifetimes.title`."""
         return title(self.name, self.lifetime)
 
     @property
@@ -131,7 +131,7 @@ class World:
         return self.sim_step / STEPS_PER_SECOND
 
     def body(self, name: str) -> Body:
-        """A body by name.
+        """Return a body by name.
 
         Raises:
             NoSuchName: there is none.
@@ -141,11 +141,11 @@ class World:
         return self.bodies[name]
 
     def carrier(self, body: str) -> Attachment | None:
-        """How a body is carried; None if it isn't."""
+        """Return how a body is carried; None if it isn't."""
         return next((held for held in self.attachments.values() if held.body == body), None)
 
     def carried(self, carrier: str) -> list[Attachment]:
-        """What a body carries itself."""
+        """Return what a body carries itself."""
         return [held for held in self.attachments.values() if held.carrier == carrier]
 
 
@@ -156,17 +156,17 @@ class State:
     Attributes:
         step: the step.
         worlds: by name, in the order of their opening; those that were closed are empty.
-        doubt: in words, why this may not be all that is true: records were lost that could have changed it; else empty.
+        uncertainty: which lost records could have changed it, in words; else empty.
         assets: the files that are attached to the recording.
     """
 
     step: int
     worlds: Mapping[str, World]
-    doubt: str = ""
+    uncertainty: str = ""
     assets: Assets | None = field(default=None, repr=False, compare=False)
 
     def world(self, name: str | None = None) -> World:
-        """A world by name; without one, the open one that was opened last.
+        """Return a world by name; without one, the open one that was opened last.
 
         Raises:
             NoSuchName: there is none.
@@ -181,7 +181,7 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """A body by name, of one world, or of the one that was opened last of those that have it.
+        """Return a body by name, of one world, or of the one that was opened last of those that have it.
 
         Raises:
             NoSuchName: there is none.
@@ -193,26 +193,23 @@ class State:
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
-        """What to say where a body isn't in any of some worlds.
-
-        Args:
-            name: of the body.
-            worlds: those of this state in which it was looked for.
-        """
+        """Return the error for a body that isn't in any of some worlds."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
         others = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
         if opened and others:
-            here, there = (", ".join(told) for told in ([world.name for world in opened], others))
-            return NoSuchName("object", name, known, f"it is in {there}, not in {here}; --world, or world=, names one")
+            here, there = (", ".join(names) for names in ([world.name for world in opened], others))
+            return NoSuchName(
+                "object", name, known, f"it is in {there}, not in {here}; choose one with --world, or world="
+            )
         return NoSuchName("object", name, known, "" if opened else self._none_open())
 
     def _none_open(self) -> str:
-        told = ", ".join(f"{world.title} has ended" for world in self.worlds.values())
-        return f"no world is open after step {self.step}" + (f" ({told}); take an earlier one" if told else "")
+        ended = ", ".join(f"{world.title} has ended" for world in self.worlds.values())
+        return f"no world is open after step {self.step}" + (f" ({ended}); take an earlier step" if ended else "")
 
     def urdf(self, body: Body) -> Urdf:
-        """The model of a body, from the recording.
+        """Return the model of a body, from the recording.
 
         Raises:
             NoSuchName: the recording doesn't have it.
@@ -222,21 +219,14 @@ class State:
         return self.assets.urdf(body.models[0])
 
     def link_pose(self, body: Body, link: str = "") -> Pose:
-        """Pose of a link in the world.
-
-        Args:
-            body: one of this state.
-            link: its name; "" is the base.
-
-        Returns:
-            Position (m) and orientation (xyzw).
+        """Return the pose of a body's link in the world, m and xyzw; "" is its base.
 
         Raises:
             NoSuchName: there is no such link, or no model of the body.
         """
         if not link:
             return body.pose
-        from recorder import geometry  # noqa: PLC0415  these need numpy, which most questions don't
+        from recorder import geometry  # noqa: PLC0415  these need numpy, which reading mostly doesn't
         from recorder.geometry.joints import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)

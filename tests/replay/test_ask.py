@@ -14,9 +14,9 @@ from pycram.world import current
 from recorder.records import Query
 from replay.cli.main import main
 from replay.explain import wording
-from replay.restore.ask import QUERIES, Move, again, ask
+from replay.restore.ask import QUERIES, Move
 from replay.restore.question import BadQuestion, Name, Question, parse
-from tests.replay.near import assert_near
+from tests.replay.approximately import assert_approximately
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +38,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
         asked = [record for record in log.records(Query) if isinstance(record, Query)]
         assert {"visible", "blocking"} <= {record.name for record in asked}
         for record in asked:
-            found = again(log, record.seq)
+            found = log.ask(record.seq)
             where = f"step {record.seq}: {found.question}"
             assert found.answer == names(record.answer_json), where
             assert found.world == record.world
@@ -46,12 +46,14 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
             if record.name == "stable":  # its rehearsal's twin has a past of its own: the same but for its creep
                 assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
-                assert_near(found.evidence, live, where, within=1e-6)
+                assert_approximately(found.evidence, live, where, within=1e-6)
     assert not current.open_worlds()
 
 
 @pytest.mark.slow
-def test_what_a_record_shows_can_be_asked(demo_log: Path, failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recorded_query_can_be_typed_as_a_question(
+    demo_log: Path, failed_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One of each query of the demos, typed as ``log`` and ``why`` show it."""
     for file in (demo_log, failed_log):
         with replay.open(file) as log:
@@ -63,7 +65,7 @@ def test_what_a_record_shows_can_be_asked(demo_log: Path, failed_log: Path, caps
                 assert json.loads(capsys.readouterr().out)["answer"] == names(record.answer_json), shown
 
 
-def test_words_of_records_are_read() -> None:
+def test_json_literals_of_records_are_parsed() -> None:
     question = parse("reachable_object(object=milk, gripper=tip, collision_free=false, grasp=null, threshold=1e-3)")
     assert question.keywords == {
         "object": Name("milk"),
@@ -78,7 +80,7 @@ def test_words_of_records_are_read() -> None:
     )
 
 
-def test_a_name_that_is_no_word_says_so() -> None:
+def test_a_name_that_is_no_identifier_must_be_quoted() -> None:
     with pytest.raises(BadQuestion, match="into quotes"):
         parse("stable(red-cup)")
 
@@ -92,20 +94,20 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
     with replay.open(demo_log) as log:
         step = first(log, "visible").seq
         question = f"visible(milk, {CAMERA}, threshold=0.5)"
-        seen = ask(log, step, question)
+        seen = log.ask(step, question)
         assert seen.answer is True
         assert seen.evidence["share"] > 0.5  # type: ignore[operator]
-        behind = ask(log, step, question, moves=[Move("milk", (-2, 0, 1))])
+        behind = log.ask(step, question, moves=[Move("milk", (-2, 0, 1))])
         assert behind.answer is False
         assert "behind the camera" in str(behind.evidence["reason"])
-        gone = ask(log, step, question)
+        gone = log.ask(step, question)
         assert gone.answer is True  # nothing of the move is left
         assert gone.evidence == seen.evidence
-        in_hand = ask(log, step, "reachable(milk, robot, l_gripper_tool_frame)", moves=[Move("milk", (1.2, 0.9, 1))])
+        in_hand = log.ask(step, "reachable(milk, robot, l_gripper_tool_frame)", moves=[Move("milk", (1.2, 0.9, 1))])
         assert in_hand.answer is True
         blocked = first(log, "blocking")
-        assert again(log, blocked.seq).answer == ["bowl"]
-        assert again(log, blocked.seq, moves=[Move("bowl", (-2, 0, 1))]).answer == []
+        assert log.ask(blocked.seq).answer == ["bowl"]
+        assert log.ask(blocked.seq, moves=[Move("bowl", (-2, 0, 1))]).answer == []
 
 
 @pytest.mark.parametrize(
@@ -128,7 +130,7 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
 )
 def test_queries_are_asked_as_in_the_thesis(scene_log: Path, question: str, answer: object) -> None:
     with replay.open(scene_log) as log:
-        found = ask(log, first(log, "visible").seq, question)
+        found = log.ask(first(log, "visible").seq, question)
     assert isinstance(found.answer, list) if answer is None else found.answer == answer
     assert found.evidence or answer is False
     assert parse(str(found.question)) == found.question  # it can be typed again as it is printed
@@ -170,7 +172,7 @@ def test_every_query_can_be_asked() -> None:
         ("stable(1j)", "can't be an argument"),
     ],
 )
-def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None:
+def test_anything_but_a_query_call_is_refused_without_executing_it(text: str, told: str) -> None:
     with pytest.raises(BadQuestion, match=told):
         parse(text)
 
@@ -190,11 +192,11 @@ def test_what_is_no_question_is_refused_unexecuted(text: str, told: str) -> None
 )
 def test_questions_without_an_answer_say_why(scene_log: Path, question: str, told: str) -> None:
     with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=told):
-        ask(log, first(log, "visible").seq, question)
+        log.ask(first(log, "visible").seq, question)
     assert not current.open_worlds()
 
 
-def test_words_stay_words() -> None:
+def test_identifiers_print_without_quotes_other_names_with_quotes() -> None:
     asked = parse("btr.visible(milk, camera=wide, threshold=-0.5, robot=None)")
     assert asked.query == "visible"
     assert asked.arguments == (Name("milk"),)
@@ -216,7 +218,7 @@ def test_the_verb_prints_the_answer_and_its_evidence(scene_log: Path, capfd: pyt
 
 
 @pytest.mark.slow
-def test_without_the_engine_it_says_what_is_missing(scene_log: Path) -> None:
+def test_without_the_engine_the_missing_library_is_named(scene_log: Path) -> None:
     script = (
         "import sys; sys.modules['pybullet'] = None; from replay.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
@@ -242,7 +244,7 @@ def test_without_the_engine_it_says_what_is_missing(scene_log: Path) -> None:
         ["-3", "stable(milk)", "--world", "elsewhere"],
     ],
 )
-def test_wrong_usage_is_told_on_stderr(
+def test_wrong_usage_is_reported_on_stderr(
     scene_log: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["ask", str(scene_log), *arguments]) == 2

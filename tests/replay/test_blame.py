@@ -14,7 +14,6 @@ from pycram.cli import run
 from recorder.records import Mutation
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain.blame import blame
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
@@ -23,9 +22,9 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-def test_blame_tells_a_body_s_own_move_from_being_carried(small: Recording) -> None:
+def test_blame_distinguishes_a_move_from_being_carried(small: Recording) -> None:
     carried = small.step("task:carry@end")
-    found = blame(small, "milk", carried)
+    found = small.blame("milk", carried)
     assert found.how == "carried"
     assert found.record.move_body.body == "cereal"
     (held,) = found.carried
@@ -35,11 +34,11 @@ def test_blame_tells_a_body_s_own_move_from_being_carried(small: Recording) -> N
     assert found.causes.line.text == "cereal.set_position([0.5, 0.2, 0.13])"
     assert found.causes.line.function == "main"
     assert found.distance == pytest.approx(0.283, abs=5e-3)
-    assert blame(small, "cereal", carried).how == "command"
-    assert blame(small, "cereal", carried).record == found.record
+    assert small.blame("cereal", carried).how == "command"
+    assert small.blame("cereal", carried).record == found.record
 
 
-def test_lines_that_were_told_are_not_told_again(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_call_stack_lines_are_printed_once(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     carried = small.step("task:carry@end")
     assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
     told = [line.strip() for line in capsys.readouterr().out.splitlines()]
@@ -47,8 +46,8 @@ def test_lines_that_were_told_are_not_told_again(small: Recording, capsys: pytes
     assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in <module>, as above"]
 
 
-def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Recording) -> None:
-    found = blame(small, "milk", mutation(small, "simulate"))
+def test_blame_of_a_settled_body_includes_what_moved_it_before(small: Recording) -> None:
+    found = small.blame("milk", mutation(small, "simulate"))
     assert found.how == "physics"
     assert found.distance < 5e-3
     assert found.earlier.how == "load"
@@ -58,13 +57,16 @@ def test_blame_of_what_came_to_rest_goes_on_to_what_brought_it_there(small: Reco
 def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Recording) -> None:
     changes = [r.seq for r in small.records(Mutation) if any(state.body == "cereal" for state in r.effect.bodies)]
     for step in range(changes[0], len(small), 7):
-        assert blame(small, "cereal", step).record.seq == max(seq for seq in changes if seq <= step)
+        assert small.blame("cereal", step).record.seq == max(seq for seq in changes if seq <= step)
 
 
-def test_blame_tells_the_line_of_what_no_task_did(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    found = blame(small, "cereal").causes
+def test_blame_gives_the_plan_s_line_outside_of_tasks(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+    found = small.blame("cereal").causes
     assert not found.tasks
-    assert [line.text for line in found.way][-2:] == ["main()", "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])"]
+    assert [line.text for line in found.call_stack][-2:] == [
+        "main()",
+        "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])",
+    ]
     assert found.line.function == "main"
     assert main(["blame", str(small.path), "cereal"]) == 0
     said = capsys.readouterr().out
@@ -99,15 +101,15 @@ with BulletWorld():
 """
 
 
-def test_lines_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
+def test_call_stacks_lead_through_modules_blocks_and_threads(tmp_path: Path) -> None:
     (tmp_path / "moves_of_robots.py").write_text(IN_A_MODULE)
     (tmp_path / "plan.py").write_text(OF_A_PLAN)
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
         moves = [mutation(log, "move_body", number) for number in range(3)]
-        loaded, *told = [blame(log, "ball", step).causes for step in (mutation(log, "load_body"), *moves)]
-    assert [line.text for line in loaded.way] == ['ball = Object("ball", "ball", "apple.stl")']
-    assert [[line.text for line in each.way] for each in told] == [
+        loaded, *told = [log.blame("ball", step).causes for step in (mutation(log, "load_body"), *moves)]
+    assert [line.text for line in loaded.call_stack] == ['ball = Object("ball", "ball", "apple.stl")']
+    assert [[line.text for line in each.call_stack] for each in told] == [
         ["lift(ball)", "ball.set_position([0, 0, 1])"],
         ["shove(ball)", "ball.set_position([1, 0, 0])"],
         ["helper = threading.Thread(target=lambda: lift(ball))", "ball.set_position([0, 0, 1])"],
@@ -130,23 +132,23 @@ with BulletWorld():
 """
 
 
-def test_within_a_task_the_line_is_that_of_the_change(tmp_path: Path) -> None:
+def test_within_a_task_the_call_stack_is_that_of_the_change(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text(OF_A_BRANCH)
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
-        told = blame(log, "ball").causes
-    assert [line.text for line in told.way] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]
+        told = log.blame("ball").causes
+    assert [line.text for line in told.call_stack] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]
     assert told.tasks[0].line.text == "block(lift, ball)"
 
 
 @pytest.mark.slow
-def test_a_motion_s_changes_are_told_by_its_tasks_only(failed_log: Path) -> None:
+def test_a_motion_s_changes_have_the_call_stack_of_its_task(failed_log: Path) -> None:
     with replay.open(failed_log) as log:
         told = {bool(record.task): record.source_line > 0 for record in log.records(Mutation)}
     assert told == {False: True, True: False}
 
 
-def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_blame_of_a_removed_body_is_its_removal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab") as world:
         ball = Object("ball", "ball", "apple.stl")
         ball.set_position([1, 0, 0])
@@ -156,22 +158,22 @@ def test_blame_of_what_was_removed_tells_who_removed_it(tmp_path: Path, capsys: 
         Object("ball", "ball", "apple.stl", [0, 0, 3])
     with replay.open(tmp_path / "x.mcap") as log:
         removal, again = mutation(log, "remove_body"), mutation(log, "load_body", 1)
-        gone = blame(log, "ball", again - 1)
+        gone = log.blame("ball", again - 1)
         assert (gone.how, gone.record.seq, gone.after) == ("removed", removal, None)
         assert gone.causes.tasks[0].name == "clear"
         assert (gone.earlier.how, gone.earlier.record.seq) == ("command", mutation(log, "move_body"))
-        assert blame(log, "ball").how == "load"
+        assert log.blame("ball").how == "load"
         with pytest.raises(replay.NoSuchName):
-            blame(log, "ball", mutation(log, "load_body") - 1)
+            log.blame("ball", mutation(log, "load_body") - 1)
         with pytest.raises(replay.NoSuchName, match="no world is open"):
-            blame(log, "ball", "last")
+            log.blame("ball", "last")
     assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1)]) == 0
     assert capsys.readouterr().out.startswith("ball was removed from [1, 0, 0]\n")
     assert main(["blame", str(tmp_path / "x.mcap"), "ball", "--at", str(again - 1), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["earlier"]["how"] == "command"
 
 
-def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) -> None:
+def test_moving_the_head_does_not_move_a_held_object(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "x.mcap"), BulletWorld() as world:
         world.robot = robot = Object("pr2", "robot", "pr2.urdf", [0.123, 0.456, 0], [0, 0, 0.3, 0.9])
         milk = Object("milk", "milk", "milk.stl", [0.777, 0.333, 1.1], [0.1, 0.2, 0.3, 0.7])
@@ -181,35 +183,35 @@ def test_what_a_hand_holds_that_rests_was_not_moved_by_the_head(tmp_path: Path) 
     with replay.open(tmp_path / "x.mcap") as log:
         moved, turned = mutation(log, "move_body"), mutation(log, "move_joints")
         assert "milk" in [state.body for state in log[turned].effect.bodies]  # in its last digits
-        assert blame(log, "milk").record.seq == moved
+        assert log.blame("milk").record.seq == moved
 
 
 @pytest.mark.parametrize(
     ("target", "hint"),
     [("milks", "did you mean milk"), ("milk.lid", "joint of milk 'lid'"), ("milk.", "joint of milk")],
 )
-def test_blame_of_what_isn_t_there_says_what_is(small: Recording, target: str, hint: str) -> None:
+def test_blame_of_an_unknown_name_suggests_known_ones(small: Recording, target: str, hint: str) -> None:
     with pytest.raises(replay.NoSuchName, match=hint):
-        blame(small, target)
+        small.blame(target)
 
 
 @pytest.mark.slow
 def test_blame_in_the_kitchen(demo_log: Path) -> None:
     with replay.open(demo_log) as log:
         joint = "sink_area_left_upper_drawer_main_joint"
-        opened = blame(log, f"kitchen.{joint}")
+        opened = log.blame(f"kitchen.{joint}")
         assert opened.how == "command"
         assert [task.name for task in opened.causes.tasks] == ["Accessing", "accessing"]
-        spoon = blame(log, "spoon", opened.record.seq)
+        spoon = log.blame("spoon", opened.record.seq)
         assert spoon.how == "along"
         assert spoon.record == opened.record
-        milk = blame(log, "milk", "task:move-arm-joints#-1@end")
+        milk = log.blame("milk", "task:move-arm-joints#-1@end")
         placed = milk.earlier or milk
         assert "place" in [task.name for task in placed.causes.tasks]
         assert placed.carried[0].held.carrier == "pr2"
 
 
-def test_blame_knows_what_was_in_a_world_that_was_closed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_blame_hints_at_a_closed_world_that_had_the_body(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file):
         with BulletWorld(name="lab"):
@@ -225,7 +227,7 @@ def test_blame_knows_what_was_in_a_world_that_was_closed(tmp_path: Path, capsys:
     assert "closed" not in capsys.readouterr().err
 
 
-def test_blame_names_the_world_where_the_one_opened_last_has_no_such_body(
+def test_blame_names_its_world_if_the_default_one_has_no_such_body(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.mcap"
@@ -240,7 +242,7 @@ def test_blame_names_the_world_where_the_one_opened_last_has_no_such_body(
     assert main(["blame", str(file), "cup"]) == 0
     said = capsys.readouterr().out
     assert said.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
-    assert "(b, the world opened last, has no cup: --world tells which one is meant)" in said
+    assert "(b, the world opened last, has no cup: --world chooses one)" in said
     assert main(["blame", str(file), "ball"]) == 0
     assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")
     assert main(["blame", str(file), "cup", "--world", "b"]) == 0

@@ -134,7 +134,7 @@ def originals(file: Path) -> dict[int, bytes]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damaged_copies_give_what_is_left(
+def test_damaged_copies_give_their_readable_part(
     small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
     damager = Damager(small_log, 1)
@@ -151,9 +151,7 @@ def test_500_damaged_copies(small_log: Path, tmp_path: Path, capsys: pytest.Capt
         check(tmp_path / "x.mcap", original, KINDS[number % len(KINDS)], damager, capsys)
 
 
-def test_an_empty_file_and_other_people_s_files_are_told_what_they_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_empty_and_foreign_files_are_reported_as_such(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "x.mcap"
 
     def complaint(code: int = 2) -> str:
@@ -183,7 +181,9 @@ def test_an_empty_file_and_other_people_s_files_are_told_what_they_are(
     assert "no regular file" in complaint()
 
 
-def test_damaged_first_bytes_hide_nothing(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_magic_bytes_lose_no_record(
+    small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     content = small_log.read_bytes()
     file = tmp_path / "x.mcap"
     for damaged in (b"\x89MCAP1\r\n" + content[8:5000], b"12345678" + content[8:]):
@@ -194,7 +194,7 @@ def test_damaged_first_bytes_hide_nothing(small_log: Path, tmp_path: Path, capsy
         assert list(copy) == list(log)
 
 
-def test_a_second_recording_that_can_t_be_read_is_no_wrong_usage(
+def test_diff_with_an_unreadable_recording_exits_with_3(
     small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.mcap"
@@ -211,7 +211,7 @@ def foreign(stream: object, schema: str) -> None:
     writer.finish()
 
 
-def test_what_a_state_can_t_know_is_said(tmp_path: Path) -> None:
+def test_a_state_reports_its_uncertainty(tmp_path: Path) -> None:
     """A chunk of changes is lost: states behind it say so, until a keyframe tells all again.
 
     It is one of the golden recording: where chunks end depends on how fast a plan runs.
@@ -223,7 +223,7 @@ def test_what_a_state_can_t_know_is_said(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     file.write_bytes(content)
     with replay.open(file) as log:
-        assert f"{steps[0]}-{steps[-1]}" in log.state_at(steps[-1] + 1).doubt
-        assert not log.state_at(steps[0] - 1).doubt
+        assert f"{steps[0]}-{steps[-1]}" in log.state_at(steps[-1] + 1).uncertainty
+        assert not log.state_at(steps[0] - 1).uncertainty
         with pytest.raises(replay.Damaged, match=f"step {steps[1]}"):
             _ = log[steps[1]]

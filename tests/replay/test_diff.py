@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-def test_a_step_differs_from_itself_in_nothing(small: Recording) -> None:
+def test_a_step_does_not_differ_from_itself(small: Recording) -> None:
     for step in (0, 5, 60, len(small) - 1):
         assert not difference(small.state_at(step), small.state_at(step))
 
 
-def test_a_difference_names_what_came_moved_and_changed_hands(small: Recording) -> None:
+def test_a_difference_names_added_moved_and_attached_bodies(small: Recording) -> None:
     loaded, attached = mutation(small, "load_body", 1), mutation(small, "attach_body")
     came = difference(small.state_at(loaded - 1), small.state_at(loaded))
-    assert came.came == (("table", "milk"),)
+    assert came.added == (("table", "milk"),)
     assert not came.changed
     held = difference(small.state_at(attached - 1), small.state_at(attached))
     (change,) = [change for change in held.changed if change.body == "milk"]
-    assert change.changed_hands
+    assert change.carrier_changed
     assert not change.moved
     assert change.carrier[1].carrier == "cereal"
     moved = difference(small.state_at(attached), small.state_at(attached + 2))
@@ -49,9 +49,9 @@ def test_two_runs_of_the_same_plan_are_the_same(small_log: Path, tmp_path: Path)
     again.write_bytes(small_log.read_bytes())
     with replay.open(small_log) as first, replay.open(again) as second:
         compared = compare(first, second)
-        assert compared.parting is None
-        assert compared.alike == len(first)
-        assert not compared.world
+        assert compared.divergence is None
+        assert compared.equal == len(first)
+        assert not compared.difference
 
 
 def drop(file: Path, heights: list[float], *, extra: bool = False) -> None:
@@ -66,34 +66,34 @@ def drop(file: Path, heights: list[float], *, extra: bool = False) -> None:
         world.simulate(0.1)
 
 
-def test_runs_part_at_the_first_record_that_differs(tmp_path: Path) -> None:
+def test_runs_diverge_at_the_first_different_record(tmp_path: Path) -> None:
     drop(tmp_path / "a.mcap", [1, 2, 3])
     drop(tmp_path / "b.mcap", [1, 2.5, 3])
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
-        parting = compare(first, second).parting
-        assert parting.task == "drop"
-        assert parting.first.seq == parting.second.seq == first.step("task:drop#2@start")
-        assert parting.fields == {"parameters.height": (2, 2.5)}
-        assert compare(first, second, tolerance=1.0).parting is None
+        divergence = compare(first, second).divergence
+        assert divergence.task == "drop"
+        assert divergence.first.seq == divergence.second.seq == first.step("task:drop#2@start")
+        assert divergence.fields == {"parameters.height": (2, 2.5)}
+        assert compare(first, second, tolerance=1.0).divergence is None
 
 
-def test_what_only_one_run_did_is_found(tmp_path: Path) -> None:
+def test_a_record_of_only_one_run_is_the_divergence(tmp_path: Path) -> None:
     drop(tmp_path / "a.mcap", [1, 2])
     drop(tmp_path / "b.mcap", [1, 2], extra=True)
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
         for one, other, side in ((first, second, "second"), (second, first, "first")):
-            parting = compare(one, other).parting
-            alone = getattr(parting, side)
+            divergence = compare(one, other).divergence
+            alone = getattr(divergence, side)
             assert isinstance(alone, Task)
             assert alone.name == "look"
             assert alone.phase == Task.STARTED
         compared = compare(first, second)
-        (change,) = compared.world.changed
+        (change,) = compared.difference.changed
         assert change.body == "ball"
         assert change.after[0][2] > 8
 
 
-def test_what_only_one_run_did_comes_before_what_it_led_to(tmp_path: Path) -> None:
+def test_a_record_of_only_one_run_comes_before_its_consequences(tmp_path: Path) -> None:
     """Records are numbered differently from there on, and still compared with their like."""
 
     def run(file: Path, *, looks: bool, height: float) -> None:
@@ -114,42 +114,38 @@ def test_what_only_one_run_did_comes_before_what_it_led_to(tmp_path: Path) -> No
         replay.open(tmp_path / "b.mcap") as second,
         replay.open(tmp_path / "c.mcap") as third,
     ):
-        assert compare(first, second).parting.second.name == "look"
-        assert compare(first, third).parting.second.name == "look"
-        assert compare(second, third).parting.fields == {"parameters.height": (2.5, 2.0)}
+        assert compare(first, second).divergence.second.name == "look"
+        assert compare(first, third).divergence.second.name == "look"
+        assert compare(second, third).divergence.fields == {"parameters.height": (2.5, 2.0)}
 
 
-def test_diff_of_runs_that_part_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_diff_of_diverging_runs_exits_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     drop(tmp_path / "a.mcap", [1])
     drop(tmp_path / "b.mcap", [2])
     assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "a.mcap")]) == 0
     assert main(["diff", str(tmp_path / "a.mcap"), str(tmp_path / "b.mcap")]) == 1
-    assert "part in drop" in capsys.readouterr().out
+    assert "diverge in drop" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("tolerance", ["nan", "-1", "inf", "much"])
-def test_a_tolerance_that_is_none_is_refused(
-    small_log: Path, tolerance: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_invalid_tolerance_is_refused(small_log: Path, tolerance: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["diff", str(small_log), str(small_log), f"--tolerance={tolerance}"]) == 2
     assert "--tolerance" in capsys.readouterr().err
 
 
-def test_of_a_recording_that_was_cut_nobody_can_tell_that_it_differs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_diff_with_a_cut_recording_exits_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     whole, cut = tmp_path / "a.mcap", tmp_path / "b.mcap"
     drop(whole, [1])
     cut.write_bytes(whole.read_bytes()[:-50_000])
     for pair in ((whole, cut), (cut, whole)):
         assert main(["diff", *map(str, pair)]) == 3
         said = capsys.readouterr()
-        assert "has no such record" in said.out or "they part" in said.out
+        assert "has no such record" in said.out or "they diverge" in said.out
         assert "incomplete" in said.err
         assert "broke off" in said.out.splitlines()[-1]
 
 
-def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "x.mcap"
     with recorder.record(file), BulletWorld(name="lab"):
         ball = Object("ball", "ball", "apple.stl", [0, 0, 1])
@@ -172,7 +168,5 @@ def test_a_small_change_can_be_seen(tmp_path: Path, capsys: pytest.CaptureFixtur
         (1.0, 1.0 + 2**-52, ("1.0", "1.0000000000000002")),
     ],
 )
-def test_numbers_are_told_with_the_digits_that_tell_them_apart(
-    before: float, after: float, told: tuple[str, str]
-) -> None:
+def test_different_numbers_are_printed_differently(before: float, after: float, told: tuple[str, str]) -> None:
     assert wording.apart(before, after) == told

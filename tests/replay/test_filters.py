@@ -26,18 +26,18 @@ def picked(small_log: Path, capsys: pytest.CaptureFixture[str]):
     return pick
 
 
-def test_without_filters_everything_is_there(small_log: Path, picked) -> None:
+def test_log_without_filters_has_every_record(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
         assert picked() == list(range(len(log)))
 
 
-def test_by_kind(small_log: Path, picked) -> None:
+def test_log_filters_by_kind(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
         assert picked("--kind", "query") == [record.seq for record in log.records(Query)]
         assert picked("--kind", "query", "--kind", "task") == [record.seq for record in log.records((Query, Task))]
 
 
-def test_by_task_with_all_that_it_did(small_log: Path, picked) -> None:
+def test_log_filters_by_task_with_its_subtasks(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
         start, end = log.step("task:carry@start"), log.step("task:carry@end")
         assert picked("--task", "carry") == list(range(start, end + 1))
@@ -46,7 +46,7 @@ def test_by_task_with_all_that_it_did(small_log: Path, picked) -> None:
         assert {log[step].name for step in par if isinstance(log[step], Query)} == {"contact", "visible"}
 
 
-def test_by_object_it_tells_what_carried_it_too(small_log: Path, picked) -> None:
+def test_log_filters_by_object_also_as_carrier_or_carried(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
         told = [log[step] for step in picked("--object", "milk", "--kind", "mutation")]
         commands = [record.WhichOneof("command") for record in told]
@@ -63,7 +63,7 @@ def test_by_object_it_tells_what_carried_it_too(small_log: Path, picked) -> None
         assert picked("--object", "nobody") == []
 
 
-def test_by_world_text_and_steps(small_log: Path, picked) -> None:
+def test_log_filters_by_world_text_and_steps(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
         assert picked("--world", "table", "--kind", "mutation") == [record.seq for record in log.records(Mutation)]
         assert picked("--world", "elsewhere") == []

@@ -238,7 +238,7 @@ def told(state: replay.State) -> dict[str, dict[str, object]]:
 @settings(max_examples=25, deadline=None)
 @given(st.lists(actions, min_size=40, max_size=80), st.randoms(use_true_random=False))
 @pytest.mark.slow
-def test_any_step_is_what_happened_whatever_keyframe_it_is_folded_from(steps: list, rng) -> None:
+def test_folding_from_any_keyframe_gives_the_state_that_was(steps: list, rng) -> None:
     models = {name: Model(name) for name in ("a", "b")}
     expected: list[dict[str, object]] = []
     known: dict[str, object] = {}
@@ -273,7 +273,7 @@ def test_any_step_is_what_happened_whatever_keyframe_it_is_folded_from(steps: li
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.floats(allow_nan=False), min_size=3, max_size=3))
-def test_numbers_keep_every_bit(position: list[float]) -> None:
+def test_folded_numbers_keep_every_bit(position: list[float]) -> None:
     load_it = Mutation(load_body=LoadBody(body="cup"))
     move_it = Mutation(effect=Effect(bodies=[BodyState(body="cup", position=position)]))
     state = replay.fold([load_it, move_it])

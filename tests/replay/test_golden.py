@@ -1,23 +1,24 @@
-"""Recordings of releases are read for ever: what each must give, whatever is added to the definition later.
+"""Recordings of every release stay readable: what each must give, whatever is added to the definition later.
 
-``tests/replay/golden/VERSION.mcap`` was made by that release with ``pycram run tests/replay/golden/plan.py``. A new
-release adds its own file; none is ever replaced.
+``golden/VERSION.mcap`` was made by that release with ``pycram run tests/replay/golden/plan.py``,
+``golden/demos/VERSION-DEMO.mcap`` with the demo. A new release adds its own files; none is ever replaced.
+``golden/demos/why.json`` has the explanations of the demos: steps, causes and types, but no wording.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import replay
 from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 from replay.cli.main import main
-from replay.explain.blame import blame
 from replay.explain.tree import tree
-from replay.explain.why import why
+from replay.restore.verify import verify
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
+DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
+EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
     "open_world",
     "set_gravity",
@@ -45,12 +48,12 @@ def log(request: pytest.FixtureRequest) -> Iterator[Recording]:
         yield opened
 
 
-def test_there_is_one_and_it_is_small() -> None:
+def test_golden_recordings_are_small() -> None:
     assert GOLDEN
     assert all(file.stat().st_size < 100_000 for file in GOLDEN)
 
 
-def test_it_is_whole(log: Recording) -> None:
+def test_golden_recording_is_complete(log: Recording) -> None:
     assert log.complete
     assert log.check() == ""
     assert [record.seq for record in log] == list(range(len(log)))
@@ -58,7 +61,7 @@ def test_it_is_whole(log: Recording) -> None:
     assert log.metadata["pybullet"]
 
 
-def test_records_of_every_kind(log: Recording) -> None:
+def test_golden_recording_has_records_of_every_kind(log: Recording) -> None:
     kinds = (Run, Task, Mutation, Event, Fluent, Query, Keyframe)
     assert [sum(1 for _ in log.records(kind)) for kind in kinds] == [2, 12, 123, 3, 1, 4, 1]
     assert [record.WhichOneof("command") for record in log.records(Mutation)] == COMMANDS
@@ -68,7 +71,7 @@ def test_records_of_every_kind(log: Recording) -> None:
     assert record_data(visible)["evidence"]["hidden_by"].keys() == {"cereal"}
 
 
-def test_states_of_worlds(log: Recording) -> None:
+def test_golden_recording_gives_states(log: Recording) -> None:
     end = log.state_at("last").world("table")
     assert end.open
     assert end.gravity == (0, 0, -9.8)
@@ -85,18 +88,18 @@ def test_states_of_worlds(log: Recording) -> None:
     assert drawer[0] == pytest.approx((2.25, 0, 0.6), abs=1e-9)
 
 
-def test_tasks_lines_and_failures(log: Recording) -> None:
+def test_golden_recording_gives_tasks_call_stacks_and_failures(log: Recording) -> None:
     paths = [node.path for _, node in tree(log).walk()]
     assert paths[0] == "carry"
     assert paths[-2:] == ["put", "put"]
-    found = why(log)
+    found = log.why()
     assert found.failure.message == "the milk can't be put anywhere"
-    assert found.raised[0].lines[-1].text.startswith("raise btr.ReasoningError(")
-    assert [each.task.parameters["height"] for each in found.tries] == [1.0, 0.5]
-    assert blame(log, "milk", "task:carry@end").how == "carried"
+    assert found.exceptions[0].lines[-1].text.startswith("raise btr.ReasoningError(")
+    assert [each.task.parameters["height"] for each in found.attempts] == [1.0, 0.5]
+    assert log.blame("milk", "task:carry@end").how == "carried"
 
 
-def test_attached_files(log: Recording) -> None:
+def test_golden_recording_has_its_files(log: Recording) -> None:
     names = {name.partition("/")[2] for name in log.assets}
     assert {"plan.py", "carton.stl", "cabinet.urdf"} <= names
     for name, content in log.assets.items():
@@ -104,9 +107,53 @@ def test_attached_files(log: Recording) -> None:
 
 
 @pytest.mark.parametrize("verb", ["info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why"])
-def test_every_verb_reads_it(log: Recording, capsys: pytest.CaptureFixture[str], verb: str) -> None:
+def test_every_reading_verb_reads_the_golden_recording(
+    log: Recording, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
     name, *rest = verb.split()
     assert main([name, str(log.path), *rest]) == 0
     said = capsys.readouterr()
     assert said.out.strip()
     assert not said.err
+
+
+def without_wording(why: dict[str, Any]) -> dict[str, Any]:
+    """An explanation's steps, causes and types."""
+
+    def task(found: dict[str, Any] | None) -> list[Any] | None:
+        return found and [found["kind"], found["name"], found["steps"], found["error"] and found["error"][0]]
+
+    return {
+        "outcome": why["outcome"],
+        "step": why["step"],
+        "failure": why["failure"] and why["failure"]["type"],
+        "exceptions": [[error["type"], *(line["line"] for line in error["lines"])] for error in why["raised"]],
+        "tasks": [task(each) for each in why["around"]],
+        "line": why["line"] and why["line"]["line"],
+        "callers": [line["line"] for line in why["callers"]],
+        "bodies": [body["object"] for body in why["things"]],
+        "attempts": [[*task(each), each["parameters"]] for each in why["tries"]],
+        "other_failures": why["others"],
+        "queries": [[query["step"], query["name"], query["answer"]] for query in why["asked"]],
+        "since": [why[key] and task(why[key]["task"]) for key in ("same", "last")],
+        "unfinished": [task(each) for each in why["running"]],
+    }
+
+
+@pytest.mark.parametrize("step", ["", "60"])
+@pytest.mark.parametrize("file", DEMOS, ids=lambda file: file.stem)
+def test_why_explains_the_demos_as_ever(file: Path, step: str, capsys: pytest.CaptureFixture[str]) -> None:
+    wanted = EXPLANATIONS[file.stem].get(step)
+    assert main(["why", str(file), *step.split(), "--json"]) == (0 if wanted else 2)
+    said = capsys.readouterr().out
+    assert (without_wording(json.loads(said)) if said else None) == wanted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", DEMOS, ids=lambda file: file.stem)
+def test_the_demos_of_releases_are_verified(file: Path) -> None:
+    with replay.open(file) as log:
+        found = verify(log)
+        assert found.steps == len(log)
+        assert found.changes == sum(1 for _ in log.records(Mutation))
+    assert found.sound

@@ -28,7 +28,7 @@ def without_numbers(line: str) -> str:
 
 
 @pytest.mark.slow
-def test_the_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path) -> None:
+def test_the_readme_s_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())
     shown = commands()
     assert [command.split()[1] for command, _ in shown] == ["why", "render", "blame", "ask", "restore"]

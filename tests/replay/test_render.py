@@ -15,7 +15,6 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
 from recorder.records import Query
 from replay.cli.main import main
-from replay.restore.render import render
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,17 +38,17 @@ def red(picture: Image.Image) -> np.ndarray:
     return found
 
 
-def test_it_shows_that_moment_from_that_place(file: Path) -> None:
+def test_a_picture_shows_the_step_from_the_viewpoint(file: Path) -> None:
     with replay.open(file) as log:
-        there = red(render(log, 2, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL))
+        there = red(log.render(2, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL))
         assert there.mean() > 0.005
         rows, columns = np.nonzero(there)
         assert rows.mean() == pytest.approx(30, abs=3)  # in the middle of the picture
         assert columns.mean() == pytest.approx(40, abs=3)
-        assert red(render(log, 3, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL)).mean() == 0
-        left = red(render(log, 2, eye=(-1, 0, 0.3), target=(0, -0.2, 0), size=SMALL))
+        assert red(log.render(3, eye=(-1, 0, 0.3), target=(0, 0, 0), size=SMALL)).mean() == 0
+        left = red(log.render(2, eye=(-1, 0, 0.3), target=(0, -0.2, 0), size=SMALL))
         assert np.nonzero(left)[1].mean() < 30
-        wide = render(log, 2, size=(100, 50))
+        wide = log.render(2, size=(100, 50))
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
     assert not current.open_worlds()
@@ -59,29 +58,29 @@ def test_it_shows_that_moment_from_that_place(file: Path) -> None:
 def test_the_robots_camera_sees_what_the_plan_looked_at(scene_log: Path) -> None:
     with replay.open(scene_log) as log:
         step = next(record.seq for record in log.records(Query))  # it looks at the milk
-        picture = np.asarray(render(log, step, camera="wide_stereo_optical_frame", size=(160, 120))).astype(int)
+        picture = np.asarray(log.render(step, camera="wide_stereo_optical_frame", size=(160, 120))).astype(int)
     middle = picture[45:75, 60:100]
     blue = (middle[..., 2] > middle[..., 0] + 40).any()  # the print on the carton
     assert blue
 
 
-def test_what_cant_be_shown_says_so(file: Path, scene_log: Path) -> None:
+def test_impossible_pictures_are_refused(file: Path, scene_log: Path) -> None:
     with replay.open(file) as log:
         with pytest.raises(replay.NoSuchName, match="robot"):
-            render(log, 2, camera="head")
+            log.render(2, camera="head")
         with pytest.raises(replay.ReplayError, match="no direction"):
-            render(log, 2, eye=(0, 0, 1), target=(0, 0, 1))
+            log.render(2, eye=(0, 0, 1), target=(0, 0, 1))
         with pytest.raises(replay.ReplayError, match="3 finite numbers"):
-            render(log, 2, eye=(0, float("nan"), 1))
+            log.render(2, eye=(0, float("nan"), 1))
         with pytest.raises(replay.ReplayError, match="pixels"):
-            render(log, 2, size=(0, 10))
+            log.render(2, size=(0, 10))
         with pytest.raises(replay.NotRestored):
-            render(log, "last")
+            log.render("last")
     with replay.open(scene_log) as log, pytest.raises(replay.NoSuchName, match="did you mean wide_stereo"):
-        render(log, -3, camera="wide_stereo_optical")
+        log.render(-3, camera="wide_stereo_optical")
 
 
-def test_the_verb_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_render_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "x.png"
     asked = ["render", str(file), "2", "-o", str(target), "--from", "-1,0,0.3", "--to", "-.1,0,0", "--size", "80x60"]
     assert main(asked) == 0

@@ -65,7 +65,7 @@ def test_a_script_finds_the_world_and_its_objects(log_file: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(("text", "code"), [("1/0", 1), ("raise SystemExit(7)", 7), ("raise SystemExit", 0)])
-def test_a_scripts_end_is_the_verbs(
+def test_a_script_s_exit_code_is_the_verb_s(
     log_file: Path, tmp_path: Path, text: str, code: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     script = tmp_path / "ends.py"
@@ -77,7 +77,7 @@ def test_a_scripts_end_is_the_verbs(
     assert not current.open_worlds()
 
 
-def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path) -> None:
+def test_a_script_is_recorded_with_the_option_log(log_file: Path, tmp_path: Path) -> None:
     script, target = tmp_path / "s.py", tmp_path / "what_if.mcap"
     script.write_text("bowl.set_position([0, 0, 2]); world.simulate(0.1)")
     assert main(["restore", str(log_file), "5", "--script", str(script), "--log", str(target)]) == 0
@@ -88,7 +88,7 @@ def test_what_a_script_does_is_recorded_if_wanted(log_file: Path, tmp_path: Path
         assert verify(log).sound
 
 
-def test_a_recording_is_not_overwritten_by_what_happens_in_it(
+def test_a_session_cannot_overwrite_its_own_recording(
     log_file: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     before = log_file.read_bytes()
@@ -101,7 +101,7 @@ def test_a_recording_is_not_overwritten_by_what_happens_in_it(
 
 
 @pytest.mark.slow
-def test_a_shell_talks_python(log_file: Path) -> None:
+def test_a_shell_runs_python(log_file: Path) -> None:
     told = restore(log_file, "5", "--shell", input="print(bowl.get_position())\n1/0\nworld.name\n")
     assert told.returncode == 0
     assert told.stdout == "[0.0, 0.0, 0.5]\n'lab@5'\n"
@@ -109,7 +109,7 @@ def test_a_shell_talks_python(log_file: Path) -> None:
     assert "big_cup" in told.stderr  # the banner says what there is
 
 
-def test_json_tells_what_was_restored(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_restore_with_json_prints_the_objects(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["restore", str(log_file), "5", "--json"]) == 0
     told = json.loads(capfd.readouterr().out)
     assert told["objects"]["bowl"]["position"] == [0.0, 0.0, 0.5]
@@ -127,7 +127,7 @@ def test_json_tells_what_was_restored(log_file: Path, capfd: pytest.CaptureFixtu
         (["99"], "steps 0 to"),
     ],
 )
-def test_wrong_usage_is_told_on_stderr(
+def test_wrong_usage_is_reported_on_stderr(
     log_file: Path,
     arguments: list[str],
     words: str,
@@ -144,7 +144,7 @@ def test_wrong_usage_is_told_on_stderr(
 
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
-def test_a_window_shows_it_until_ctrl_c(log_file: Path, display: str) -> None:
+def test_a_window_stays_open_until_ctrl_c(log_file: Path, display: str) -> None:
     command = [sys.executable, "-m", "replay", "restore", str(log_file), "6", "--gui"]
     window = subprocess.Popen(
         command, env=os.environ | {"DISPLAY": display}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

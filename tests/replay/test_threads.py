@@ -15,7 +15,6 @@ from pycram.failures import PlanFailure
 from recorder.records import Run
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain.why import why
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,29 +53,29 @@ def recorded(second: str, tmp_path: Path) -> Path:
     return tmp_path / "x.mcap"
 
 
-def test_why_tells_of_a_failed_thread_and_the_plan_s_line(
+def test_why_reports_a_failed_thread_with_the_plan_s_line(
     quiet: list[threading.ExceptHookArgs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = recorded("int", tmp_path)
     assert len(quiet) == 1
     with replay.open(file) as log:
-        found = why(log)
+        found = log.why()
         (failed,) = [record for record in log.records(Run) if record.phase == Run.THREAD_FAILED]
         assert (found.step, found.task, found.thread) == (failed.seq, None, failed.thread)
         assert log.step("failure") == failed.seq
-        assert [line.text for line in found.raised[-1].lines] == [
+        assert [line.text for line in found.exceptions[-1].lines] == [
             'for work in (lambda: ball.set_position([0, 0, float("nan")]), int):'
         ]
     assert main(["why", str(file)]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("plan succeeded, though its thread helper ")
+    assert said.startswith("plan succeeded, although its thread helper ")
     assert "failed: BadArgument: position = [0, 0, nan]" in said.splitlines()[0]
     assert main(["info", str(file)]) == 0
     assert "failed: BadArgument" in capsys.readouterr().out
     assert main(["verify", str(file)]) == 0
 
 
-def test_what_fails_alike_after_a_thread_has_ended_does_not_explain_it(
+def test_an_equal_failure_after_a_thread_ended_is_not_its_cause(
     quiet: list[threading.ExceptHookArgs], tmp_path: Path
 ) -> None:
     failure = PlanFailure("the ball slipped")
@@ -92,19 +91,19 @@ def test_what_fails_alike_after_a_thread_has_ended_does_not_explain_it(
         with pytest.raises(PlanFailure):
             lift("afterwards")
     with replay.open(tmp_path / "x.mcap") as log:
-        assert why(log).task.started.name == "in the thread"
+        assert log.why().task.started.name == "in the thread"
     assert len(quiet) == 1
 
 
-def test_what_failed_in_a_thread_is_followed_to_its_task(
+def test_a_thread_s_failure_is_traced_to_its_task(
     quiet: list[threading.ExceptHookArgs], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = recorded("lambda: lift(ball)", tmp_path)
     with replay.open(file) as log:
-        found = why(log)
+        found = log.why()
         assert found.task.started.name == "lift"
         assert log.tree().began == found.task.started.task
-        assert [told.failure.type for told in found.threads] == ["BadArgument"]
+        assert [told.failure.type for told in found.failed_threads] == ["BadArgument"]
     assert len(quiet) == 2
     assert main(["why", str(file)]) == 0
     assert "also failed: thread helper " in capsys.readouterr().out
@@ -125,13 +124,13 @@ def test_a_plan_s_own_failure_comes_first(quiet: list[threading.ExceptHookArgs],
     with pytest.raises(PlanFailure, match="the plan"):
         fail_twice(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = why(log)
+        found = log.why()
     assert (found.failure.message, found.thread) == ("the plan", "")
-    assert [told.failure.message for told in found.threads] == ["the thread"]
+    assert [told.failure.message for told in found.failed_threads] == ["the thread"]
     assert len(quiet) == 1
 
 
-def test_recordings_each_tell_it_once_and_leave_no_hook_behind(
+def test_each_recording_has_a_thread_s_failure_once_and_restores_the_hook(
     quiet: list[threading.ExceptHookArgs], tmp_path: Path
 ) -> None:
     before = threading.excepthook
@@ -153,11 +152,13 @@ def throw(error: BaseException) -> None:
     raise error
 
 
-def test_an_error_that_has_no_words_is_told_with_its_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_without_message_is_recorded_with_its_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "plan.py").write_text(
         "class Odd(Exception):\n    def __str__(self):\n        raise RuntimeError\n\nraise Odd\n"
     )
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 1
     assert "recorded to" in capsys.readouterr().err
     with replay.open(tmp_path / "x.mcap") as log:
-        assert [line.text for line in why(log).raised[-1].lines] == ["raise Odd"]
+        assert [line.text for line in log.why().exceptions[-1].lines] == ["raise Odd"]

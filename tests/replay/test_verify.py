@@ -25,7 +25,7 @@ from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.restore.verify import verify
 from tests.measures import seeded
-from tests.replay.near import assert_near
+from tests.replay.approximately import assert_approximately
 from tests.replay.plans import RandomPlan, Witness, everything
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def test_a_sound_recording_is_exact(run_log: Path) -> None:
     assert verdict.changes == changes
 
 
-def test_looking_between_moves_leaves_no_trace(tmp_path: Path) -> None:
+def test_reading_poses_between_moves_changes_nothing(tmp_path: Path) -> None:
     """Where something touches, even a look at it could leave contacts behind that a moment later are wrong."""
     with recorder.record(tmp_path / "run.mcap"), BulletWorld() as world:
         world.set_gravity([0, 0, -9.8])
@@ -147,7 +147,7 @@ def effects(file: Path, kind: str) -> list[int]:
 
 
 @pytest.mark.parametrize("command", ["simulate", "move_body", "move_joints", "load_body"])
-def test_one_byte_of_one_recorded_pose(run_log: Path, tmp_path: Path, command: str) -> None:
+def test_one_wrong_byte_of_a_pose_is_found(run_log: Path, tmp_path: Path, command: str) -> None:
     """The last byte of one number of one pose, in a file with right sums: it is found, at that step."""
     step = random.Random(command).choice(effects(run_log, command))
 
@@ -219,12 +219,12 @@ def tampered_time(record: Record) -> int | None:
         (tampered_sample, "another effect"),
         (tampered_attachment, "another effect"),
         (tampered_command, "another effect"),
-        (tampered_keyframe, "isn't what the records before it add up to"),
-        (tampered_task, "isn't there"),
+        (tampered_keyframe, "differs from the fold of the records before it"),
+        (tampered_task, "never started"),
         (tampered_time, "wall time"),
     ],
 )
-def test_whatever_was_changed_is_found_there(
+def test_every_manipulation_is_found_at_its_step(
     run_log: Path, tmp_path: Path, tamper: Callable[[Record], int | None], told: str
 ) -> None:
     steps: list[int] = []
@@ -252,12 +252,12 @@ def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
     assert found.deviation.size == pytest.approx(1e-6)
 
 
-def test_a_removed_record_is_missed(run_log: Path, tmp_path: Path) -> None:
+def test_a_removed_record_is_reported(run_log: Path, tmp_path: Path) -> None:
     for step in (10, 60):
         file = rewritten(run_log, tmp_path / f"{step}.mcap", lambda r, gone=step: None if r.seq == gone else r)
         found = problem_of(file)
         assert found.step == step
-        assert "not there" in found.cause
+        assert "is missing" in found.cause
         assert main(["verify", str(file)]) == 1
 
 
@@ -279,7 +279,7 @@ def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: P
     assert main(["verify", str(cut)]) == 3
 
 
-def test_a_file_that_was_exchanged_is_found(run_log: Path, tmp_path: Path) -> None:
+def test_an_exchanged_attached_file_is_found(run_log: Path, tmp_path: Path) -> None:
     target = tmp_path / "x.mcap"
     content = bytearray(run_log.read_bytes())
     at = content.index(b"<robot")
@@ -291,7 +291,7 @@ def test_a_file_that_was_exchanged_is_found(run_log: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_on_another_machine_it_says_how_near_it_is(run_log: Path, tmp_path: Path) -> None:
+def test_in_another_environment_the_largest_deviation_is_reported(run_log: Path, tmp_path: Path) -> None:
     """Where the engine isn't the same, the last bits say nothing; but what is far off is a problem still."""
 
     def nudge(size: float) -> Callable[[Record], Record]:
@@ -317,10 +317,10 @@ def test_on_another_machine_it_says_how_near_it_is(run_log: Path, tmp_path: Path
     assert verdict.largest.size == pytest.approx(1e-5)
     assert main(["verify", str(tmp_path / "near.mcap")]) == 0
     found = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
-    assert "the environment is another" in found.cause
+    assert "the environment is a different one" in found.cause
 
 
-def test_worlds_from_before_the_recording_are_compared_as_far_as_can_be(tmp_path: Path) -> None:
+def test_worlds_from_before_the_recording_are_compared_without_physics(tmp_path: Path) -> None:
     file = tmp_path / "late.mcap"
     with BulletWorld(name="early") as world:
         world.set_gravity([0, 0, -9.8])
@@ -357,7 +357,7 @@ def fail_halfway(world: BulletWorld, bowls: list[Object]) -> None:
         raise PlanFailure
 
 
-def test_real_time_branches_and_failures_are_made_again(tmp_path: Path) -> None:
+def test_real_time_branches_and_failures_are_executed_again(tmp_path: Path) -> None:
     """What the clock and branches of a plan did is on record in the order in which it happened."""
     file = tmp_path / "run.mcap"
     with recorder.record(file), BulletWorld() as world:
@@ -411,12 +411,12 @@ def check_random_plan(seed: int, folder: Path) -> None:
         for step, seen in witness.seen.items():
             state = log.state_at(step)
             for name, live in seen.items():
-                assert_near(told_of(state.worlds[name]), live, f"plan {seed}, step {step}")
+                assert_approximately(told_of(state.worlds[name]), live, f"plan {seed}, step {step}")
         dice = random.Random(seed)
         for step in dice.sample(sorted(step for step, seen in witness.seen.items() if seen), 2):
             for name, live in witness.seen[step].items():
                 with log.world_at(step, name, exact=dice.random() < 0.5) as world:
-                    assert_near(everything(world), live, f"plan {seed}, world_at({step})")
+                    assert_approximately(everything(world), live, f"plan {seed}, world_at({step})")
         verdict = verify(log)
         assert verdict.exact, f"plan {seed}: {verdict}"
         end = next(log.backwards())
@@ -441,12 +441,12 @@ def told_of(world: replay.World) -> dict[str, object]:
     return told | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
 
 
-def test_random_plans_are_told_truly(tmp_path: Path) -> None:
+def test_random_plans_are_verified(tmp_path: Path) -> None:
     for seed in range(2):
         check_random_plan(seed, tmp_path)
 
 
-@seeded("random plans, told truly", range(2, 200), 22)
-def test_many_random_plans_are_told_truly(tmp_path: Path, seeds: range) -> None:
+@seeded("random plans, verified", range(2, 200), 22)
+def test_many_random_plans_are_verified(tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         check_random_plan(seed, tmp_path)

@@ -18,52 +18,53 @@ from pycram.language import par
 from recorder.records import Query, Run
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain.why import why
 
 if TYPE_CHECKING:
     from replay.recording import Recording
 
 
 def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Recording) -> None:
-    found = why(small)
+    found = small.why()
     assert found.failure.message == "the milk can't be put anywhere"
-    assert [(error.type, error.message) for error in found.raised] == [
+    assert [(error.type, error.message) for error in found.exceptions] == [
         ("ReasoningError", "milk would fall from 0.5 m"),
         ("ReasoningError", "the milk can't be put anywhere"),
     ]
-    assert [line.text for line in found.raised[0].lines] == [
+    assert [line.text for line in found.exceptions[0].lines] == [
         "put(milk, height)",
         'raise btr.ReasoningError(f"{body.name} would fall from {height} m")',
     ]
-    assert found.raised[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
+    assert (
+        found.exceptions[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
+    )
     assert found.task.parameters["height"] == 0.5
-    assert [each.task.parameters["height"] for each in found.tries] == [1.0, 0.5]
+    assert [each.task.parameters["height"] for each in found.attempts] == [1.0, 0.5]
     assert found.step == small.step("task:put#2@end")
 
 
-def test_why_tells_what_the_robot_was_told(small: Recording) -> None:
-    found = why(small)
-    (asked,) = found.asked
+def test_why_lists_the_queries_that_the_plan_relied_on(small: Recording) -> None:
+    found = small.why()
+    (asked,) = found.queries
     assert asked.query.name == "stable"
     assert asked.query.task == found.task.started.task
     assert not asked.moved
     assert found.warning == asked.query
 
 
-def test_why_tells_what_changed_since_something_went_well(small: Recording) -> None:
-    found = why(small)
-    assert found.same is None
-    assert found.last.task.started.name == "carry"
-    assert {change.body for change in found.last.difference.notable} == {"milk", "cereal"}
+def test_why_lists_changes_since_the_last_success(small: Recording) -> None:
+    found = small.why()
+    assert found.since_same_success is None
+    assert found.since_last_success.task.started.name == "carry"
+    assert {change.body for change in found.since_last_success.difference.notable} == {"milk", "cereal"}
 
 
 def test_why_of_another_failure(small: Recording) -> None:
     first = small.step("task:put@end")
     for step in (first, first - 1, "failure", "task:put#2@start"):
-        found = why(small, step)
+        found = small.why(step)
         assert found.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
     with pytest.raises(replay.NoSuchStep, match="no task failed"):
-        why(small, 5)
+        small.why(5)
 
 
 def drop_in_branch(ball: Object) -> None:
@@ -78,7 +79,7 @@ def drop_in_block(file: Path) -> None:
             block(drop_in_branch, ball)
 
 
-def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_branch_s_failure_is_explained_down_to_its_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(PlanFailure):
         drop_in_block(tmp_path / "x.mcap")
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
@@ -89,14 +90,14 @@ def test_where_a_branch_failed_is_told_down_to_its_line(tmp_path: Path, capsys: 
     assert "with par as block:" in told
 
 
-def test_another_failure_isn_t_told_to_be_the_plan_s(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_earlier_failure_is_not_taken_for_the_plan_s(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(small.path), "task:put@end"]) == 0
     first, second = capsys.readouterr().out.splitlines()[:2]
     assert "the milk can't be put anywhere" in first
     assert second.startswith("Before that, put(object=milk, height=1) failed")
 
 
-def test_after_the_end_of_all_worlds_it_is_said_that_they_ended(
+def test_after_the_end_of_all_worlds_the_error_says_that_they_ended(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab"):
@@ -113,15 +114,15 @@ def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.Capture
     with pytest.raises(KeyError), recorder.record(tmp_path / "x.mcap", source=__file__), BulletWorld():
         {}["spoon"]
     with replay.open(tmp_path / "x.mcap") as log:
-        found = why(log)
+        found = log.why()
         assert found.task is None
-        assert found.is_of_python
-        assert '{}["spoon"]' in found.raised[0].lines[-1].text
+        assert found.is_python_error
+        assert '{}["spoon"]' in found.exceptions[0].lines[-1].text
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
 
 
-def test_files_are_told_from_the_folder_that_one_is_in(
+def test_file_paths_are_relative_to_the_working_directory(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "plans").mkdir()
@@ -164,7 +165,7 @@ def test_the_first_line_says_what_went_wrong(
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[0].partition(" s: ")[2] == told
-    assert said[1].startswith("It began when fetch failed")
+    assert said[1].startswith("The cause: fetch failed")
 
 
 def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -174,7 +175,7 @@ def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: py
     assert capsys.readouterr().out == "walk succeeded.\n"
 
 
-def test_pictures_of_no_failure_are_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_failure_there_are_no_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with recorder.record(tmp_path / "x.mcap", name="walk"):
         pass
     assert main(["why", str(tmp_path / "x.mcap"), "--pictures", str(tmp_path / "pictures")]) == 0
@@ -182,7 +183,7 @@ def test_pictures_of_no_failure_are_none(tmp_path: Path, capsys: pytest.CaptureF
     assert not (tmp_path / "pictures").exists()
 
 
-def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_handled_failures_are_explained_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with recorder.record(tmp_path / "x.mcap", name="walk"), span("plan", "walk"):
         for number in range(12):
             with pytest.raises(PlanFailure), span("motion", "step", {"foot": number}):
@@ -192,7 +193,7 @@ def test_failures_that_the_plan_handled_are_told_too(tmp_path: Path, capsys: pyt
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     said = capsys.readouterr().out
     assert "walk succeeded" in said
-    assert "step was tried 12 times" in said
+    assert "step was attempted 12 times" in said
     assert "... 5 more ..." in said
     assert "stumbled 11" in said
 
@@ -212,16 +213,16 @@ def test_why_of_a_plan_that_was_cut_off(small_log: Path, tmp_path: Path, capsys:
 
 
 @pytest.mark.slow
-def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed_log)]) == 0
     said = capsys.readouterr().out
     first, second, third, fourth = said.splitlines()[:4]
     assert first.startswith("fails_to_reach failed after")
     assert "right arm can't reach" in first
-    assert "pick-up was tried 4 times" in second
+    assert "pick-up was attempted 4 times" in second
     assert "right arm can't reach" in third
-    assert "reachable_object(milk, pr2, r_gripper_tool_frame) said no" in fourth
-    for told in (
+    assert "reachable_object(milk, pr2, r_gripper_tool_frame) was answered no" in fourth
+    for section in (
         " in try_to_take",
         'ProcessModule.perform(MotionDesignator([("type", "pick-up")',
         "failure-handling(retries=3)",
@@ -233,11 +234,11 @@ def test_a_person_with_a_failed_plan_understands(failed_log: Path, capsys: pytes
         "detecting(object-type=milk) succeeded",
         "pycram-replay blame",
     ):
-        assert told in said
+        assert section in said
 
 
 @pytest.mark.slow
-def test_why_gives_machines_the_same(failed: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_why_with_json_has_the_same_content(failed: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed.path), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["failure"]["type"] == "Unreachable"
@@ -249,7 +250,7 @@ def test_why_gives_machines_the_same(failed: Recording, capsys: pytest.CaptureFi
 
 
 @pytest.mark.slow
-def test_why_shows_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_why_writes_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed_log), "--pictures", str(tmp_path / "pictures"), "--json"]) == 0
     files = json.loads(capsys.readouterr().out)["pictures"]
     assert len(files) == 2
@@ -269,18 +270,18 @@ def try_another_way(file: Path) -> None:
                 raise PlanFailure("too high")  # noqa: B904  as plans do
 
 
-def test_what_was_dealt_with_is_no_cause(tmp_path: Path) -> None:
+def test_a_handled_failure_is_no_root_cause(tmp_path: Path) -> None:
     with pytest.raises(PlanFailure):
         try_another_way(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = why(log)
+        found = log.why()
         assert found.task.parameters == {"arm": "right"}
-        assert [error.message for error in found.raised] == ["too high"]
-        assert len(found.tries) == 2
+        assert [error.message for error in found.exceptions] == ["too high"]
+        assert len(found.attempts) == 2
 
 
 @pytest.mark.slow
-def test_why_makes_the_best_of_a_damaged_recording(failed_log: Path, tmp_path: Path) -> None:
+def test_why_explains_a_damaged_recording_as_far_as_possible(failed_log: Path, tmp_path: Path) -> None:
     content = failed_log.read_bytes()
     copy = tmp_path / "damaged.mcap"
     for number in range(30):

@@ -137,7 +137,7 @@ def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.Ca
     for _ in range(2):
         with replay.open(log) as recording:
             cached(recording)
-            assert "cup.urdf" in recording.missing, "said again, although it was translated before"
+            assert "cup.urdf" in recording.problems, "said again, although it was translated before"
 
 
 @pytest.mark.parametrize(

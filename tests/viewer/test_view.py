@@ -23,7 +23,6 @@ from recorder import geometry
 from recorder.records import Mutation, Query, Task
 from recorder.tracing.span import Span
 from replay.cli.main import main
-from replay.restore import ask
 from tests.viewer.conftest import rows_of
 from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, alike, golden, robot_pixels, structure
 from tests.viewer.shown import Shown, in_world, looked_for, small, view
@@ -306,7 +305,7 @@ def test_a_line_of_sight_begins_at_the_camera_of_the_robot_in_the_query(tmp_path
     with replay.open(log) as recording:
         asked = [record.seq for record in recording.records(Query)]
         for step in asked:
-            assert ask.again(recording, step).answer == json.loads(recording[step].answer_json)
+            assert recording.ask(step).answer == json.loads(recording[step].answer_json)
     places = [shown.at("/w/answers/visible/sight", step)["LineStrips3D:strips"][0][0] for step in asked]
     assert [place[0] for place in places] == [5, 5, 0]
 

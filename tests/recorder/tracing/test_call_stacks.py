@@ -70,7 +70,7 @@ def functions(file: Path, name: str) -> list[str]:
     """The functions of a task's call stack, outermost first, from the test's on."""
     with replay.open(file) as log:
         record = next(record for record in log.records(Task) if record.name == name and record.phase == Task.STARTED)
-        names = [line.function for line in Source(log).way(record)]
+        names = [line.function for line in Source(log).call_stack(record)]
     return list(itertools.dropwhile(lambda name: not name, names))  # what runs the tests in many processes
 
 
@@ -211,7 +211,7 @@ def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypa
             with replay.open(file) as log:
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
                 found.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
-                assert Source(log).way(tasks[-1])[-1].text  # the plan's files are in each
+                assert Source(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
         monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
     assert found[:2] == found[2:]
     assert len(found[0]) > 30
@@ -234,7 +234,7 @@ def test_modules_of_the_plan_s_own_are_attached(ran: Path, capsys: pytest.Captur
     with replay.open(ran) as log:
         found = blame(log, "ball").causes
         assert found == causes(log, blame(log, "ball").record)
-        assert [(line.function, line.text) for line in found.way] == [
+        assert [(line.function, line.text) for line in found.call_stack] == [
             ("<module>", "tidy(ball)"),
             ("tidy", "helpers.put(ball, 2)"),
             ("put", "ball.set_position([0, 0, height])"),

@@ -16,7 +16,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.process_module import ProcessModule
 from recorder.records import Keyframe, Mutation, Query
-from tests.replay.near import assert_near
+from tests.replay.approximately import assert_approximately
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -145,7 +145,7 @@ def test_state_after_every_record_equals_the_live_world(tmp_path: Path, late: bo
     for step, live in witness.seen.items():
         # while it is being opened, a world is on record before the plan (and the witness) has it
         worlds = {name: bodies for name, bodies in told[str(step)].items() if bodies or name in live}
-        assert_near(worlds, json.loads(json.dumps(live)), f"step {step}")
+        assert_approximately(worlds, json.loads(json.dumps(live)), f"step {step}")
 
 
 def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,7 +192,7 @@ def test_every_public_call_is_one_record(tmp_path: Path, monkeypatch: pytest.Mon
     assert commands == ["open_world", "set_gravity", "load_body", "load_body", "simulate", "move_body", "close_world"]
 
 
-def test_what_changed_between_two_recordings_is_in_the_second(tmp_path: Path) -> None:
+def test_a_change_between_two_recordings_is_in_the_second_one_s_keyframe(tmp_path: Path) -> None:
     with BulletWorld() as world:
         with recorder.record(tmp_path / "first.mcap"):
             robot = Object("pr2", "robot", "pr2.urdf")

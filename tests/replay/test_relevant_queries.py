@@ -16,8 +16,6 @@ from pycram.failures import PlanFailure
 from pycram.world import current
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.explain.blame import blame
-from replay.explain.why import why
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,12 +35,12 @@ def take_what_is_gone(file: Path) -> None:
             raise PlanFailure("it isn't there")
 
 
-def test_an_answer_that_is_out_of_date_says_so(tmp_path: Path) -> None:
+def test_an_outdated_answer_is_marked(tmp_path: Path) -> None:
     with pytest.raises(PlanFailure):
         take_what_is_gone(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = why(log)
-        (asked,) = found.asked
+        found = log.why()
+        (asked,) = found.queries
         assert asked.query.answer_json == "false"
         assert asked.moved == ("ball",)
         assert found.warning is None
@@ -82,28 +80,28 @@ def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Recording]
 
 @pytest.mark.parametrize("taken", ["nothing"], indirect=True)
 def test_an_answer_that_holds_is_a_warning(taken: Recording) -> None:
-    found = why(taken)
+    found = taken.why()
     assert found.warning is not None
     assert found.warning.name == "stable"
 
 
 @pytest.mark.parametrize("taken", ["removed"], indirect=True)
-def test_what_was_removed_is_not_told_to_have_moved(taken: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    found = why(taken)
-    assert (found.asked[0].gone, found.asked[0].moved, found.absent) == (("ball",), (), ("ball",))
+def test_a_removed_body_is_not_listed_as_moved(taken: Recording, capsys: pytest.CaptureFixture[str]) -> None:
+    found = taken.why()
+    assert (found.queries[0].removed, found.queries[0].moved, found.removed) == (("ball",), (), ("ball",))
     assert found.warning is None
     assert main(["why", str(taken.path)]) == 0
     said = capsys.readouterr().out
     assert "since then ball was removed" in said
-    assert "ball isn't there any more" in said
+    assert "ball had been removed" in said
 
 
 @pytest.mark.parametrize("taken", ["another lab"], indirect=True)
-def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
+def test_a_query_about_an_earlier_world_of_the_same_name_is_no_warning(
     taken: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = why(taken)
-    assert [asked.world for asked in found.asked] == ["lab"]
+    found = taken.why()
+    assert [asked.world for asked in found.queries] == ["lab"]
     assert found.world.title == "lab (2nd of that name)"
     assert found.warning is None
     assert main(["why", str(taken.path)]) == 0
@@ -112,7 +110,7 @@ def test_nobody_was_warned_of_what_is_in_a_later_world_of_that_name(
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
 @pytest.mark.slow
-def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
+def test_suggested_commands_name_the_world_if_it_is_not_the_default(
     taken: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["why", str(taken.path)]) == 0
@@ -131,12 +129,12 @@ def test_commands_to_go_on_with_name_the_world_where_another_would_be_meant(
 
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
-def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
+def test_blame_takes_the_world_opened_last_and_names_others(
     taken: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert (blame(taken, "ball").world, blame(taken, "ball").others) == ("hall", ("lab",))
-    assert blame(taken, "ball", world="lab").world == "lab"
-    assert blame(taken, "floor").world == "lab"
+    assert (taken.blame("ball").world, taken.blame("ball").other_worlds) == ("hall", ("lab",))
+    assert taken.blame("ball", world="lab").world == "lab"
+    assert taken.blame("floor").world == "lab"
     assert taken.state_at("failure").body("ball").position == (7, 7, 7)
     assert main(["blame", str(taken.path), "ball"]) == 0
     said = capsys.readouterr().out
@@ -148,9 +146,9 @@ def test_blame_is_of_the_world_that_was_opened_last_and_tells_of_others(
 @pytest.mark.parametrize(
     "verb", ["ask last stable(floor)", "state last floor --world hall", "blame floor --world hall"]
 )
-def test_where_another_world_has_it_that_is_said(
+def test_the_error_names_another_world_that_has_the_object(
     taken: Recording, verb: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name, *rest = verb.split()
     assert main([name, str(taken.path), *rest]) == 2
-    assert "there is no object 'floor'; it is in lab, not in hall; --world" in capsys.readouterr().err
+    assert "there is no object 'floor'; it is in lab, not in hall; choose one with --world" in capsys.readouterr().err

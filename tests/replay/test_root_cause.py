@@ -14,7 +14,6 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import failure_handling, par, try_in_order
 from recorder.tracing.span import span
-from replay.explain.why import why
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,7 +104,9 @@ def deals_with_all() -> None:
         (deals_with_all, "kick"),
     ],
 )
-def test_one_failure_explains(tmp_path: Path, plan: Callable[[], None], name: str | None) -> None:
+def test_failure_step_why_and_tree_agree_on_the_root_cause(
+    tmp_path: Path, plan: Callable[[], None], name: str | None
+) -> None:
     error = None
     try:
         with recorder.record(tmp_path / "x.mcap"):
@@ -114,7 +115,7 @@ def test_one_failure_explains(tmp_path: Path, plan: Callable[[], None], name: st
         error = raised
     running = tasks.tree().failure_path()
     with replay.open(tmp_path / "x.mcap") as log:
-        found, way = why(log), log.tree().failure_path()
+        found, way = log.why(), log.tree().failure_path()
         assert log.step("failure") == found.step
         assert log.state_at("failure").step == found.step
         if name is None:
@@ -129,7 +130,7 @@ def test_one_failure_explains(tmp_path: Path, plan: Callable[[], None], name: st
             assert [node.id for node in running] == [node.id for node in way]
 
 
-def test_the_last_attempt_is_the_one(tmp_path: Path) -> None:
+def test_the_last_attempt_is_the_root_cause(tmp_path: Path) -> None:
     with pytest.raises(PlanFailure), recorder.record(tmp_path / "x.mcap"):
         gives_up_after_attempts()
     with replay.open(tmp_path / "x.mcap") as log:
@@ -137,7 +138,7 @@ def test_the_last_attempt_is_the_one(tmp_path: Path) -> None:
         assert [node.name for node in log.tree().failure_path()] == ["failure-handling", "attempt 3", "grasp"]
 
 
-def test_nothing_failed(tmp_path: Path) -> None:
+def test_without_failure_there_is_no_root_cause(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "x.mcap"), span("motion", "look"):
         pass
     with replay.open(tmp_path / "x.mcap") as log:

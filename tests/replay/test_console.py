@@ -15,7 +15,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from recorder.tracing.span import span
-from replay.cli.console import print_json, tell, visible
+from replay.cli.console import print_json, print_text, visible
 from replay.cli.main import main
 
 SPOON = "Löffel 🥄"
@@ -59,9 +59,7 @@ def commands(folder: Path) -> list[list[str]]:
 
 
 @pytest.mark.slow
-def test_json_loses_nothing_where_a_terminal_has_no_letters(
-    strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_complete_on_ascii_terminals(strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ended = subprocess.run(
         [sys.executable, "-c", ASCII, str(strange), *(verb.format(folder=tmp_path) for verb in VERBS)],
         env=os.environ | {"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
@@ -83,7 +81,7 @@ def without_clock(told: object) -> object:
     return {key: value for key, value in told.items() if key != "seconds"} if isinstance(told, dict) else told
 
 
-def test_a_terminal_obeys_nothing_that_a_recording_says(
+def test_control_characters_of_recordings_are_escaped(
     strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told = ""
@@ -98,12 +96,12 @@ def test_a_terminal_obeys_nothing_that_a_recording_says(
     assert SPOON in told
 
 
-def test_lines_and_columns_stay(capsys: pytest.CaptureFixture[str]) -> None:
-    tell("a\tb\nc é")
+def test_newlines_and_tabs_are_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    print_text("a\tb\nc é")
     assert capsys.readouterr().out == "a\tb\nc é\n"
 
 
-def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixture[str]) -> None:
+def test_numbers_that_json_lacks_become_strings(capsys: pytest.CaptureFixture[str]) -> None:
     print_json({"x": [float("nan"), (float("-inf"), 1.5)], "y": "\x7f"})
     said = capsys.readouterr().out
     assert json.loads(said, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
@@ -117,7 +115,7 @@ def test_numbers_that_json_has_not_are_told_as_texts(capsys: pytest.CaptureFixtu
         *(pytest.param(verb, marks=pytest.mark.slow) for verb in ("info", "log", f"ask|last|stable('{SPOON}')")),
     ],
 )
-def test_results_that_reach_nobody_end_without_a_traceback(strange: Path, verb: str) -> None:
+def test_a_closed_stdout_ends_without_a_traceback(strange: Path, verb: str) -> None:
     command = [sys.executable, "-m", "replay", *commands_of(verb, strange)]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)

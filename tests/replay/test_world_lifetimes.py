@@ -78,7 +78,7 @@ def openings(log: replay.Recording) -> list[int]:
     return [record.seq for record in log.records(Mutation) if record.HasField("open_world")]
 
 
-def test_lives_are_in_the_order_of_their_opening(log: replay.Recording) -> None:
+def test_lifetimes_are_in_the_order_of_their_opening(log: replay.Recording) -> None:
     first, _, second = openings(log)
     assert [(lifetime.world, lifetime.number) for lifetime in log.lifetimes] == [("lab", 1), ("hall", 1), ("lab", 2)]
     early, _, late = log.lifetimes
@@ -89,7 +89,7 @@ def test_lives_are_in_the_order_of_their_opening(log: replay.Recording) -> None:
     assert not early.has(second)
 
 
-def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Recording) -> None:
+def test_a_world_s_name_means_its_latest_lifetime(log: replay.Recording) -> None:
     """Also where its name is older than another world's."""
     state = log.state_at("last")
     assert [(world.name, world.lifetime) for world in state.worlds.values()] == [("hall", 1), ("lab", 2)]
@@ -102,19 +102,19 @@ def test_the_world_that_was_opened_last_is_the_one_that_is_meant(log: replay.Rec
 @pytest.mark.parametrize(
     ("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)]
 )
-def test_simulated_time_is_that_of_the_first_world_that_gets_so_far(
+def test_a_simulated_time_is_looked_up_in_the_first_world_that_reaches_it(
     log: replay.Recording, time: str, lifetime: int, sim_step: int
 ) -> None:
     world = log.state_at(time).world("lab")
     assert (world.lifetime, world.sim_step, world.open) == (lifetime, sim_step, True)
 
 
-def test_time_that_no_world_reached(log: replay.Recording) -> None:
+def test_a_simulated_time_that_no_world_reached_is_no_step(log: replay.Recording) -> None:
     with pytest.raises(replay.NoSuchStep, match=r"the clock of lab ends at 2\.000s"):
         log.step("2.1s")
 
 
-def test_each_clock_is_told(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_has_the_clock_of_each_lifetime(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert [(each.world, each.lifetime, each.seconds) for each in summary(log).worlds] == [
         ("lab", 1, 2.0),
         ("hall", 1, 0.0),
@@ -124,7 +124,7 @@ def test_each_clock_is_told(log: replay.Recording, capsys: pytest.CaptureFixture
     assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
 
 
-def test_a_difference_is_between_the_same_worlds_only(log: replay.Recording) -> None:
+def test_a_difference_compares_equal_lifetimes_only(log: replay.Recording) -> None:
     first, hall, _ = openings(log)
     found = difference(log.state_at(hall - 2), log.state_at("last"))
     assert found.closed == ("lab",)
@@ -133,20 +133,20 @@ def test_a_difference_is_between_the_same_worlds_only(log: replay.Recording) -> 
     assert difference(log.state_at(first + 2), log.state_at(hall - 2)).changed
 
 
-def test_a_state_says_which_world_it_is_of(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_printed_state_names_the_lifetime(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["state", str(log.path), "last"]) == 0
     assert "lab (2nd of that name): 0.500 s simulated" in capsys.readouterr().out
     assert main(["state", str(log.path), "last", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["worlds"]["lab"]["life"] == 2
 
 
-def test_a_line_says_which_world_it_is_about(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_line_names_the_lifetime(log: replay.Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["log", str(log.path), "--text", "load body ball"]) == 0
     worlds = [line.split(" mutation ")[1].split(": ")[0] for line in capsys.readouterr().out.splitlines()]
     assert worlds == ["lab", "hall", "lab (2nd of that name)"]
 
 
-def test_a_later_life_is_executed_again_by_itself(log: replay.Recording) -> None:
+def test_a_later_lifetime_is_executed_again_by_itself(log: replay.Recording) -> None:
     told = log.state_at("last").world("lab")
     with log.world_at("last", "lab", exact=True) as world:
         assert world.sim_step == 120

@@ -15,9 +15,8 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.world import attachment, current
 from recorder import geometry
 from recorder.records import Keyframe, Mutation, OpenWorld
-from replay.restore.ask import ask
 from tests.measures import seeded
-from tests.replay.near import assert_near
+from tests.replay.approximately import assert_approximately
 from tests.replay.plans import RandomPlan, everything
 
 if TYPE_CHECKING:
@@ -82,7 +81,7 @@ def end_of(log: replay.Recording) -> int:
 
 
 @pytest.mark.parametrize("exact", [False, True])
-def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, object]], exact: bool) -> None:
+def test_a_restored_world_equals_the_live_one(plan_log: tuple[Path, dict[str, object]], exact: bool) -> None:
     file, wanted = plan_log
     with replay.open(file) as log:
         step = end_of(log)
@@ -90,7 +89,7 @@ def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, o
     assert world.name == f"kitchen@{step}"
     assert BulletWorld.current_bullet_world is world
     assert BulletWorld.robot is world.get_object("pr2")
-    assert_near(everything(world), wanted)
+    assert_approximately(everything(world), wanted)
     if exact:
         assert everything(world) == wanted
     apple, cup, robot = (world.get_object(name) for name in ("apple", "cup", "pr2"))
@@ -104,7 +103,7 @@ def test_it_reads_back_what_the_live_world_had(plan_log: tuple[Path, dict[str, o
 
 
 @pytest.mark.slow
-def test_it_needs_nothing_but_the_file(planned: Path) -> None:
+def test_restoring_needs_only_the_file(planned: Path) -> None:
     """In another process, with all resources and the robot's package out of reach."""
     script = """
 import sys
@@ -121,12 +120,12 @@ world.simulate(0.1)
     subprocess.run([sys.executable, "-c", script, str(planned)], check=True)
 
 
-def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> None:
+def test_restoring_does_not_affect_a_running_plan(planned: Path, file: Path) -> None:
     """Only a world that is handed out is on record, from a keyframe on; pictures and questions leave nothing."""
     with BulletWorld(name="now") as now, recorder.record(file):
         with replay.open(planned) as log:
             step = end_of(log)
-            ask(log, step, "stable(bowl)")
+            log.ask(step, "stable(bowl)")
             assert BulletWorld.current_bullet_world is now
             assert current.open_worlds() == (now,)
             past = log.world_at(step)
@@ -145,7 +144,7 @@ def test_the_past_doesnt_disturb_a_plan_that_runs(planned: Path, file: Path) -> 
         assert again.get_object("apple").carrier is again.get_object("cup")
 
 
-def test_two_at_once_have_their_own_names(planned: Path) -> None:
+def test_two_restored_worlds_have_different_names(planned: Path) -> None:
     with replay.open(planned) as log:
         worlds_made = [log.world_at(20) for _ in range(3)]
     assert [world.name for world in worlds_made] == ["kitchen@20", "kitchen@20 (2)", "kitchen@20 (3)"]
@@ -153,7 +152,7 @@ def test_two_at_once_have_their_own_names(planned: Path) -> None:
     assert worlds_made[1].get_object("bowl").get_position() != [0, 0, 5]
 
 
-def test_steps_without_a_world_say_so(planned: Path) -> None:
+def test_a_step_without_an_open_world_is_refused(planned: Path) -> None:
     with replay.open(planned) as log:
         with pytest.raises(replay.NotRestored, match="no world is open then yet; take a later step"):
             log.world_at(0)
@@ -166,7 +165,7 @@ def test_steps_without_a_world_say_so(planned: Path) -> None:
     assert not current.open_worlds()
 
 
-def test_a_world_from_before_the_recording_cant_be_had_exactly(file: Path) -> None:
+def test_a_world_from_before_the_recording_cannot_be_restored_exactly(file: Path) -> None:
     with BulletWorld(name="early") as world:
         Object("bowl", "bowl", "bowl.stl", [0, 0, 1])
         with recorder.record(file):

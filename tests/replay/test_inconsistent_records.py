@@ -113,12 +113,12 @@ def check(sound: Path, target: Path, seed: int) -> None:
         assert not current.open_worlds(), f"seed {seed}: {asked}"
 
 
-def test_nonsense_is_told(sound: Path, tmp_path: Path) -> None:
+def test_inconsistent_records_are_reported(sound: Path, tmp_path: Path) -> None:
     for seed in range(2):
         check(sound, tmp_path / f"{seed}.mcap", seed)
 
 
-@seeded("recordings of nonsense", range(2, 150), 37)
-def test_much_nonsense_is_told(sound: Path, tmp_path: Path, seeds: range) -> None:
+@seeded("inconsistent records", range(2, 150), 37)
+def test_many_inconsistent_records_are_reported(sound: Path, tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         check(sound, tmp_path / f"{seed}.mcap", seed)
