@@ -10,6 +10,7 @@ import pytest
 
 from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
+from pycram.fluents.waiting import StateStream
 from pycram.language import par
 from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
@@ -30,6 +31,15 @@ def test_setting_false_notifies_waits_for_not() -> None:
     with waiting(fluent.NOT()) as running:
         fluent.set_value(False)
         assert running.end() is True
+
+
+def test_a_wait_is_notified_when_there_is_a_state_to_look_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    fluent, seen = Fluent(1), []
+    with StateStream(fluent.expression) as stream:
+        next(stream.states(0))
+        monkeypatch.setattr(stream._news, "notify_all", lambda: seen.append(len(stream._states)))
+        fluent.set_value(2)
+    assert seen == [1]
 
 
 def test_all_waits_are_notified() -> None:
