@@ -30,11 +30,11 @@ as in plain Python, which may handle it. A block that is decided tells its other
 next action or wait, and the block ends when all of them have. An empty block succeeds. A failure in the body ends the
 body; it decides ``pursue``, and is one more of the failures elsewhere.
 
-A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are.
-A block, a timeout, an attempt or a cleanup ends where it began, in the order of ``with`` statements
+A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are. A
+block, a timeout, an attempt or a cleanup ends where it began, in the order of ``with`` statements
 (:mod:`pycram.language.nesting`): a generator may yield in its body only to what is over when the generator goes on, as
-that of a context manager does.
-Branches that need the same part of the robot queue in the order in which they are asked for (:mod:`pycram.claims`).
+that of a context manager does. Branches that need the same part of the robot queue in the order in which they are asked
+for (:mod:`pycram.motions.resources`).
 
 One branch runs at a time, and goes on until its next motion, wait or change of a world, where the next one takes its
 turn: the same plan takes the same order each time (:mod:`pycram.scheduling`). What blocks outside of PyCRAM, such as

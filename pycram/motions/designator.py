@@ -31,7 +31,7 @@ from pycram.scheduling.future import Future, branches_in, unwrap
 if TYPE_CHECKING:
     from typing import Self
 
-    from pycram.claims import Claims
+    from pycram.motions.resources import Resources
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "Solution"]
 
@@ -156,11 +156,11 @@ class Designator(Equated, ABC):
                 self.timestamp = time.time()
         return own(solution)
 
-    def claims(self) -> Claims | None:
+    def resources(self) -> Resources | None:
         """What it needs of the robot, as far as that is known by now. Never waits, never fails.
 
         Returns:
-            The claims; None: nobody knows, and it gets all that there is.
+            The resources; None if nobody knows: it gets all that there is.
         """
         return None
 
@@ -296,15 +296,15 @@ class MotionDesignator(Designator):
         value = self.prop_value("type")
         return value if isinstance(value, str) else ""
 
-    def claims(self) -> Claims | None:
+    def resources(self) -> Resources | None:
         """What it needs of the robot: by the ``cmd`` of its solution once that is found, before that by its type.
 
         Only PyCRAM's own are known; others get the whole robot, and their process module may make that less. A
         subclass that says here what it needs has it from the moment in which it is asked for.
         """
         if self.effective and isinstance(solution := self.reference(), Mapping):
-            return motion_types.claims_of(solution)
-        return motion_types.claims_by_type(self)
+            return motion_types.resources_of(solution)
+        return motion_types.resources_by_type(self)
 
     def next_solution(self) -> Self | None:
         """Another solution; see :meth:`Designator.next_solution`."""

@@ -1,4 +1,4 @@
-"""The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and what they claim.
+"""The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and resources.
 
 One resolver serves them all. It checks the slots and gives the solutions: dictionaries with ``cmd`` and every parameter
 that the process module needs, inferred where the plan left it out.
@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
-from pycram.claims import WHOLE, Claims
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import did_you_mean
 from pycram.motions import slot_checks
+from pycram.motions.resources import WHOLE_ROBOT, Resources
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
@@ -73,14 +73,14 @@ class MotionType:
         slots: what it takes beside ``type``.
         one_of: slots of which at least one has to be there.
         only_one: whether it has to be just one.
-        claims: what it needs of the robot, by its slots or by its solution.
+        resources: what it needs of the robot, by its slots or by its solution.
         fixed: further parameters of its solutions.
     """
 
     type: str
     cmd: str
     slots: tuple[Slot, ...]
-    claims: Callable[[dict[str, Value]], Claims]
+    resources: Callable[[dict[str, Value]], Resources]
     one_of: tuple[str, ...] = ()
     only_one: bool = False
     fixed: tuple[tuple[str, str], ...] = ()
@@ -114,24 +114,26 @@ def _holding_arm(given: dict[str, Value]) -> Value:
     return arm.name if arm else "left"
 
 
-def _claims(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Claims:
-    return Claims(frozenset(moves), frozenset(at_rest))
+def _resources(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Resources:
+    return Resources(frozenset(moves), frozenset(at_rest))
 
 
-def _arm_claims(given: dict[str, Value]) -> Claims:
-    return _claims(tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",))
+def _arm_resources(given: dict[str, Value]) -> Resources:
+    return _resources(
+        tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",)
+    )
 
 
-def _gripper_claims(given: dict[str, Value]) -> Claims:
-    return _claims(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
+def _gripper_resources(given: dict[str, Value]) -> Resources:
+    return _resources(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
 
 
-def _joint_claims(given: dict[str, Value]) -> Claims:
-    return _claims(tuple(f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given))
+def _joint_resources(given: dict[str, Value]) -> Resources:
+    return _resources(tuple(f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given))
 
 
-def _base_claims(_: dict[str, Value]) -> Claims:
-    return _claims(("base",), tuple(f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")))
+def _base_resources(_: dict[str, Value]) -> Resources:
+    return _resources(("base",), tuple(f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")))
 
 
 def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
@@ -152,13 +154,13 @@ TYPES: Final = {
                 Slot("target", slot_checks.position, required=True),
                 Slot("orientation", slot_checks.orientation, default=_heading),
             ),
-            _base_claims,
+            _base_resources,
         ),
         MotionType(
             "pick-up",
             "pick",
             (Slot("object", slot_checks.body, required=True), _ARM, Slot("grasp", slot_checks.grasp)),
-            _arm_claims,
+            _arm_resources,
         ),
         MotionType(
             "place",
@@ -169,7 +171,7 @@ TYPES: Final = {
                 Slot("orientation", slot_checks.orientation),
                 Slot("arm", slot_checks.side, default=_holding_arm),
             ),
-            _arm_claims,
+            _arm_resources,
         ),
         MotionType(
             "accessing",
@@ -181,74 +183,74 @@ TYPES: Final = {
                 _ARM,
                 Slot("distance", slot_checks.distance, default=lambda _: 0.3),
             ),
-            _arm_claims,
+            _arm_resources,
         ),
         MotionType(
             "looking",
             "looking",
             (Slot("target", slot_checks.position), Slot("object", slot_checks.body)),
-            lambda _: _claims(("head",), ("base",)),
+            lambda _: _resources(("head",), ("base",)),
             one_of=("target", "object"),
             only_one=True,
         ),
-        MotionType("opening-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "open"),)),
-        MotionType("closing-gripper", "move-gripper", (_GRIPPER,), _gripper_claims, fixed=(("motion", "close"),)),
+        MotionType("opening-gripper", "move-gripper", (_GRIPPER,), _gripper_resources, fixed=(("motion", "open"),)),
+        MotionType("closing-gripper", "move-gripper", (_GRIPPER,), _gripper_resources, fixed=(("motion", "close"),)),
         MotionType(
             "detecting",
             "detecting",
             (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
-            lambda _: _claims((), (WHOLE,)),
+            lambda _: _resources((), (WHOLE_ROBOT,)),
         ),
         MotionType(
             "move-tcp",
             "move-tcp",
             (Slot("target", slot_checks.position, required=True), Slot("orientation", slot_checks.orientation), _ARM),
-            _arm_claims,
+            _arm_resources,
         ),
         MotionType(
             "move-arm-joints",
             "move-joints",
             (Slot("left-arm", slot_checks.posture), Slot("right-arm", slot_checks.posture)),
-            _joint_claims,
+            _joint_resources,
             one_of=("left-arm", "right-arm"),
         ),
         MotionType(
             "world-state-detecting",
             "world-state-detecting",
             (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
-            lambda _: Claims(),
+            lambda _: Resources(),
         ),
     )
 }
 
 
-def claims_by_type(designator: Described) -> Claims | None:
+def resources_by_type(designator: Described) -> Resources | None:
     """What a designator needs of the robot, by its type and slots.
 
     Args:
         designator: any; handles among its slots are not waited for.
 
     Returns:
-        Its claims; None for a type that isn't one of the eleven.
+        Its resources; None for a type that isn't one of the eleven.
     """
     given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
     kind = given.get("type")
     motion = TYPES.get(kind) if isinstance(kind, str) else None
-    return motion.claims(given) if motion else None
+    return motion.resources(given) if motion else None
 
 
-def claims_of(solution: Solution) -> Claims | None:
+def resources_of(solution: Solution) -> Resources | None:
     """What a solution needs of the robot, whichever type it came from.
 
     Args:
         solution: what a designator was resolved to.
 
     Returns:
-        Its claims; None for a ``cmd`` that isn't PyCRAM's own.
+        Its resources; None for a ``cmd`` that isn't PyCRAM's own.
     """
     given = {key: value for key, value in solution.items() if value is not None}
     motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
-    return motion.claims(given) if motion else None
+    return motion.resources(given) if motion else None
 
 
 def resolve(designator: Described) -> Iterator[Solution]:

@@ -19,12 +19,12 @@ import recorder
 import replay
 from pycram import tasks
 from pycram.bullet_world import BulletWorld, Object
-from pycram.claims import Claims
 from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
 from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.language.block import Block
+from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
 from pycram.scheduling.cancellation import Condition, wait
 from tests.measures import seeded
@@ -42,16 +42,16 @@ UNREACHABLE = Unreachable("left", [1, 2, 3])
 class Juggling(MotionDesignator):
     """A motion that says what it needs, or less than that, or nothing."""
 
-    def claims(self) -> Claims | None:
+    def resources(self) -> Resources | None:
         says = dict(self.description)["says"]
-        return says if isinstance(says, Claims) else super().claims()
+        return says if isinstance(says, Resources) else super().resources()
 
 
 @dataclass(frozen=True)
 class Running:
     """A motion under way, and those that it is part of."""
 
-    needs: Claims
+    needs: Resources
     juggler: ProcessModule
     around: tuple[Running, ...]
 
@@ -65,7 +65,7 @@ class SceneView:
         self.around: ContextVar[tuple[Running, ...]] = ContextVar("around", default=())
 
     @contextmanager
-    def on(self, needs: Claims, juggler: ProcessModule) -> Iterator[None]:
+    def on(self, needs: Resources, juggler: ProcessModule) -> Iterator[None]:
         mine = Running(needs, juggler, self.around.get())
         with self.lock:
             for other in self.running:
@@ -89,7 +89,7 @@ class Juggler(ProcessModule):
         super().__init__()
         self.stage = stage
 
-    def claims(self, designator: Juggling) -> Claims:
+    def resources(self, designator: Juggling) -> Resources:
         return designator.reference()["needs"]
 
     def _execute(self, designator: Juggling) -> object:
@@ -175,8 +175,8 @@ class Plan:
             parts.append(self.block(depth - 2, moves))
         if dice.random() < 0.2:
             parts.append(self.fail(UNREACHABLE))
-        needs = Claims(frozenset(moves), frozenset(rest))
-        less = Claims(frozenset(part for part in moves if dice.random() < 0.5))
+        needs = Resources(frozenset(moves), frozenset(rest))
+        less = Resources(frozenset(part for part in moves if dice.random() < 0.5))
         says = dice.choice((needs, needs, less, None)) if allowed == PARTS or moves else needs
         juggler = dice.choice(self.jugglers)
         slots = {"type": "juggle", "needs": needs, "says": says, "parts": parts, "body": dice.choice(BODIES)}

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.claims import ClaimError, Claims, ResourceQueue
 from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, Unreachable
 from pycram.language import State, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.language.body import current_block
 from pycram.language.branch import NoResult
 from pycram.language.timeouts import TimedOut
+from pycram.motions.resources import ResourceError, Resources, Ticket
 from pycram.process_module import ProcessModule
 from pycram.scheduling.cancellation import Condition, join, wait
 from tests.pycram.language.gates import Gate, Meeting
@@ -24,14 +24,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.bullet_world import BulletWorld
-    from pycram.claims import Ticket
     from pycram.language import Kind
     from pycram.language.block import Block
 
 
 class Doing(MotionDesignator):
-    def claims(self) -> Claims:
-        return Claims(frozenset(dict(self.description).get("moves", ())))
+    def resources(self) -> Resources:
+        return Resources(frozenset(dict(self.description).get("moves", ())))
 
     def reference(self) -> dict[str, object]:
         return {key: self.prop_value(key) for key, _ in self.description}
@@ -45,13 +44,13 @@ class Doer(ProcessModule):
 class CustomModule(ProcessModule):
     """A module for a type of the user's, which may say what it needs."""
 
-    def __init__(self, action: Callable[[], object], needs: Claims | None = None) -> None:
+    def __init__(self, action: Callable[[], object], needs: Resources | None = None) -> None:
         super().__init__()
         self.action = action
         self.needs = needs
 
-    def claims(self, designator: Doing) -> Claims | None:
-        return self.needs or super().claims(designator)
+    def resources(self, designator: Doing) -> Resources | None:
+        return self.needs or super().resources(designator)
 
     def _execute(self, designator: Doing) -> object:
         return self.action()
@@ -178,14 +177,14 @@ def test_a_cancelled_motion_leaves_the_queue() -> None:
 
 @pytest.mark.parametrize("block", [par, seq], ids=["par", "seq"])
 def test_ctrl_c_while_a_motion_is_queued_releases_its_resources(block: Kind, monkeypatch: pytest.MonkeyPatch) -> None:
-    arrive = ResourceQueue.arrive
+    enqueue = Ticket.enqueue
 
-    def interrupted(queue: ResourceQueue, ticket: Ticket) -> None:
-        arrive(queue, ticket)
+    def interrupted(ticket: Ticket) -> None:
+        enqueue(ticket)
         signal.raise_signal(signal.SIGINT)
 
     with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt), block:
-        patched.setattr(ResourceQueue, "arrive", interrupted)
+        patched.setattr(Ticket, "enqueue", interrupted)
         do(lambda: None, "left-arm")
     with timeout(20):
         assert do(lambda: 3, "left-arm") == 3
@@ -213,21 +212,23 @@ def test_a_motion_may_consist_of_blocks_that_use_its_resources() -> None:
         do(lambda: done.append(5), "left-arm")
     assert sorted(done[:3]) == [1, 2, 3]
     assert done[3:] == [4, 5]
-    with pytest.raises(ClaimError, match="do moves head, but the motion that it is part of moves left-arm;") as raised:
+    with pytest.raises(
+        ResourceError, match="do moves head, but the motion that it is part of moves left-arm;"
+    ) as raised:
         do(lambda: do(lambda: None, "head"), "left-arm")
     assert (raised.value.motion, raised.value.moves, raised.value.at_rest) == ("do", ["head"], [])
 
 
 @pytest.mark.usefixtures("_resolver")
 def test_a_motion_may_not_move_what_its_parent_needs_at_rest() -> None:
-    rests = CustomModule(lambda: do(lambda: None, "left-arm"), Claims(frozenset({"base"}), frozenset({"left-arm"})))
-    with pytest.raises(ClaimError, match=r"do moves left-arm, but .* moves base and needs at rest left-arm;"):
+    rests = CustomModule(lambda: do(lambda: None, "left-arm"), Resources(frozenset({"base"}), frozenset({"left-arm"})))
+    with pytest.raises(ResourceError, match=r"do moves left-arm, but .* moves base and needs at rest left-arm;"):
         rests.perform("fly")
 
 
 @pytest.mark.usefixtures("_resolver")
 @pytest.mark.parametrize("kind", ["drive", "moving"])  # of the latter more is known, though nothing of how it is done
-def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
+def test_a_motion_of_unknown_type_needs_the_whole_robot(kind: str) -> None:
     order, begun = [], Gate()
 
     def drive() -> None:
@@ -246,9 +247,12 @@ def test_a_motion_of_unknown_type_claims_the_whole_robot(kind: str) -> None:
 
 
 @pytest.mark.usefixtures("_resolver")
-def test_a_motion_claims_what_its_module_or_its_command_needs() -> None:
+def test_a_motion_needs_what_its_module_or_its_command_needs() -> None:
     meeting = Meeting(2)
-    for kind, needs in (("drive", Claims(frozenset({"head"}))), ("my-looking", None)):  # cmd "looking" moves the head
+    for kind, needs in (
+        ("drive", Resources(frozenset({"head"}))),
+        ("my-looking", None),
+    ):  # cmd "looking" moves the head
         order = []
         with par:
             CustomModule(lambda order=order: (meeting.wait(), order.append(1)), needs).perform(kind)
@@ -271,7 +275,7 @@ def test_a_motion_whose_solution_needs_more_resources_waits_for_them() -> None:
         resolved.pass_through(20)
         order.append("arm")
 
-    pointing = CustomModule(lambda: order.append("point"), Claims(frozenset({"head", "left-arm"})))
+    pointing = CustomModule(lambda: order.append("point"), Resources(frozenset({"head", "left-arm"})))
     with MotionDesignator.resolvers.added(resolve):
         with par:
             pointing.perform("looking")
@@ -285,12 +289,12 @@ def test_a_motion_whose_solution_needs_more_resources_waits_for_them() -> None:
 
 
 @pytest.mark.usefixtures("_resolver")
-def test_invalid_claims_are_refused() -> None:
-    assert Claims(["base"], {"head"}) == Claims(frozenset({"base"}), frozenset({"head"}))
+def test_invalid_resources_are_refused() -> None:
+    assert Resources(["base"], {"head"}) == Resources(frozenset({"base"}), frozenset({"head"}))
     for wrong in ("base", 3, [3]):
         with pytest.raises(BadArgument, match="names of resources"):
-            Claims(wrong)
-    with pytest.raises(BadArgument, match="claims of drive = 'base'"):
+            Resources(wrong)
+    with pytest.raises(BadArgument, match="resources of drive = 'base'"):
         CustomModule(lambda: None, "base").perform("drive")
     assert CustomModule(lambda: "free again").perform("drive") == "free again"
 
@@ -320,7 +324,7 @@ def test_resolvers_and_choosers_may_perform_motions_and_blocks() -> None:
         ProcessModule.resolvers.remove(own)
         ProcessModule.resolvers.append(own)  # now asked after the other
         do(lambda: done.append("did"), "head", "left-arm")
-        with pytest.raises(ClaimError, match="do moves head"):
+        with pytest.raises(ResourceError, match="do moves head"):
             do(lambda: done.append("never"), "left-arm")
     assert done == ["looked", "moved", "moved", "did"]
 

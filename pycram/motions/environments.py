@@ -1,0 +1,148 @@
+"""Execution environments: which process modules serve a robot there (thesis 4.8).
+
+The plan names neither robot nor module, so the same plan runs in simulation and, with other modules, on a real robot.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, NoWorld, UsageError
+from pycram.foundation.names import export
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pycram.motions.designator import Designator
+    from pycram.motions.resources import Resources
+    from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
+
+
+@runtime_checkable
+class Module(Protocol):
+    """A process module as far as environments and motions are concerned."""
+
+    def resources(self, designator: Designator) -> Resources | None:
+        """What carrying a designator out needs of the robot."""
+
+    def execute(self, designator: Designator) -> Any:
+        """Carry a designator out."""
+
+
+Modules: TypeAlias = Mapping[str, Module]
+
+SIMULATED = "simulated"
+
+_environment: ContextVar[str] = ContextVar("pycram_environment", default=SIMULATED)
+_lock = threading.Lock()
+_registered: dict[tuple[str, str], Modules] = {}
+_defaults: dict[str, Callable[[], Modules]] = {}
+_of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]] = weakref.WeakKeyDictionary()
+
+
+class NoProcessModule(UsageError):
+    """No process module takes a designator.
+
+    Attributes:
+        cmd: what is to be done.
+        robot: the robot.
+        environment: the execution environment.
+        known: what its modules do.
+    """
+
+    def __init__(self, cmd: str, robot: str, environment: str, known: list[str]) -> None:
+        super().__init__(
+            f"no process module of {robot} in the {environment} environment takes {cmd!r}; "
+            f"it has modules for {', '.join(known) or 'nothing'}; add one with register() or ProcessModule.resolvers"
+        )
+        self.cmd = cmd
+        self.robot = robot
+        self.environment = environment
+        self.known = known
+
+
+export("pycram.process_module", NoProcessModule)
+
+
+@contextmanager
+def execution_environment(name: str) -> Iterator[None]:
+    """Choose the process modules of an environment for what the block performs.
+
+    Args:
+        name: "simulated" (the default everywhere), or one that modules are registered for.
+    """
+    token = _environment.set(name)
+    try:
+        yield
+    finally:
+        _environment.reset(token)
+
+
+def register(robot: str, environment: str, modules: Modules) -> None:
+    """Say which process modules serve a robot in an environment; replaces what was said before.
+
+    Args:
+        robot: the robot's name in its URDF.
+        environment: the execution environment.
+        modules: by the ``cmd`` of the solutions that they take.
+
+    Raises:
+        BadArgument: something else than process modules.
+    """
+    if not isinstance(modules, Mapping) or not all(isinstance(module, Module) for module in modules.values()):
+        raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
+    with _lock:
+        _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
+
+
+def register_default(environment: str, modules: Callable[[], Modules]) -> None:
+    """Say which process modules serve, in an environment, every robot that has a description and none of its own.
+
+    Args:
+        environment: the execution environment.
+        modules: makes a new set, by the ``cmd`` of the solutions that they take; called once for each robot.
+    """
+    with _lock:
+        _defaults[environment] = modules
+
+
+def module_for(cmd: str, world: BulletWorld) -> Module:
+    """Return the module that serves a world's robot in the present environment.
+
+    Args:
+        cmd: what is to be done.
+        world: the world.
+
+    Raises:
+        NoProcessModule: there is none.
+        NoWorld: the world has no robot.
+    """
+    if world.robot is None:
+        raise NoWorld("robot")
+    modules = _modules_of(world, world.robot)
+    if cmd not in modules:
+        raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules))
+    return modules[cmd]
+
+
+def _modules_of(world: BulletWorld, robot: Object) -> Modules:
+    environment = _environment.get()
+    with _lock:
+        registered = _registered.get((robot.urdf.name, environment))
+        if registered is not None:
+            return registered
+        make = _defaults.get(environment)
+        if make is None or robot.description is None:
+            return {}
+        made = _of_world.setdefault(world, {})
+        key = robot.name, environment
+        if key not in made:
+            made[key] = make()
+        return made[key]

@@ -1,0 +1,98 @@
+"""A motion from being asked for to its end: it waits for its turn, is resolved, and carried out.
+
+Motions that one motion is made of queue among themselves, for what that one holds: who is queued waits on one level
+only, so none waits for one that waits for it.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+from pycram.motions.resources import ResourceQueue, Ticket
+from pycram.scheduling.binding import Binding
+from pycram.scheduling.cancellation import checkpoint
+from pycram.scheduling.future import branches_in
+from recorder.tracing.span import Span
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from pycram.motions.designator import Designator
+    from pycram.motions.environments import Module
+    from pycram.world.world import BulletWorld
+
+_queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
+_lock = threading.Lock()
+_parts: ContextVar[ResourceQueue | None] = ContextVar("pycram_parts", default=None)
+
+
+class Motion:
+    """A designator that is to be carried out.
+
+    Args:
+        designator: what to do.
+        world: in which.
+        choose: finds the process module for a designator that can be resolved.
+
+    Attributes:
+        name: its type.
+        span: its node of the task tree.
+    """
+
+    def __init__(self, designator: Designator, world: BulletWorld, choose: Callable[[Designator], Module]) -> None:
+        self.name = str(dict(designator.description).get("type", type(designator).__name__))
+        slots = {key: value for key, value in designator.description if key != "type"}
+        self._designator = designator
+        self._choose = choose
+        self._ticket = Ticket(_parts.get() or _queue_of(world), designator.resources(), self.name)
+        self.span = Span("motion", self.name, parameters=slots)
+
+    def enqueue(self) -> None:
+        """Take its place among those that wait for parts of the robot."""
+        self._ticket.enqueue()
+
+    def leave(self) -> None:
+        """Give its place up, if it has one."""
+        self._ticket.leave()
+
+    def carry_out(self) -> Any:
+        """Wait for its turn, resolve it, and run its process module; as the task that its span is.
+
+        Returns:
+            What the process module returned.
+        """
+        try:
+            self._await_slots()
+            with self._ticket.turn():
+                checkpoint()
+                module = self._resolve()
+                with self._holding():
+                    return module.execute(self._designator)
+        finally:
+            self.leave()
+
+    def _await_slots(self) -> None:
+        """Wait for futures among its slots, which may wait themselves, while it holds nothing of the robot."""
+        for branch in branches_in([value for _, value in self._designator.description]):
+            branch.result()
+
+    def _resolve(self) -> Module:
+        """Find solution and process module, and correct its resources by these."""
+        with self._holding():  # for what resolvers perform
+            self.span.solution = self._designator.reference()
+            module = self._choose(self._designator)
+            resources = module.resources(self._designator)
+        self._ticket.correct(resources)
+        return module
+
+    def _holding(self) -> Binding[ResourceQueue | None]:
+        """What is performed in the block is part of this motion, within what it holds."""
+        return Binding(_parts, ResourceQueue(self._ticket.resources))
+
+
+def _queue_of(world: BulletWorld) -> ResourceQueue:
+    with _lock:
+        return _queues.setdefault(world, ResourceQueue())
