@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder.extras import needed
 from recorder.records import format_error
 from replay.cli.console import print_json, print_message, print_text
 from replay.cli.main import FINE, INCOMPLETE, USAGE
@@ -49,7 +50,8 @@ def _pictures(log: Recording, found: Why, folder: str | None) -> tuple[int, list
         print_message("no pictures: nothing failed")
         return FINE, []
     try:
-        from replay.restore.render import write_pictures  # noqa: PLC0415  it needs libraries for meshes and pictures
+        with needed("render"):
+            from replay.restore.render import write_pictures  # noqa: PLC0415
 
         return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures

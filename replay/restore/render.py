@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.file.log import Log
     from replay.state.state import Body
 
-with needed("render"):
+with needed():
     from PIL import Image
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, where no camera says another

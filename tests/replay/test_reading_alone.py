@@ -117,6 +117,7 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),
         replay("verify", LOGS[0]): ("pycram-replay: verify: ", "executor"),
         replay("restore", LOGS[0], "last", "--shell"): ("pycram-replay: restore: ", "executor"),
+        replay("render", LOGS[0], "last", "-o", str(tmp_path / "x.png")): ("pycram-replay: render: ", "render"),
         replay("view", LOGS[0], "--save", str(tmp_path / "log.rrd")): ("pycram-replay: view: ", "viewer"),
         ("pycram.cli", "demo", "--log", str(tmp_path / "demo.mcap")): ("pycram: ", "executor"),
     }
