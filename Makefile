@@ -11,16 +11,16 @@ demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
 test: .venv/ready-dev  ## all tests, and a slice of each long measure: 6 minutes on two cores
-	$(BIN)/pytest -n auto -m "not long"
+	$(BIN)/pytest -n auto --dist worksteal -m "not long"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
-	$(BIN)/pytest -n auto -m "not slow and not long"
+	$(BIN)/pytest -n auto --dist worksteal -m "not slow and not long"
 
 test-long: .venv/ready-dev  ## the full measures; a run that was ended goes on where it was
-	$(BIN)/pytest -n auto -m "long or measure" --resume .measures/results.jsonl
+	$(BIN)/pytest -n auto --dist worksteal -m "long or measure" --resume .measures/results.jsonl
 
 test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that pyproject.toml allows
-	.venv-lowest/bin/pytest -n auto -m "not slow and not long"
+	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long"
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
 	.venv-reading/bin/pytest --noconftest tests/replay/test_reading_alone.py

@@ -45,10 +45,8 @@ class StateStream:
 
     def state_changed(self) -> None:
         """Append the state; called with the lock held."""
-        asleep = not self._states  # otherwise the waiting branch isn't, or has been notified already
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        if asleep:  # last: it looks again at once, in whatever thread it is
-            self._news.notify_all()
+        self._news.notify_all()  # each time: the waiting branch takes states without the lock, and may just have looked
 
     def states(self, timeout: float | None = None) -> Iterator[State]:
         """Yield the states, as they come.
