@@ -42,6 +42,22 @@ def test_a_wait_is_notified_when_there_is_a_state_to_look_at(monkeypatch: pytest
     assert seen == [1]
 
 
+@pytest.mark.slow
+def test_threads_that_wait_miss_no_state_whenever_they_look() -> None:
+    last = 299
+    for _ in range(30):
+        counter = Fluent(None)
+        waits = [(counter.IS(None).OR(True).AND(counter == last)).wait_for for _ in range(8)]
+        threads = [threading.Thread(target=wait_for, kwargs={"timeout": 100}, daemon=True) for wait_for in waits]
+        for thread in threads:
+            thread.start()
+        for number in range(last + 1):
+            counter.set_value(number)
+        for thread in threads:
+            thread.join(20)
+        assert not [thread for thread in threads if thread.is_alive()]
+
+
 def test_all_waits_are_notified() -> None:
     fluent = Fluent()
     with waiting(fluent) as one, waiting(fluent > 3) as two, waiting(fluent) as three:
