@@ -63,8 +63,10 @@ def needed(extra: str | None = None) -> Iterator[None]:
     """
     try:
         yield
-    except NotInstalled:
-        raise
+    except NotInstalled as error:
+        if extra is None:
+            raise
+        raise NotInstalled(str(error.name), extra) from error
     except ModuleNotFoundError as error:
         name = (error.name or "").partition(".")[0]
         if name not in _EXTRAS:
