@@ -64,7 +64,7 @@ def needed(extra: str | None = None) -> Iterator[None]:
     try:
         yield
     except NotInstalled as error:
-        if extra is None or error.extra == extra:
+        if extra is None:
             raise
         raise NotInstalled(str(error.name), extra) from error
     except ModuleNotFoundError as error:

@@ -33,6 +33,11 @@ class PycramError(Exception):
         fields = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
         return {name: value for name, value in (fields | vars(self)).items() if not name.startswith("_")}
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle and copy it with its fields: its message alone isn't what its class makes one of."""
+        slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
+        return _restored, (type(self), self.args, slots, dict(vars(self)))
+
 
 class PlanFailure(PycramError):
     """The world said no; a plan may handle it."""
@@ -40,6 +45,17 @@ class PlanFailure(PycramError):
 
 class UsageError(PycramError):
     """The program is wrong; plans must not handle it."""
+
+
+def _restored(
+    kind: type[PycramError], args: tuple[object, ...], slots: Mapping[str, object], fields: Mapping[str, object]
+) -> PycramError:
+    """Make an error again that was pickled."""
+    error = kind.__new__(kind, *args)
+    vars(error).update(fields)  # not by assignments: its class may refuse them
+    for name, value in slots.items():
+        getattr(kind, name).__set__(error, value)
+    return error
 
 
 def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:

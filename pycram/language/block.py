@@ -309,10 +309,13 @@ class Block:
     ) -> bool:
         if self._is_read:
             return self._end_body(error)
-        raised = ended = self._close(error)
+        ended = error
         try:
-            self._unbind()
-        except ValueError as wrong:  # this is another context than it began in
+            try:
+                raised = ended = self._close(error)
+            finally:
+                self._unbind()
+        except BaseException as wrong:  # it can't wait for its branches, or this is another context than it began in
             ended = wrong
             raise
         finally:

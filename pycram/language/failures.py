@@ -68,6 +68,10 @@ class BranchesFailed(PlanFailure):
         told = [{"type": type(one).__name__, "message": str(one), "data": one.data} for one in self.failures]
         return {**super().data, "failures": told}
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle what it is made of, as its class has been made for its failures."""
+        return BranchesFailed, (self.block, self.failures)
+
     def __str__(self) -> str:
         told = (
             str(failure) if isinstance(failure, BranchesFailed) else format_error(failure) for failure in self.failures

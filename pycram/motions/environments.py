@@ -96,10 +96,15 @@ def register(robot: str, environment: str, modules: Modules) -> None:
     Raises:
         BadArgument: something else than process modules.
     """
-    if not isinstance(modules, Mapping) or not all(isinstance(module, Module) for module in modules.values()):
+    if not isinstance(modules, Mapping) or not all(_serves(cmd, module) for cmd, module in modules.items()):
         raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
     with _lock:
         _registered[checks.text("robot", robot), checks.text("environment", environment)] = dict(modules)
+
+
+def _serves(cmd: object, module: object) -> bool:
+    """Whether this is a process module for a ``cmd``; a class of modules has the same methods, and is none."""
+    return isinstance(cmd, str) and isinstance(module, Module) and not isinstance(module, type)
 
 
 def register_default(environment: str, modules: Callable[[], Modules]) -> None:

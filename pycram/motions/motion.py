@@ -1,7 +1,7 @@
 """A motion from being asked for to its end: it waits for its turn, is resolved, and carried out.
 
 Motions that one motion is made of queue among themselves, for what that one holds: who is queued waits on one level
-only, so none waits for one that waits for it.
+only, so none waits for one that waits for it. One in another world, to look ahead, queues there as any does.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import weakref
 from contextvars import ContextVar
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pycram.motions.resources import ResourceQueue, Ticket
@@ -18,7 +19,7 @@ from pycram.scheduling.future import branches_in
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from pycram.motions.designator import Designator
     from pycram.motions.environments import Module
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
 
 _queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
 _lock = threading.Lock()
-_parts: ContextVar[ResourceQueue | None] = ContextVar("pycram_parts", default=None)
+#: For the motions that one is made of: the queues for what is held of the robots of worlds, by world.
+_parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_parts", default=MappingProxyType({}))
 
 
 class Motion:
@@ -47,7 +49,8 @@ class Motion:
         slots = {key: value for key, value in designator.description if key != "type"}
         self._designator = designator
         self._choose = choose
-        self._ticket = Ticket(_parts.get() or _queue_of(world), designator.resources(), self.name)
+        self._world = world
+        self._ticket = Ticket(_parts.get().get(world) or _queue_of(world), designator.resources(), self.name)
         self.span = Span("motion", self.name, parameters=slots)
 
     def enqueue(self) -> None:
@@ -88,9 +91,9 @@ class Motion:
         self._ticket.correct(resources)
         return module
 
-    def _holding(self) -> Binding[ResourceQueue | None]:
-        """What is performed in the block is part of this motion, within what it holds."""
-        return Binding(_parts, ResourceQueue(self._ticket.resources))
+    def _holding(self) -> Binding[Mapping[BulletWorld, ResourceQueue]]:
+        """What is performed in the block in this world is part of this motion, within what it holds."""
+        return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self._ticket.resources)})
 
 
 def _queue_of(world: BulletWorld) -> ResourceQueue:

@@ -27,6 +27,7 @@ from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
+    from typing import Self
 
 Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
@@ -48,8 +49,13 @@ class ProcessModule(ABC):
 
     Like resolvers, they are asked when the motion's turn has come. What they perform is part of it."""
 
-    def __init__(self) -> None:
-        self._queue = ResourceQueue()
+    _queue: ResourceQueue
+
+    def __new__(cls, *_: object, **__: object) -> Self:
+        """Make one; not in ``__init__``, which subclasses may have without calling this class's."""
+        made = super().__new__(cls)
+        made._queue = ResourceQueue()
+        return made
 
     @abstractmethod
     def _execute(self, designator: Designator) -> Result:

@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.foundation.failures import PycramError
-from pycram.models.visual import shapes_of
-from pycram.vision.camera import Camera, Drawable
 from recorder import geometry
 from recorder.extras import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
-from replay.restore.recorded import description_of, model_of, world_state
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,6 +30,10 @@ if TYPE_CHECKING:
 
 with needed():
     from PIL import Image
+
+    from pycram.models.visual import shapes_of
+    from pycram.vision.camera import Camera, Drawable
+    from replay.restore.recorded import description_of, model_of, world_state
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, where no camera says another
 _NEAR, _FAR = 0.02, 30.0  # m

@@ -115,6 +115,7 @@ def test_they_say_the_same_as_where_all_is_installed() -> None:
 def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
     calls = {
         replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),
+        replay("render", LOGS[0], "last", "-o", str(tmp_path / "moment.png")): ("pycram-replay: render: ", "render"),
         replay("verify", LOGS[0]): ("pycram-replay: verify: ", "executor"),
         replay("restore", LOGS[0], "last", "--shell"): ("pycram-replay: restore: ", "executor"),
         replay("render", LOGS[0], "last", "-o", str(tmp_path / "x.png")): ("pycram-replay: render: ", "render"),

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import process_module
-from pycram.bullet_world import Object
+from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.failures import (
     AccessFailed,
+    BadArgument,
     BranchesFailed,
     GraspFailed,
     InCollision,
@@ -29,7 +30,6 @@ from recorder import geometry
 from recorder.records import Task
 
 if TYPE_CHECKING:
-    from pycram.bullet_world import BulletWorld
     from tests.conftest import MemorySink
 
 DRAWER = "sink_area_left_upper_drawer_main_joint"
@@ -225,6 +225,43 @@ def test_a_command_without_process_module_is_refused(scene: BulletWorld) -> None
             assert perform(type="dancing") == "danced"
             with pytest.raises(NoProcessModule, match="ballroom"):
                 perform(type="opening-gripper", gripper="left")
+
+
+class Looking(ProcessModule):
+    """Has a beginning of its own, which doesn't call that of process modules."""
+
+    def __init__(self, result: str) -> None:
+        self.result = result
+
+    def _execute(self, designator: MotionDesignator) -> str:
+        return self.result
+
+
+def test_a_process_module_needs_no_beginning_of_its_base(scene: BulletWorld) -> None:
+    process_module.register("pr2", "attic", {"looking": Looking("seen")})
+    with process_module.execution_environment("attic"):
+        assert perform(type="looking", target=[1, 0, 1]) == "seen"
+
+
+@pytest.mark.parametrize("modules", [{"looking": Looking}, {1: Looking("seen")}, {"looking": print}, [], None])
+def test_what_is_no_process_module_is_not_registered(modules: object) -> None:
+    with pytest.raises(BadArgument, match="process modules by cmd"):
+        process_module.register("pr2", "cellar", modules)
+
+
+def test_a_motion_may_look_ahead_in_another_world(scene: BulletWorld) -> None:
+    class LookingAhead(ProcessModule):
+        def _execute(self, designator: MotionDesignator) -> list[float]:
+            with process_module.execution_environment("simulated"), BulletWorld() as ahead:
+                ahead.robot = Object("pr2", "robot", "pr2.urdf")
+                perform(type="moving", target=[0.3, 0, 0])
+                return ahead.robot.get_position()
+
+    before = scene.robot.get_position()
+    process_module.register("pr2", "loft", {"move-joints": LookingAhead()})
+    with process_module.execution_environment("loft"):
+        assert perform(type="move-arm-joints", left_arm="park") == pytest.approx([0.3, 0, 0])
+    assert scene.robot.get_position() == before
 
 
 def test_accessing_refuses_obstacles_and_a_full_gripper(scene: BulletWorld) -> None:

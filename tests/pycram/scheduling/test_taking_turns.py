@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 import traceback
+from contextlib import ExitStack
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
@@ -159,6 +160,15 @@ def test_a_branch_must_not_wait_with_a_lock_held(world: BulletWorld) -> None:
         s(world.set_gravity, [0, 0, -2])
         s(world.set_gravity, [0, 0, -3])
     assert world.gravity == (0, 0, -3)
+
+
+def test_a_block_that_ends_with_a_lock_held_is_over(world: BulletWorld) -> None:
+    done = []
+    with ExitStack() as held, pytest.raises(LockHeld), par as s:
+        s(succeeds)
+        held.enter_context(world.lock)
+    par(lambda: done.append(1))  # would be a branch of the block that is over
+    assert done == [1]
 
 
 def test_handlers_of_events_may_wait_while_other_branches_change_the_world(world: BulletWorld) -> None:
