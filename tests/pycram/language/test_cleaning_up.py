@@ -67,7 +67,7 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
 
     for branch in (slow, in_a_block, tried_again):
         inside.is_open = False
-        with pytest.raises(NotCleanedUp, match=r"fails, done as .* Unreachable: left arm") as raised, pursue as s:
+        with pytest.raises(NotCleanedUp, match=r"fails, the cleanup .* Unreachable: left arm") as raised, pursue as s:
             s(branch)
             s(inside.pass_through)
         assert [branch.state for branch in s.branches] == [F, S]
