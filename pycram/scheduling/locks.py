@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import threading
+from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import UsageError
+
+if TYPE_CHECKING:
+    from types import TracebackType
 
 
 class LockHeld(UsageError):
@@ -35,7 +39,9 @@ class Lock:
         self._lock.acquire()
         held.count += 1
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
         held.count -= 1
         self._lock.release()
 
