@@ -44,7 +44,6 @@ from pycram.language.retries import failure_handling
 from pycram.language.timeouts import timeout
 from pycram.language.words import (
     Action,
-    Collecting,
     Kind,
     NeverOpened,
     Nothing,
@@ -60,7 +59,6 @@ from recorder.tasks import State
 
 __all__ = [
     "Action",
-    "Collecting",
     "Kind",
     "NeverOpened",
     "Nothing",

@@ -24,6 +24,8 @@ class NeverOpened(RuntimeWarning):
 class Opening(Scope[Block]):
     """Opens a block at the start of a ``with`` statement; reusable, in other threads and within itself.
 
+    Warns with NeverOpened if it is to collect failures, and no ``with`` statement ever used it.
+
     Args:
         policy: The kind of block.
         failures: Collects the failures of the branches; without a list, they are raised.
@@ -33,27 +35,16 @@ class Opening(Scope[Block]):
         super().__init__(policy.name)
         self._policy = policy
         self._failures = failures
+        self._unused_at = None if failures is None else call_site()
 
     def _opened(self) -> Block:
+        self._unused_at = None
         return Block(self._policy, self._failures)
 
-
-class Collecting(Opening):
-    """Opens a block that collects failures in a list; warns if no ``with`` statement ever used it."""
-
-    def __init__(self, policy: Policy, failures: list[BaseException]) -> None:
-        super().__init__(policy, failures)
-        self._call_site = call_site()
-        self._used = False
-
-    def __enter__(self) -> Block:
-        self._used = True
-        return super().__enter__()
-
     def __del__(self) -> None:
-        if not self._used:
+        if self._unused_at is not None:
             text = f"{self._policy.name}(failures) opens no block; write `with {self._policy.name}(failures) as s:`"
-            warnings.warn_explicit(text, NeverOpened, *self._call_site)
+            warnings.warn_explicit(text, NeverOpened, *self._unused_at)
 
 
 class Nothing(Opening, list[Result]):
@@ -90,7 +81,7 @@ class Kind(Opening):
         if not branches:
             return Nothing(self._policy)
         if len(branches) == 1 and isinstance(branches[0], list):
-            return Collecting(self._policy, branches[0])
+            return Opening(self._policy, branches[0])
         actions = [branch for branch in branches if callable(branch)]
         if len(actions) != len(branches):
             wrong = next(branch for branch in branches if not callable(branch))

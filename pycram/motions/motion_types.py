@@ -111,26 +111,20 @@ def _holding_arm(given: dict[str, Value]) -> Value:
     return arm.name if arm else "left"
 
 
-def _resources(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Resources:
-    return Resources(frozenset(moves), frozenset(at_rest))
-
-
 def _arm_resources(given: dict[str, Value]) -> Resources:
-    return _resources(
-        tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",)
-    )
+    return Resources({f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")}, {"base"})
 
 
 def _gripper_resources(given: dict[str, Value]) -> Resources:
-    return _resources(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
+    return Resources({f"{side}-gripper" for side in _sides(given, "gripper")})
 
 
 def _joint_resources(given: dict[str, Value]) -> Resources:
-    return _resources(tuple(f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given))
+    return Resources({f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given})
 
 
 def _base_resources(_: dict[str, Value]) -> Resources:
-    return _resources(("base",), tuple(f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")))
+    return Resources({"base"}, {f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")})
 
 
 def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
@@ -186,7 +180,7 @@ TYPES: Final = {
             "looking",
             "looking",
             (Slot("target", slot_checks.position), Slot("object", slot_checks.body)),
-            lambda _: _resources(("head",), ("base",)),
+            lambda _: Resources({"head"}, {"base"}),
             one_of=("target", "object"),
             only_one=True,
         ),
@@ -196,7 +190,7 @@ TYPES: Final = {
             "detecting",
             "detecting",
             (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
-            lambda _: _resources((), (WHOLE_ROBOT,)),
+            lambda _: Resources(at_rest={WHOLE_ROBOT}),
         ),
         MotionType(
             "move-tcp",
