@@ -1,7 +1,7 @@
-"""The plan language (thesis 3.5.3, table 3.4): what runs at the same time, and what becomes of failures.
+"""The plan language (thesis 3.5.3, table 3.4): which actions run concurrently, and what their failures do.
 
 ================ ========== =========================================== ===========================================
-block            branches   is decided by                               fails with
+block            branches   decided by                                  fails with
 ================ ========== =========================================== ===========================================
 ``par``          at once    nothing: all run to their end               the failures of all that failed
 ``pursue``       at once    the first that ends, well or badly          the failure of that one
@@ -14,31 +14,26 @@ Each can be written in four ways::
 
     with par as s:                       # or par()
         ProcessModule.perform(parking)   # a branch
-        s(function, argument)            # another one
-        with seq:                        # a third one, in which things happen in order
+        s(function, argument)            # a branch
+        with seq:                        # a branch, which runs in order
             ProcessModule.perform(moving)
             ProcessModule.perform(looking)
 
-    with par(failures) as s:             # failures go into a list; s.state tells whether there were any
+    with par(failures) as s:             # collects failures in a list instead of raising; see s.state
         ...
 
     par(function, other)                 # the results, as a list
 
 Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-gives a future that serves as its result (:mod:`pycram.scheduling.future`). In ``seq`` a failure rises through the body
-as in plain Python, which may handle it. A block that is decided tells its other branches to stop: they do so at their
-next action or wait, and the block ends when all of them have. An empty block succeeds. A failure in the body ends the
-body; it decides ``pursue``, and is one more of the failures elsewhere.
+returns a future, which serves as its result (:mod:`pycram.scheduling.future`). In ``seq`` a failure rises through the
+body as in plain Python, which may handle it. An empty block succeeds. A failure of the body itself ends the body; it
+decides ``pursue``, and counts as one more failure elsewhere.
 
-A failed block raises :class:`~pycram.failures.BranchesFailed` with all failures; usage errors come out as they are. A
-block, a timeout, an attempt or a cleanup ends where it began, in the order of ``with`` statements
-(:mod:`pycram.language.nesting`): a generator may yield in its body only to what is over when the generator goes on, as
-that of a context manager does. Branches that need the same part of the robot queue in the order in which they are asked
-for (:mod:`pycram.motions.resources`).
-
-One branch runs at a time, and goes on until its next motion, wait or change of a world, where the next one takes its
-turn: the same plan takes the same order each time (:mod:`pycram.scheduling`). What blocks outside of PyCRAM, such as
-``time.sleep`` or a socket, blocks all branches; ``in_thread(time.sleep, 3)`` does not.
+A decided block cancels its other branches and ends when all have ended. A failed block raises
+:class:`~pycram.failures.BranchesFailed` with all failures; usage errors are raised as they are. One branch runs at a
+time, until its next motion, wait or change of a world (:mod:`pycram.scheduling`); ``in_thread(time.sleep, 3)`` keeps a
+blocking call from blocking all branches. Motions queue for the robot's resources (:mod:`pycram.motions.resources`).
+Retries, timeouts and cleanups: :func:`failure_handling`, :func:`timeout`, :func:`finally_`.
 """
 
 from __future__ import annotations
@@ -49,7 +44,6 @@ from pycram.language.retries import failure_handling
 from pycram.language.timeouts import timeout
 from pycram.language.words import (
     Action,
-    Collecting,
     Kind,
     NeverOpened,
     Nothing,
@@ -65,7 +59,6 @@ from recorder.tasks import State
 
 __all__ = [
     "Action",
-    "Collecting",
     "Kind",
     "NeverOpened",
     "Nothing",

@@ -1,8 +1,7 @@
-"""Actions: functions of the plan, which are to do something when they are called.
+"""Actions: functions of the plan that act when they are called.
 
-A function with ``async`` or ``yield`` in it does nothing then: it gives a coroutine or a generator. An action that is
-one would count as a success without having run, so it is refused. A plain function may well return a generator, if it
-wants to: it has been run.
+Calling a function with ``async`` or ``yield`` in it only makes a coroutine or a generator. As an action it would count
+as a success without having run, so it is refused. A plain function may well return a generator: it has run.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from pycram.foundation.failures import BadArgument
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-#: What an action gives: whatever its process module or function returns.
+#: Whatever an action's process module or function returns.
 Result: TypeAlias = Any
 Function = TypeVar("Function", bound="Callable[..., Result]")
 
@@ -26,36 +25,36 @@ _NOT_BEGUN: Final = "a plain function; one with `yield` does nothing before its 
 
 
 def name_of(action: Callable[..., Result]) -> str:
-    """What people call a function: without its module, and without the function that it is defined in."""
+    """Return a function's name, without its module and without the function that it is defined in."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
 
 
 def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-    """Calls an action, and returns what it returned.
+    """Call an action, and return its result.
 
     Raises:
-        BadArgument: calling it has done nothing.
+        BadArgument: It is a coroutine or generator function, whose call does nothing.
     """
     result = action(*args, **kwargs)
-    kind = type(result)  # isinstance() would wait for a handle
+    kind = type(result)  # isinstance() would wait for a future
     if kind is CoroutineType or kind is AsyncGeneratorType:
         if kind is CoroutineType:
             result.close()  # Python warns of those that nobody awaits
         expected = "a plain function; `lambda: asyncio.run(...)` runs an async one to its end"
         raise BadArgument("action", name_of(action), expected)
     if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:
-        function = _written(action)
+        function = _unwrapped(action)
         if hasattr(function, _LAZY) or getattr(function, "__code__", None) is result.gi_code:
             raise BadArgument("action", name_of(action), getattr(function, _LAZY, _NOT_BEGUN))
     return result
 
 
 def lazy(instead: str) -> Callable[[Function], Function]:
-    """Marks a plain function that gives a generator in which all is still to be done.
+    """Mark a plain function whose work is done by the generator that it returns.
 
     Args:
-        instead: what is expected instead of it as an action.
+        instead: The action to use instead, for the message.
     """
 
     def mark(function: Function) -> Function:
@@ -65,8 +64,8 @@ def lazy(instead: str) -> Callable[[Function], Function]:
     return mark
 
 
-def _written(action: Callable[..., Result]) -> object:
-    """The function in the program's text that an action comes down to."""
+def _unwrapped(action: Callable[..., Result]) -> object:
+    """Return the function as it was defined, from within partials, methods, decorators and callable objects."""
     function: Any = action
     while True:
         if isinstance(function, partial):

@@ -1,4 +1,4 @@
-"""Attempts at one thing, one after the other until one gets through; what follows a failure, their handling says."""
+"""Attempts: runs of the same code, one after the other, until one succeeds or their failure handling gives up."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Parameters: TypeAlias = Mapping[str, Any]
 
 
 class RetriesUsedUp(PlanFailure):
-    """``retry`` was called without a failure at hand, and no retry was left.
+    """``retry`` was called while no failure was being handled, and no retry was left.
 
     Attributes:
-        retries: how many there had been.
+        retries: Number of retries there had been.
     """
 
     def __init__(self, retries: int) -> None:
@@ -47,9 +47,9 @@ class Retry(BaseException):
     """Rises from ``retry`` to its attempt; nothing else catches it.
 
     Attributes:
-        attempt: the attempt that is over.
-        changed: parameters that the next one is to have.
-        error: what was being handled.
+        attempt: The attempt that it ends.
+        changed: Changed parameters of the next attempt.
+        error: The error that was being handled.
     """
 
     def __init__(self, attempt: Attempt, changed: Parameters, error: BaseException | None) -> None:
@@ -63,13 +63,10 @@ _attempt: ContextVar[Attempt | None] = ContextVar("pycram_attempt", default=None
 
 
 def retry(**changed: object) -> NoReturn:
-    """Ends this attempt and begins the next one.
-
-    Args:
-        changed: parameters that the next one is to have.
+    """End this attempt and start the next one, with changed parameters.
 
     Raises:
-        UsageError: there is no attempt here; or it is called while a usage error is handled, which comes out.
+        UsageError: There is no attempt here; or a usage error is being handled, which is raised again.
     """
     attempt = _attempt.get()
     error = sys.exc_info()[1]
@@ -81,13 +78,13 @@ def retry(**changed: object) -> NoReturn:
 
 
 class Attempt(Scope["Attempt"]):
-    """One run of what may be tried again.
+    """One run of code that may be tried again.
 
     Attributes:
-        number: which one, from 1.
-        parameters: what it is to use.
-        failures: those of the attempts before it.
-        used: whether its body has been run.
+        number: From 1.
+        parameters: Parameters of this attempt, by name.
+        failures: Failures of the attempts before it.
+        used: Whether its body has run.
     """
 
     def __init__(self, attempts: Attempts, number: int, parameters: Parameters, failures: list[BaseException]) -> None:
@@ -99,7 +96,7 @@ class Attempt(Scope["Attempt"]):
         self._attempts = attempts
 
     def __getitem__(self, name: str) -> Any:
-        """A parameter."""
+        """Return a parameter."""
         return self.parameters[name]
 
     def _opened(self) -> AbstractContextManager[Attempt]:
@@ -111,7 +108,7 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # what it failed with: another one where the body said ``retry``
+        handled: BaseException | None = None  # its failure: another error than ``raised`` after ``retry``
         changed: Parameters | None = None
         try:
             with self._attempts.entered():
@@ -124,15 +121,15 @@ class Attempt(Scope["Attempt"]):
                         if isinstance(error, Retry) and error.attempt is self:
                             handled, changed = error.error or error, error.changed
                             span.error = handled
-        except BaseException as stopped:  # it has not begun, or can't be recorded
-            self._attempts.finish(stopped)
+        except BaseException as error:  # it has not started, or can't be recorded
+            self._attempts.finish(error)
             raise
         if not self._attempts.ended(raised, handled, changed) and raised is not None:
             raise_unchanged(raised)
 
 
 class Attempts:
-    """A row of attempts at one thing."""
+    """The attempts of one loop of a failure handling."""
 
     def __init__(self, handling: FailureHandling) -> None:
         self.over = False
@@ -143,13 +140,13 @@ class Attempts:
         self._number = 0
 
     def following(self) -> Attempt:
-        """The next attempt."""
+        """Return the next attempt."""
         self._number += 1
         return Attempt(self, self._number, self._parameters, self._failures)
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Runs its block as part of this row, whose node of the task tree begins with the first attempt."""
+        """Run the ``with`` block in the handling's node of the task tree, which starts with the first attempt."""
         with sequential():
             if self._span is None:
                 self._span = Span("failure-handling", "failure-handling", parameters=self._handling.fields)
@@ -158,18 +155,15 @@ class Attempts:
                 yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
-        """Takes the end of an attempt.
+        """Decide what follows the end of an attempt: return True for another one, False to raise its error.
 
         Args:
-            error: what came out of its body.
-            handled: what it failed with; another one than ``error`` where the body said ``retry``.
-            changed: parameters that the next attempt is to have; None if the body didn't say ``retry``.
-
-        Returns:
-            Whether there is to be another one; else the error goes on.
+            error: The error that left its body.
+            handled: Its failure; another error than ``error`` after ``retry``.
+            changed: Changed parameters for the next attempt; None without ``retry``.
 
         Raises:
-            PlanFailure: the last failure, when the retries are used up.
+            PlanFailure: The last failure, when the retries are used up.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
             self.finish(error)
@@ -180,8 +174,8 @@ class Attempts:
             try:
                 with self.entered():
                     changed = self._handling.recover(last) if changed is None else changed
-            except BaseException as wrong:  # noqa: BLE001  raised below
-                final = chained(wrong, [final])
+            except BaseException as recovery_error:  # noqa: BLE001  raised below
+                final = chained(recovery_error, [final])
             else:
                 self._failures.append(last)
                 self._parameters = {**self._parameters, **changed}
@@ -192,7 +186,7 @@ class Attempts:
         return False
 
     def close(self) -> None:
-        """Ends the row if the plan has left it between two attempts; says so if the last of them failed."""
+        """End the handling if the plan left its loop between two attempts; warn if the last one failed."""
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
@@ -201,13 +195,13 @@ class Attempts:
                 warnings.warn_explicit(text, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
-        """Ends the row; without an error an attempt succeeded."""
+        """End the handling; without an error an attempt succeeded."""
         self.over = True
         if self._span is not None:
             self._span.finish(error)
 
 
 def is_cancelled() -> bool:
-    """Whether the code here is to end, by a block around it or a timeout."""
+    """Whether the running code is cancelled, by a block around it or a timeout."""
     scope = current_scope()
     return scope is not None and scope.is_cancelled

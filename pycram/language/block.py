@@ -1,28 +1,26 @@
-"""Blocks: what they have in common, and what makes ``par`` another thing than ``pursue``.
+"""Blocks: their branches, their bodies and their ends.
 
-The whole difference between the five blocks is their :class:`Policy`: whether branches run side by side, and which end
-of a branch decides the block. A block that is decided cancels its other branches; it ends when all of them have ended,
-and as its deciding branch did. One that nothing decided failed if any of its branches did.
+The five kinds of blocks differ in their :class:`Policy` only: whether branches run concurrently, and which outcome of a
+branch decides the block. A decided block cancels its other branches, ends when all have ended, and has the outcome of
+the deciding one. A block that nothing decided failed if any branch failed.
 
-A plan failure in the body ends the body and is one of the block's failures: it decides the block where a failure of a
-branch would, and never turns one that is decided. What is asked for when the block is decided isn't run: its future
-says so.
+A plan failure of the body ends the body and counts as one of the block's failures: it decides the block where a
+branch's failure would, and never overturns a decision. A branch that is added to a decided block is cancelled.
 
-Two things come out of any block, however it is decided. A usage error, in a branch or in the body, ends it and comes
-out as it is: it is never collected, retried or outvoted. A branch that could not clean up when it was told to stop has
-left the world in a state that nobody reckons with, and fails the block.
+Two things fail any block, decided or not: a usage error, in a branch or in the body, which is raised as it is, and
+never collected, retried or outvoted; and the failed cleanup of a cancelled branch, as the state of the world is then
+unknown.
 
-A block in the body of another one, its *host*, counts as one branch there:
+A block in the body of another one, its *host*, is one of the host's branches:
 
-- In ``try_in_order`` it is one of the things to try: it runs where it stands, and its failure is kept for the host,
-  which goes on with what follows.
-- In a concurrent block it is to run beside its siblings, but a ``with`` statement runs where it stands. So its body is
-  only *read* there: what it asks for is done by a branch of the host, while the statements after it are read. Whoever
-  looks at a future in that body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that
-  body runs where it stands, when what was asked for before it in a sequence is done.
+- In ``try_in_order`` it runs where it stands; the host keeps its failure and goes on with what follows.
+- In a concurrent block it runs beside its siblings, but a ``with`` statement runs where it stands. So its body is only
+  *read* there, and a branch of the host runs the actions while the statements after it are read. Using a future in that
+  body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs where it
+  stands, after the actions before it in a sequence.
 
-Code in a body asks the block around it, which its context carries, for branches. In a branch there is none, and things
-happen one after the other. A decided ``try_in_order`` ends its body at the next block in it; variables that this would
+Code in a body adds branches to the block around it, which its context carries. A branch's context carries none, and
+actions run in order. A decided ``try_in_order`` ends its body at the next block in it; variables that this block would
 have set are not set then.
 """
 
@@ -67,11 +65,11 @@ if TYPE_CHECKING:
 
 
 class BlockClosed(UsageError):
-    """A branch was asked of a block that has ended.
+    """A branch was added to a block that has ended.
 
     Attributes:
-        block: what the block is.
-        branch: what was asked for.
+        block: Kind of the block.
+        branch: Name of the branch.
     """
 
     def __init__(self, block: str, branch: str) -> None:
@@ -82,12 +80,12 @@ class BlockClosed(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What makes one kind of block another than the others.
+    """What one kind of block differs in from the others.
 
     Attributes:
-        name: what it is called.
-        concurrent: whether its branches run side by side.
-        decided_by: a branch that ends so decides the block.
+        name: "par", ...
+        concurrent: Whether its branches run concurrently.
+        decided_by: The states of an ended branch that decide the block.
     """
 
     name: str
@@ -96,7 +94,7 @@ class Policy:
 
     @property
     def propagates(self) -> bool:
-        """Whether a failure rises through the body as in plain Python, where it ends the block unless it is handled."""
+        """Whether a failure rises through the body as in plain Python; unless handled there, it ends the block."""
         return not self.concurrent and State.FAILED in self.decided_by
 
     @property
@@ -108,16 +106,18 @@ class Policy:
 class Block:
     """A block: ``s`` in ``with par as s``.
 
+    Args:
+        policy: Its kind.
+        failures: Collects its failures; without a list, they are raised.
+
     Attributes:
-        policy: what kind of block it is.
-        branches: its branches, in the order in which they were asked for.
-        scope: in which its body and its branches run; told to stop when the block is decided.
-        decider: the branch that decided it; None as long as none has.
-        state: how far it is, or how it ended.
+        branches: Its branches, in the order in which they were added.
+        scope: Cancel scope of its body and its branches; cancelled when the block is decided.
+        decider: The branch that decided it; None as long as none has.
+        state: How far it is, or how it ended.
     """
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
-        """Makes a block for a body that begins here; its failures go into the list, or are raised."""
         self.policy = policy
         self.branches: list[Branch] = []
         self.scope = CancelScope(current_scope())
@@ -127,54 +127,54 @@ class Block:
         self._collected = failures
         self._host = host = current_block()
         self._is_read: bool = host is not None and (host.policy.concurrent or host._is_read)  # noqa: SLF001  same class
-        self._changed = Condition()  # notified when a branch ends, and of all that a body that is read waits for
-        self._closing = threading.Lock()  # a plan's own threads may ask for branches while it ends
+        self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
+        self._closing = threading.Lock()  # a plan's own threads may add branches while it ends
         self._scheduler = scheduler()
-        self._numbers = 0
-        self._joined = 0
+        self._taken = 0  # number of branches so far, for their names
+        self._joined = 0  # number of leading branches known to have ended
         self._decided = False  # by its decider, or by a failure of the body
         self._body_failures: list[PlanFailure] = []
-        self._bindings: tuple[AbstractContextManager[None], ...] = ()  # what holds as long as its body runs
+        self._bindings: tuple[AbstractContextManager[None], ...] = ()  # active while its body runs
         self._span = Span("block", policy.name)
-        # of a body that is read
-        self._asked: deque[Branch] = deque()
+        # only for a body that is read:
+        self._pending: deque[Branch] = deque()
         self._dropping = False
         self._body_ended = False
         self._body_error: Exception | None = None
 
     @property
     def name(self) -> str:
-        """What it is: "par", ..."""
+        """Its kind: "par", ..."""
         return self.policy.name
 
     @property
     def immediate(self) -> bool:
-        """Whether an action begins at once, whatever was asked for before it."""
+        """Whether an action starts regardless of those added before it."""
         return self.policy.concurrent and not self._is_read
 
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
         """The failures of its branches and of its body so far."""
         errors = [branch.error for branch in list(self.branches)] if not self.policy.propagates else []
-        failures = [one for one in errors if isinstance(one, PlanFailure)]
+        failures = [error for error in errors if isinstance(error, PlanFailure)]
         known = {id(failure) for failure in failures}
         return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Future:
-        """Asks for a branch that calls a function; gives a future that serves as its result.
+        """Add a branch that calls a function; return a future of its result.
 
         Raises:
-            BadArgument: it can't be called.
-            BlockClosed: the block has ended.
-            PlanFailure: the function failed, in a ``seq`` block.
+            BadArgument: The action isn't callable.
+            BlockClosed: The block has ended.
+            PlanFailure: The function failed, in a ``seq`` block.
         """
         if not callable(action):
             raise BadArgument("action", action, "a function to run as a branch")
 
         def act() -> Result:
-            raise_if_cancelled()  # before it began
+            raise_if_cancelled()  # before it starts
             return run(action, *args, **kwargs)
 
         return self.start(name_of(action), act)
@@ -188,44 +188,33 @@ class Block:
         dropped: Callable[[], None] = lambda: None,
         span: Span | None = None,
     ) -> Future:
-        """Asks for a branch.
-
-        Args:
-            name: what it is called.
-            action: what it does.
-            ordered: whether it waits only for what was asked for before it.
-            dropped: called once if it is never begun.
-            span: its node of the task tree, if it isn't just a branch.
-
-        Returns:
-            A future that serves as its result.
-        """
+        """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
         branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
         branch.span.source = current_call_stack()
         if self._is_read:
             self.branches.append(branch)
-            self._asked.append(branch)
+            self._pending.append(branch)
             self._changed.notify_all()
-            if self._dropping:  # nobody does it any more
+            if self._dropping:  # nothing runs it any more
                 self._drop()
         else:
             self._take(branch)
         return Future(branch)
 
     def _take(self, branch: Branch) -> None:
-        """Runs a branch, unless the block is decided: on its own stack in its turn or, in a sequential block, here.
+        """Schedule a branch or, in a sequential block, run it here; a decided block cancels it instead.
 
         Raises:
-            BlockClosed: the block has ended.
-            PlanFailure: it failed, where that ends the body.
-            Cancelled: the block around this one is cancelled.
+            BlockClosed: The block has ended.
+            PlanFailure: The branch failed, where that ends the body.
+            Cancelled: The block around this one is cancelled.
         """
         branch.span.parent = self._span.id
         with self._closing:
             closed = self.state is not State.RUNNING
             if not closed and not self._is_read:
                 self.branches.append(branch)
-            self._numbers += 1
+            self._taken += 1
         if closed:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
@@ -234,10 +223,10 @@ class Block:
             branch.span.ask()
             branch.span.finish(Cancelled())
         elif self.policy.concurrent:
-            name = f"{self.name}-{self._numbers} {branch.name}"
+            name = f"{self.name}-{self._taken} {branch.name}"
             self._scheduler.begin(name, branch.context, partial(self._run, branch))
         else:
-            branch.context.run(enter_branch, current_branch())  # it was asked for in another one where the body is read
+            branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
             branch.context.run(self._run, branch)
             error = branch.error
             if error is not None and (self.policy.propagates or not isinstance(error, PlanFailure)):
@@ -246,7 +235,7 @@ class Block:
             raise Cancelled
 
     def _run(self, branch: Branch) -> None:
-        """Runs a branch in its own context, in which actions happen one after the other; its errors are its own."""
+        """Run a branch in its own context, in which actions run in order; settle it instead of raising."""
         result: Result = None
         try:
             leave_body()
@@ -255,7 +244,7 @@ class Block:
                 branch.span.result = result = branch.begin()
         except Cancelled:
             self._settle(branch, State.CANCELLED)
-        except BaseException as error:  # noqa: BLE001  the block raises it where it was opened
+        except BaseException as error:  # noqa: BLE001  raised where the block was opened
             self._settle(branch, State.FAILED, error=error)
         else:
             self._settle(branch, State.SUCCEEDED, result)
@@ -269,14 +258,14 @@ class Block:
             self.scope.cancel()
 
     def _body_failed(self, failure: PlanFailure) -> None:
-        """Takes a failure of the body, which has ended with it."""
+        """Note the failure that ended the body."""
         self._body_failures.append(failure)
         if not self._decided and State.FAILED in self.policy.decided_by:
             self._decided = True
             self.scope.cancel()
 
     def _add(self, nested: str, raised: BaseException | None) -> None:
-        """Takes the outcome of a block in its body, which counts as one branch."""
+        """Add a block of its body that has ended, as a branch."""
         state = State.SUCCEEDED if raised is None else State.FAILED
         if isinstance(raised, Cancelled):
             state, raised = State.CANCELLED, None
@@ -284,15 +273,15 @@ class Block:
         self.branches.append(branch)
         self._settle(branch, state, error=raised)
 
-    # --- from its beginning to its end --------------------------------------------------------------------------------
+    # --- beginning and end --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        if self.policy.concurrent:  # its end gives way, and must not fail
+        if self.policy.concurrent:  # its end yields, and must not fail
             refuse_held()
         if self._is_read and self._host is not None:
             try:
                 self._host.start(self.name, self._work, dropped=self._drop, span=self._span)
-            except BaseException:  # told to stop: there will be no body
+            except BaseException:  # cancelled: there will be no body
                 self._body_ended = True
                 self._changed.notify_all()
                 raise
@@ -329,7 +318,7 @@ class Block:
         return raised is None
 
     def _bind(self, *bindings: AbstractContextManager[None]) -> None:
-        """From here on the context is that of its body."""
+        """Enter the context of its body."""
         self._bindings = bindings
         for binding in bindings:
             binding.__enter__()
@@ -340,9 +329,9 @@ class Block:
             binding.__exit__(None, None, None)
 
     def _close(self, error: BaseException | None) -> BaseException | None:
-        """Waits for the branches, says how the block ended, and gives what is to be raised."""
+        """Wait for the branches, set the outcome, and return what is to be raised."""
         ended = self._end(error)
-        if ended is None and self.state is State.FAILED:  # collected instead of raised; the tree tells it
+        if ended is None and self.state is State.FAILED:  # collected instead of raised, and still in the task tree
             self._span.error = BranchesFailed(self.name, self.failures)
         return ended
 
@@ -351,15 +340,15 @@ class Block:
             self._body_failed(error)
         elif error is not None:
             self.scope.cancel()
-        pressed = self._join(error if isinstance(error, KeyboardInterrupt) else None)
-        if isinstance(pressed, PlanFailure):
-            self._body_failed(pressed)
-        errors = (pressed, error if error is not pressed else None, *[branch.error for branch in self.branches])
+        interrupt = self._join(error if isinstance(error, KeyboardInterrupt) else None)
+        if isinstance(interrupt, PlanFailure):
+            self._body_failed(interrupt)
+        errors = (interrupt, error if error is not interrupt else None, *[branch.error for branch in self.branches])
         failures = self.failures
-        bugs = [one for one in errors if one is not None and not isinstance(one, (PlanFailure, Cancelled))]
-        if bugs:  # the program is wrong, or the user wants out
+        bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
+        if bugs:  # the program is wrong, or the user interrupts it
             self.state = State.FAILED
-            bugs.sort(key=lambda one: isinstance(one, Retry))  # trying again would hide the others
+            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a retry would hide the others
             return chained(bugs[0], [*bugs[1:], *failures])
         self.state = self._outcome(error, failures)
         if self._collected is not None:
@@ -367,57 +356,58 @@ class Block:
         if self.state is State.CANCELLED:
             return chained(error if isinstance(error, Cancelled) else Cancelled(), failures)
         if self.state is State.SUCCEEDED:
-            for failure in self._body_failures:
-                self._note_down(failure)
+            self._record_body_failures()
             return None
         return None if self._collected is not None else BranchesFailed(self.name, failures)
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
-        """How the block ended, where the program is right; the error came out of the body."""
+        """Return the block's final state, given the error of its body; usage errors are handled before."""
         if any(leaves_uncleaned(failure) for failure in failures):
             return State.FAILED
         if self.decider is not None:
             return self.decider.state
-        stopped = isinstance(error, Cancelled) or any(branch.state is State.CANCELLED for branch in self.branches)
-        if stopped and not self._body_failures:  # by a block around it
+        cancelled = isinstance(error, Cancelled) or any(branch.state is State.CANCELLED for branch in self.branches)
+        if cancelled and not self._body_failures:  # by a block around it
             return State.CANCELLED
         return State.FAILED if failures else State.SUCCEEDED
 
-    def _note_down(self, failure: PlanFailure) -> None:
-        """Puts a failure of the body on record that is neither raised nor that of a branch."""
-        if not any(branch.error is failure for branch in self.branches):
-            body = Span("branch", "body", parent=self._span.id)
-            body.ask()
-            body.finish(failure)
+    def _record_body_failures(self) -> None:
+        """Record the failures of the body that are neither raised nor a branch's."""
+        for failure in self._body_failures:
+            if not any(branch.error is failure for branch in self.branches):
+                body = Span("branch", "body", parent=self._span.id)
+                body.ask()
+                body.finish(failure)
 
-    def _join(self, pressed: BaseException | None) -> BaseException | None:
-        """Waits for all branches; those of a block in which things happen in order have ended anyway.
+    def _join(self, interrupt: BaseException | None) -> BaseException | None:
+        """Wait for all branches; those of a sequential block have ended already.
 
         Args:
-            pressed: Ctrl-C that ended the body; another one is no news then.
+            interrupt: The KeyboardInterrupt that ended the body.
 
         Returns:
-            The same; or Ctrl-C, or what a handler of another signal raised, that came meanwhile and has stopped them.
+            The last interrupt: that one; or a KeyboardInterrupt, or another signal handler's error, that was raised
+            meanwhile and has cancelled the branches.
         """
-        here = scheduler()
+        own = scheduler()
         while True:
-            joining, here.joining = here.joining, here.joining or pressed is not None
+            joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
                 join(self._changed, self._all_ended)
             except LockHeld:  # it would be refused again
                 raise
-            except BaseException as interrupt:  # noqa: BLE001  raised when the branches have ended
-                pressed = interrupt
+            except BaseException as error:  # noqa: BLE001  raised when the branches have ended
+                interrupt = error
                 self.scope.cancel()
                 continue
             finally:
-                here.joining = joining
-            if pressed is not None:
+                own.joining = joining
+            if interrupt is not None:
                 interrupts.drop_pending()
             with self._closing:
-                if self._all_ended():  # else a thread of the plan's own has asked for another one
-                    self.state = State.CANCELLED  # closed; what it really is comes next
-                    return pressed
+                if self._all_ended():  # else a thread of the plan's own has added another one
+                    self.state = State.CANCELLED  # closed; the final state is set next
+                    return interrupt
 
     def _all_ended(self) -> bool:
         while self._joined < len(self.branches) and self.branches[self._joined].done:
@@ -427,10 +417,10 @@ class Block:
     # --- a body that is read ------------------------------------------------------------------------------------------
 
     def await_turn(self) -> None:
-        """Waits until the body itself may act: where it is read, when what was asked for before it in order is done.
+        """Wait, in a body that is read, until the body itself may act: in a sequence, after the actions before.
 
         Raises:
-            Cancelled: the block is decided, or told to stop.
+            Cancelled: The block is cancelled.
         """
         if self._is_read:
             wait(self._changed, lambda: self.state is not State.CREATED)
@@ -439,10 +429,10 @@ class Block:
                     branch.wait()
 
     def _end_body(self, error: BaseException | None) -> bool:
-        """Takes the end of a body that was read; returns whether what came out of it is taken care of."""
+        """End the reading of the body; return whether its error is handled."""
         self._unbind()
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
-            self.scope.cancel()  # the program is wrong, or the user wants out
+            self.scope.cancel()  # the program is wrong, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
         self._body_ended = True
         self._changed.notify_all()
@@ -451,36 +441,36 @@ class Block:
         return error is None or isinstance(error, PlanFailure)
 
     def _work(self) -> None:
-        """Does what the body asks for, in a branch of the host."""
+        """Run the branches of a body that is read, in a branch of the host."""
         stopped: BaseException | None = None
         enter(self.scope)
         self.state = State.RUNNING
         self._changed.notify_all()
         try:
-            while self._next_asked():
-                self._take(self._asked.popleft())
-        except BaseException as error:  # noqa: BLE001  raised below
-            self.scope.cancel()  # there is no use in reading on
-            stopped = error
+            while self._await_pending():
+                self._take(self._pending.popleft())
+        except BaseException as stop:  # noqa: BLE001  raised below
+            self.scope.cancel()  # reading on is pointless
+            stopped = stop
         self._drop()
-        join(self._changed, lambda: self._body_ended)  # what the body does itself is part of this block too
-        wrong = self._body_error
-        if isinstance(wrong, PlanFailure):
-            self._body_failed(wrong)
-            wrong = None
-        raised = self._close(wrong or stopped)
+        join(self._changed, lambda: self._body_ended)  # actions of the body itself are part of this block too
+        error = self._body_error
+        if isinstance(error, PlanFailure):
+            self._body_failed(error)
+            error = None
+        raised = self._close(error or stopped)
         if raised is not None:
             raise_unchanged(raised)
 
-    def _next_asked(self) -> bool:
-        """Waits for the next branch that the body asks for; False when it has ended."""
-        wait(self._changed, lambda: bool(self._asked) or self._body_ended)
-        return bool(self._asked)
+    def _await_pending(self) -> bool:
+        """Wait for the next branch of the body; return False when the body has ended."""
+        wait(self._changed, lambda: bool(self._pending) or self._body_ended)
+        return bool(self._pending)
 
     def _drop(self) -> None:
-        """Nothing more will be done; drops what has not been."""
+        """Cancel the branches that haven't started; no more will run."""
         self._dropping = True
-        if self.state is State.CREATED:  # nor has anything been
+        if self.state is State.CREATED:
             self.state = State.CANCELLED
-        while self._asked:
-            self._asked.popleft().settle(State.CANCELLED)
+        while self._pending:
+            self._pending.popleft().settle(State.CANCELLED)

@@ -1,4 +1,4 @@
-"""What code in the body of a block knows of it: which block's branches its actions are, and when it may act itself."""
+"""What code in the body of a block knows of it: which block its actions are branches of, and when it may run itself."""
 
 from __future__ import annotations
 
@@ -19,30 +19,26 @@ _host: ContextVar[Block | None] = ContextVar("pycram_block", default=None)
 
 
 def current_block() -> Block | None:
-    """The block whose branches are the actions here; None where actions happen one after the other and raise."""
+    """Return the block that actions become branches of here; None where they run in order and raise."""
     return _host.get()
 
 
 def in_block(host: Block | None) -> Binding[Block | None]:
-    """Makes actions in its ``with`` block branches of a block.
-
-    Args:
-        host: the block; None lets actions happen one after the other.
-    """
+    """Make actions in the ``with`` block branches of a block; with None, run them in order."""
     return Binding(_host, host)
 
 
 def leave_body() -> None:
-    """From here on this context is that of a branch, in which actions happen one after the other."""
+    """Make this context that of a branch, for good: actions run in order."""
     _host.set(None)
     nothing_open()
 
 
 def await_turn() -> None:
-    """Waits until the code here may act itself: in a body that is only read, that is when its turn has come.
+    """Wait until code of the body may run itself: in a body that is read, when its turn has come.
 
     Raises:
-        Cancelled: the block around it is decided, or told to stop.
+        Cancelled: The block around it is cancelled.
     """
     host = current_block()
     if host is not None:
@@ -51,13 +47,13 @@ def await_turn() -> None:
 
 @contextmanager
 def sequential() -> Iterator[Callable[[], None]]:
-    """Runs its ``with`` block in the branch of the body, one thing after the other; failures rise as in plain Python.
+    """Run the ``with`` block in the branch of the body, in order; failures rise as in plain Python.
 
     Yields:
-        What to call at the end: waits for what it asked of a sequence around it.
+        A function to call at the end; it waits for the branches that the body added to a sequence around it.
 
     Raises:
-        Cancelled: the block around it is decided, or told to stop.
+        Cancelled: The block around it is cancelled.
     """
     await_turn()
     raise_if_cancelled()

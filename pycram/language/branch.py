@@ -1,4 +1,4 @@
-"""Branches: the actions of a block, and what came of them."""
+"""Branches: the actions of a block, and their outcomes."""
 
 from __future__ import annotations
 
@@ -19,39 +19,40 @@ if TYPE_CHECKING:
 
 
 class NoResult(UsageError):
-    """The result of a branch was used that was cancelled, since its block was decided without it.
+    """The result of a cancelled branch was used; its block was decided without it.
 
     Attributes:
-        branch: name of the branch.
+        branch: The branch's name.
     """
 
     def __init__(self, branch: str) -> None:
-        super().__init__(
-            f"{branch} has no result: it was cancelled when its block was decided; s.branches tells states"
-        )
+        super().__init__(f"{branch} has no result: it was cancelled when its block was decided; see s.branches")
         self.branch = branch
 
 
 def _nothing() -> None:
-    """What there is to be done when all is over."""
+    """Take the place of what an ended branch needs no more."""
 
 
-_NOWHERE: Final = Context()
+_EMPTY_CONTEXT: Final = Context()
 
 
 class Branch:
-    """One action of a block, and what came of it.
+    """One action of a block, and its outcome.
 
-    It runs in a copy of the context in which it was asked for.
+    It runs in a copy of the context in which it was added. Action and context are released when it ends, as they may
+    refer to the block.
+
+    Args:
+        name: Its name in records and messages.
+        action: Returns the result.
+        changed: The block's condition, notified when the branch ends.
+        ordered: Whether it waits only for what was added before it.
+        dropped: Called once if it never starts; must not raise.
+        span: Its node of the task tree; by default of the kind "branch".
 
     Attributes:
-        name: what people call it.
-        action: what it does; its result is the branch's. Let go of at the end, as it may be the block's own.
-        ordered: whether it waits only for what was asked for before it, and so for nothing that comes later.
-        context: where it was asked for; likewise.
-        span: its node of the task tree.
-        state: how far it is.
-        error: what it raised; None while it runs, when it succeeded and when it was cancelled.
+        error: What it raised; None while it runs, after success, and after cancellation.
     """
 
     def __init__(
@@ -64,16 +65,6 @@ class Branch:
         dropped: Callable[[], None] = _nothing,
         span: Span | None = None,
     ) -> None:
-        """Makes a branch that doesn't run yet.
-
-        Args:
-            name: what people call it.
-            action: what it does.
-            changed: notified when it ends; its block's.
-            ordered: see above.
-            dropped: called once if it is never begun; must not raise.
-            span: its node of the task tree, if it isn't just a branch.
-        """
         self.name = name
         self.action = action
         self.ordered = ordered
@@ -92,36 +83,35 @@ class Branch:
         return self.state not in (State.CREATED, State.RUNNING)
 
     def begin(self) -> Result:
-        """Does its action; returns what that returned."""
+        """Run the action, and return its result."""
         self._begun = True
         self.state = State.RUNNING
         return unwrap(self.action())
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
-        """Says what came of it, once."""
+        """Set its outcome, once."""
         if not self._begun:
             self._dropped()
-        self.action, self.context, self._dropped = _nothing, _NOWHERE, _nothing
+        self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self._result, self.error = result, error
-        self.state = state  # last: other threads may look at it
+        self.state = state  # last: other threads may read it
         self._changed.notify_all()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Waits for its end, at most so many seconds; returns whether it has ended.
+        """Wait for its end, at most for a timeout in s; return whether it has ended.
 
         Raises:
-            Cancelled: the one who waits was told to stop.
+            Cancelled: The waiting branch is cancelled.
         """
         return wait(self._changed, lambda: self.done, timeout)
 
     def result(self, timeout: float | None = None) -> Result:
-        """Waits for what its action returned, at most so many seconds.
+        """Wait for its end, at most for a timeout in s; return its result, or raise what its action raised.
 
         Raises:
-            TimeoutError: it still runs.
-            Cancelled: the one who waits was told to stop.
-            NoResult: the branch was told to stop.
-            BaseException: what its action raised.
+            TimeoutError: It still runs.
+            Cancelled: The waiting branch is cancelled.
+            NoResult: This branch was cancelled.
         """
         if not self.wait(timeout):
             raise TimeoutError(f"{self.name} still runs after {timeout} s")

@@ -1,7 +1,7 @@
-"""Cleaning up: what a plan does at the end of a scope, however that ended, also when it was cancelled.
+"""Cleanup: actions at the end of a scope, also when it failed or was cancelled.
 
-Python's own ``finally`` runs too when a branch is cancelled, but the motions in it are stopped like all others. What is
-done here is shielded from that.
+Python's own ``finally`` runs too when a branch is cancelled, but motions in it are cancelled like all others. Actions
+of ``finally_`` are shielded from that.
 """
 
 from __future__ import annotations
@@ -24,20 +24,15 @@ if TYPE_CHECKING:
 
 @scope
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
-    """Does something when its block has ended, however it did. In the block actions happen one after the other.
+    """Run an action when the ``with`` block has ended, however it did; in the block actions run in order.
 
-    When both the block and the cleaning up fail, the block's failure is raised with the other in its context; but a
-    usage error goes before a failure. Where the block was cancelled, a failure of the cleaning up is NotCleanedUp,
-    which fails the block of the plan that cancelled it.
-
-    Args:
-        action: what to do.
-        args: its arguments.
-        kwargs: its named arguments.
+    If both fail, the block's failure is raised with the cleanup's in its context; but a usage error takes precedence
+    over a failure. If the cleanup of a cancelled block fails, NotCleanedUp fails the block of the plan that cancelled
+    it.
 
     Raises:
-        BadArgument: it can't be called.
-        NotCleanedUp: it failed when the block had been told to stop.
+        BadArgument: The action isn't callable.
+        NotCleanedUp: The action failed after a cancellation.
     """
     if not callable(action):
         raise BadArgument("action", action, "a function")
@@ -54,15 +49,16 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         except BaseException as second:
             if first is None:
                 raise
-            first = _together(first, second, name_of(action))
+            first = _combined(first, second, name_of(action))
     if first is not None:
         raise_unchanged(first)
 
 
-def _together(error: BaseException, cleaning: BaseException, action: str) -> BaseException:
-    bug = isinstance(error, PlanFailure) and not isinstance(cleaning, PlanFailure)
-    if isinstance(error, Cancelled) and isinstance(cleaning, PlanFailure):
-        return chained(NotCleanedUp(action, cleaning), [error])
+def _combined(error: BaseException, cleanup: BaseException, action: str) -> BaseException:
+    """Return what to raise when both the block and its cleanup raised."""
+    bug = isinstance(error, PlanFailure) and not isinstance(cleanup, PlanFailure)
+    if isinstance(error, Cancelled) and isinstance(cleanup, PlanFailure):
+        return chained(NotCleanedUp(action, cleanup), [error])
     if bug or isinstance(error, (Cancelled, Retry)):
-        return chained(cleaning, [error])
-    return chained(error, [cleaning])
+        return chained(cleanup, [error])
+    return chained(error, [cleanup])

@@ -1,8 +1,4 @@
-"""Failures that are made of others: that of a block, and that of a cleaning up.
-
-A failed block raises one failure that carries those of all its branches, and is of the types that all of them have in
-common.
-"""
+"""Failures made of others: that of a block, and that of a cleanup."""
 
 from __future__ import annotations
 
@@ -21,16 +17,15 @@ if TYPE_CHECKING:
 class BranchesFailed(PlanFailure):
     """A block of the plan language failed: one failure that carries those of all its branches.
 
-    It can be caught as what they are: where all of them are ``Unreachable``, ``except Unreachable`` catches it, and it
-    has the fields of the first of them; where they differ, as what they have in common, ``PlanFailure`` at last. So who
-    catches it by a type has handled all that went wrong, and no failure of another type vanishes beside it.
+    It is of the types that all of them have in common: if all are ``Unreachable``, ``except Unreachable`` catches it,
+    and it has the fields of the first one. So code that catches a type misses no failure of another type.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
-        """Makes an instance that is also of the types that all failures have in common."""
+        """Make an instance that is also of the types that all failures have in common."""
         failures = tuple(failures)
         if cls is BranchesFailed:
-            kind = _together(tuple(type(leaf) for leaf in _leaves(failures)))
+            kind = _combined_type(tuple(type(leaf) for leaf in _leaves(failures)))
             return super().__new__(kind, block, failures)
         return super().__new__(cls, block, failures)
 
@@ -48,64 +43,58 @@ class BranchesFailed(PlanFailure):
 
     @property
     def block(self) -> str:
-        """What the block is: "par", ... A property, since the type of its failures may have another one."""
+        """The kind of block: "par", ... A property, as the type of its failures may have an attribute of that name."""
         return str(vars(self)["block"])
 
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
-        """What its branches and its body raised, in order."""
+        """Failures of its branches and its body, in order."""
         failures: tuple[PlanFailure, ...] = vars(self)["failures"]
         return failures
 
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:
-        """What went wrong in the end: its failures, and in place of failed blocks among them theirs."""
+        """Its failures, with failed blocks among them replaced by theirs."""
         return tuple(_leaves(self.failures))
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Its fields by name; of its failures type, message and fields."""
-        told = [{"type": type(one).__name__, "message": str(one), "data": one.data} for one in self.failures]
-        return {**super().data, "failures": told}
+        """Its fields by name; its failures as type, message and fields."""
+        failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self.failures]
+        return {**super().data, "failures": failures}
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle what it is made of, as its class has been made for its failures."""
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
-        told = (
-            str(failure) if isinstance(failure, BranchesFailed) else format_error(failure) for failure in self.failures
-        )
-        return f"{self.block} failed: {'; '.join(told)}"
+        texts = (str(f) if isinstance(f, BranchesFailed) else format_error(f) for f in self.failures)
+        return f"{self.block} failed: {'; '.join(texts)}"
 
 
 class NotCleanedUp(PlanFailure):
-    """Something was told to stop, by its block or a timeout, and what it does at its end (``finally_``) failed.
+    """A branch was cancelled, by its block or a timeout, and its cleanup (``finally_``) failed.
 
     Attributes:
-        action: what it does at its end.
-        failure: what that failed with; the cause of this.
+        action: Name of the cleanup.
+        failure: Its failure; the cause of this one.
     """
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
-        super().__init__(f"{action}, done as the plan was told to stop, failed: {format_error(failure)}")
+        super().__init__(f"{action}, the cleanup of a cancelled branch, failed: {format_error(failure)}")
         self.action = action
         self.failure = failure
         self.__cause__ = failure
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:
-    """Whether a failure is, or holds, that of a cleaning up which nobody reckons with."""
+    """Whether a failure is, or contains, that of a cleanup after a cancellation."""
     leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
     return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
 
 
 class Tracebacks(PycramError):
-    """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all.
-
-    Attributes:
-        failures: the failures.
-    """
+    """Never raised: the cause of a :class:`BranchesFailed` with several failures, so that tracebacks print them all."""
 
     def __init__(self, failures: Sequence[BaseException]) -> None:
         super().__init__(failures)
@@ -128,8 +117,8 @@ def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
 
 
 @functools.lru_cache(maxsize=256)
-def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
-    """BranchesFailed, combined with what all of some types have in common beyond PlanFailure."""
+def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
+    """Return BranchesFailed, combined with the types that all have in common beyond PlanFailure."""
     common: list[type] = []
     for kind in kinds[0].__mro__ if kinds else ():
         shared = issubclass(kind, PlanFailure) and kind is not PlanFailure and all(issubclass(k, kind) for k in kinds)
@@ -138,11 +127,11 @@ def _together(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
     if not common:
         return BranchesFailed
     try:
-        made = type("BranchesFailed", (BranchesFailed, *common), {"__module__": BranchesFailed.__module__})
-        BaseException.__new__(made)
+        combined = type("BranchesFailed", (BranchesFailed, *common), {"__module__": BranchesFailed.__module__})
+        BaseException.__new__(combined)
     except TypeError:  # types that can't be combined
         return BranchesFailed
-    return made
+    return combined
 
 
 export("pycram.failures", BranchesFailed, NotCleanedUp)

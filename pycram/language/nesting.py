@@ -1,9 +1,8 @@
-"""Nesting: scopes of the plan (blocks, attempts, timeouts, cleanups) end in the opposite order of their beginnings.
+"""Nesting: scopes of the plan (blocks, attempts, timeouts, cleanups) end in the reverse order of their beginnings.
 
-``with`` statements see to that, except where generators leave one open and others go on. A scope that ended in the
-place of another would leave the plan in one that is over. So what ends out of order is ended, with all that was opened
-after it, and refused. As long as a scope is open, Ctrl-C is held back in the language's own code
-(:mod:`recorder.tracing.interrupts`).
+``with`` statements ensure this, except where a generator leaves a scope open while other code goes on. What ends out of
+order is ended, with all that was opened after it, and refused: else the plan would go on in a scope that is over. As
+long as a scope is open, Ctrl-C is deferred in the language's own code (:mod:`recorder.tracing.interrupts`).
 """
 
 from __future__ import annotations
@@ -30,10 +29,10 @@ Value = TypeVar("Value")
 
 
 class Misnested(UsageError):
-    """A block was ended while another one was open that had been opened after it.
+    """A block was ended while a block that was opened after it was still open.
 
     Attributes:
-        block: what kind it is; a timeout, an attempt and a cleanup are blocks in this too.
+        block: Its kind; here timeouts, attempts and cleanups are blocks too.
     """
 
     def __init__(self, block: str) -> None:
@@ -48,22 +47,22 @@ class _Open(NamedTuple):
     """A scope that is open.
 
     Attributes:
-        opening: what stands in the ``with`` statement.
-        generator: identifies the generator whose code began it; 0 for code that is never left in the middle.
-        body: what begins and ends in truth.
-        held: whether it has Ctrl-C held back.
+        scope: What stands in the ``with`` statement.
+        generator: Identifies the generator whose code opened it; 0 for code that isn't resumable.
+        body: The context manager that does the work.
+        defers: Whether it defers Ctrl-C.
     """
 
-    opening: object
+    scope: object
     generator: int
     body: AbstractContextManager[object]
-    held: bool
+    defers: bool
 
     def end(self, error: BaseException | None, trace: TracebackType | None = None) -> bool | None:
         try:
             return self.body.__exit__(type(error) if error is not None else None, error, trace)
         finally:
-            if self.held:
+            if self.defers:
                 interrupts.leave()
 
 
@@ -71,59 +70,58 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """Something for a ``with`` statement that has to end in its turn; may be used again, also within itself."""
+    """A context manager that refuses to end out of order; reusable, also within itself.
+
+    Args:
+        name: Its kind, in messages.
+    """
 
     def __init__(self, name: str) -> None:
-        """Makes one that isn't open.
-
-        Args:
-            name: what kind it is.
-        """
         self._name = name
 
     @abstractmethod
     def _opened(self) -> AbstractContextManager[Value]:
-        """What begins and ends in truth; a new one each time."""
+        """Return a new context manager that does the work."""
 
     def __enter__(self) -> Value:
-        held = interrupts.enter(scheduler())
+        defers = interrupts.enter(scheduler())
         try:
             body = self._opened()
             value = body.__enter__()
         except BaseException:
-            if held:
+            if defers:
                 interrupts.leave()
             raise
-        _open.set((*_open.get(), _Open(self, _generator(), body, held)))
+        _open.set((*_open.get(), _Open(self, _generator(), body, defers)))
         return value
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool | None:
         opened, generator = _open.get(), _generator()
-        if opened and opened[-1].opening is self and opened[-1].generator == generator:
+        indices = [i for i, scope in enumerate(opened) if scope.scope is self and scope.generator == generator]
+        if indices and indices[-1] == len(opened) - 1:
             _open.set(opened[:-1])
             return opened[-1].end(error, trace)
-        here = [place for place, one in enumerate(opened) if one.opening is self and one.generator == generator]
-        wrong = error if isinstance(error, KeyboardInterrupt) else Misnested(self._name)
-        while here and len(_open.get()) > here[-1]:
-            *kept, last = _open.get()
-            _open.set(tuple(kept))
-            last.end(wrong)
-        if wrong is error or (error is not None and not here):  # one that was ended like that before
+        raised = error if isinstance(error, KeyboardInterrupt) else Misnested(self._name)
+        while indices and len(_open.get()) > indices[-1]:
+            *outer, last = _open.get()
+            _open.set(tuple(outer))
+            last.end(raised)
+        if raised is error or (error is not None and not indices):  # this one was ended in that way before
             return False
-        raise wrong
+        raise raised
 
 
 def nothing_open() -> None:
-    """From here on nothing is open in this context: it is that of a branch, which ends only what it begins itself."""
+    """Forget the open scopes of this context: it is that of a branch, which ends only what it opens itself."""
     _open.set(())
 
 
 def _generator() -> int:
-    """Identifies the generator whose code opens or ends a scope; 0 for code that is never left in the middle.
+    """Return the id of the generator whose code opens or ends a scope; 0 for code that isn't resumable.
 
-    The word ``par`` is the same object in all ``with`` statements, so the scope alone doesn't tell them apart.
+    Needed as ``par`` is the same object in all ``with`` statements.
     """
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
@@ -132,28 +130,23 @@ def _generator() -> int:
 
 
 class GeneratorScope(Scope[Value], ContextDecorator):
-    """A scope that is written as a generator; serves as decorator too."""
+    """A scope that is written as a generator, by :func:`scope`; also a decorator."""
 
-    def __init__(self, name: str, opened: Callable[[], AbstractContextManager[Value]]) -> None:
-        """Makes one; :func:`scope` is there for that."""
+    def __init__(self, name: str, make: Callable[[], AbstractContextManager[Value]]) -> None:
         super().__init__(name)
-        self._made = opened
+        self._make = make
 
     def _opened(self) -> AbstractContextManager[Value]:
-        return self._made()
+        return self._make()
 
 
 def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments, GeneratorScope[Value]]:
-    """As ``contextlib.contextmanager``, for what has to end in its turn.
-
-    Args:
-        function: a generator function that yields once.
-    """
-    begin = contextmanager(function)
+    """Turn a generator function that yields once into a scope, as ``contextlib.contextmanager`` does."""
+    make = contextmanager(function)
     name = function.__name__.rstrip("_")
 
     @wraps(function)
     def made(*args: Arguments.args, **kwargs: Arguments.kwargs) -> GeneratorScope[Value]:
-        return GeneratorScope(name, lambda: begin(*args, **kwargs))
+        return GeneratorScope(name, lambda: make(*args, **kwargs))
 
     return made

@@ -1,18 +1,18 @@
-"""Failure handling: trying again after a plan failure, with the same or other parameters (thesis 3.5.3).
+"""Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
-In CRAM, ``with-failure-handling`` runs its body again when the body says ``retry``. A ``with`` statement of Python runs
-its body once, so here a loop goes around it::
+In CRAM, ``with-failure-handling`` runs its body again when the body says ``retry``. Python runs the body of a ``with``
+statement once, so a loop goes around it::
 
     for attempt in failure_handling(5, arm="left"):
         with attempt:
             pick_up(milk, attempt["arm"])
 
-runs the body until it gets through, at most six times: once, and five retries. When they are used up, the last failure
-is raised, with the earlier ones in its context. What to do between two attempts can be said by the type of failure::
+runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised, with the
+earlier ones in its context. Recoveries between two attempts depend on the type of failure::
 
     handling = failure_handling(5).on(Unreachable, lambda failure: {"arm": "right"}).on(InCollision, step_back)
 
-or in the body itself, where ``retry`` ends the attempt as the original's does::
+or stand in the body itself, where ``retry`` ends the attempt as in CRAM::
 
         with attempt:
             try:
@@ -20,12 +20,12 @@ or in the body itself, where ``retry`` ends the attempt as the original's does::
             except Unreachable:
                 retry(arm="right")
 
-The same for a function: ``failure_handling(5).run(pick_up, milk)``, or ``@failure_handling(5)`` before its definition.
-Only plan failures are tried again. In the body of an attempt actions happen one after the other.
+For a function: ``failure_handling(5).run(pick_up, milk)``, or ``@failure_handling(5)`` before its definition. Only plan
+failures are retried. In the body of an attempt actions run in order.
 
-What follows ``with attempt`` in the loop happens after failed attempts too. Who leaves the loop there, by ``break`` or
-``return``, drops a failure that nobody has handled: Python lets nothing be raised then, so :class:`FailureLeft` warns
-of it. To give up, raise something or handle the failure inside of ``with attempt``.
+Code after ``with attempt`` in the loop also runs after failed attempts. Leaving the loop there, by ``break`` or
+``return``, drops an unhandled failure: Python lets nothing be raised then, so :class:`FailureLeft` warns of it. To give
+up, raise something or handle the failure inside of ``with attempt``.
 """
 
 from __future__ import annotations
@@ -45,24 +45,23 @@ if TYPE_CHECKING:
     from pycram.language.attempts import Attempt
 
 Result: TypeAlias = Any
-#: Gets a failure, does something about it, and may give parameters that the next attempt is to have.
+#: Called with a failure before the next attempt; may return changed parameters for it.
 Recovery: TypeAlias = Callable[[Any], "Parameters | None"]
 
 
 class FailureHandling:
-    """How often, and after what, something is tried again. May be used for many things, also at the same time."""
+    """How often, and after which failures, code is tried again; reusable, also concurrently.
+
+    Args:
+        retries: From 0 up; with 5, there are up to 6 attempts.
+        kinds: The types of failures to retry after; all plan failures by default.
+        parameters: Parameters of the attempts, until a recovery or ``retry`` changes them.
+
+    Raises:
+        BadArgument: Retries below 0, or a type that isn't one of plan failures.
+    """
 
     def __init__(self, retries: int, *kinds: type[PlanFailure], **parameters: object) -> None:
-        """Says how failures are handled.
-
-        Args:
-            retries: how often to try again: with 5, there are up to 6 attempts.
-            kinds: the types of failures to try again after; all plan failures by default.
-            parameters: what the attempts are to have, until something changes them.
-
-        Raises:
-            BadArgument: retries below 0, or a type that isn't one of plan failures.
-        """
         if isinstance(retries, bool) or not isinstance(retries, int) or retries < 0:
             raise BadArgument("retries", retries, "a whole number from 0 up")
         self.retries = retries
@@ -71,14 +70,10 @@ class FailureHandling:
         self._recoveries: list[tuple[type[PlanFailure], Recovery]] = []
 
     def on(self, kind: type[PlanFailure], recovery: Recovery) -> Self:
-        """Says what to do after a failure, before the next attempt.
+        """Add a recovery, called with failures of a type before the next attempt; return this very handling.
 
-        Args:
-            kind: the type of failure; the first that was said for a failure counts.
-            recovery: gets the failure; may return parameters for the next attempt. What it raises ends the handling.
-
-        Returns:
-            This very handling.
+        The first that matches a failure counts. It may return parameters for the next attempt. What it raises ends the
+        handling.
         """
         self._recoveries.append((_failure_type(kind), recovery))
         return self
@@ -90,25 +85,18 @@ class FailureHandling:
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
-        """Whether there is to be another attempt after an error, if one is left.
+        """Whether to retry after an error.
 
-        None after a cleaning up that failed because the handling itself is cancelled: being stopped again would
-        hide it.
+        Not after a failed cleanup if the handling itself is cancelled: the next attempt's cancellation would hide it.
         """
         hidden = error is not None and is_cancelled() and leaves_uncleaned(error)
         return isinstance(error, self.kinds) and not hidden
 
     def recover(self, failure: BaseException) -> Parameters:
-        """Does what was said about a failure.
-
-        Args:
-            failure: a plan failure.
-
-        Returns:
-            The parameters that the next attempt is to have instead.
+        """Run the recovery of a failure, and return the changed parameters.
 
         Raises:
-            BadArgument: a recovery gave something else.
+            BadArgument: The recovery returned something else.
         """
         for kind, recovery in self._recoveries:
             if isinstance(failure, kind):
@@ -119,7 +107,7 @@ class FailureHandling:
         return {}
 
     def __iter__(self) -> Iterator[Attempt]:
-        """The attempts, until one succeeds; each is to be used with ``with``."""
+        """Yield attempts until one succeeds; each is for a ``with`` statement."""
         attempts = Attempts(self)
         try:
             while not attempts.over:
@@ -131,12 +119,9 @@ class FailureHandling:
             attempts.close()
 
     def run(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-        """Calls a function until it gets through, and returns what it returned.
+        """Call a function until it succeeds, and return its result, or raise its last failure.
 
-        An attempt's parameters go before its named arguments.
-
-        Raises:
-            PlanFailure: its last failure.
+        An attempt's parameters override the named arguments.
         """
         result: Result = None
         for attempt in self:
@@ -145,7 +130,7 @@ class FailureHandling:
         return result
 
     def __call__(self, function: Callable[..., Result]) -> Callable[..., Result]:
-        """As a decorator: the function handles its failures itself."""
+        """Decorate a function so that it handles its failures itself."""
 
         @functools.wraps(function)
         def handled(*args: object, **kwargs: object) -> Result:

@@ -1,8 +1,7 @@
-"""Timeouts: a part of the plan that has to be done within a time.
+"""Timeouts: parts of the plan with a deadline.
 
-When the time is up, what runs in it is cancelled and stops where that is safe, at its next checkpoint
-(:mod:`pycram.scheduling`). Then it fails with :class:`TimedOut`, which a plan may handle or try again after. What got
-to its end meanwhile has succeeded.
+At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`). Then it fails with
+:class:`TimedOut`, which a plan may handle or retry after. What has ended by then has succeeded.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ if TYPE_CHECKING:
 
 
 class TimedOut(PlanFailure):
-    """Something was not done in time.
+    """A part of the plan missed its deadline.
 
     Attributes:
-        seconds: the time that it had.
+        seconds: Its time limit.
         clock: "wall" or "simulated".
     """
 
@@ -41,23 +40,22 @@ class TimedOut(PlanFailure):
 
 @scope
 def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
-    """Gives its block so much time. In the block actions happen one after the other.
+    """Limit the time of the ``with`` block, in which actions run in order.
 
     Args:
-        seconds: the time in s.
-        simulated: whether it is that of the current world, which passes only when that is simulated, instead of the
-            clock's.
+        seconds: The limit in s, from 0 up.
+        simulated: Whether to measure simulated time of the current world instead of the clock's.
 
     Raises:
-        TimedOut: it was not done in time.
-        BadArgument: not a number from 0 up.
-        NoWorld: there is no world to simulate.
+        TimedOut: The block missed its deadline.
+        BadArgument: The limit is wrong.
+        NoWorld: There is no world to simulate.
     """
     limit = number("seconds", seconds)
     if limit < 0:
         raise BadArgument("seconds", seconds, "a number from 0 up")
     clock = "simulated" if simulated else "wall"
-    with sequential() as settle, _watch(limit) if simulated else _timer(limit) as cancel_scope:
+    with sequential() as settle, (_simulated_timer if simulated else _timer)(limit) as cancel_scope:
         outer = current_scope()
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}):
             try:
@@ -65,22 +63,22 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                     raise_if_cancelled()
                     yield
                     settle()
-            except Cancelled as stopped:
+            except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
-                    raise TimedOut(limit, clock) from stopped
+                    raise TimedOut(limit, clock) from cancelled
                 raise
 
 
 @contextmanager
 def _timer(seconds: float) -> Iterator[CancelScope]:
-    """A scope whose deadline is on the clock."""
+    """Yield a scope whose deadline is on the clock."""
     end = time.monotonic() + seconds
     yield CancelScope(current_scope(), lambda: max(0.0, end - time.monotonic()))
 
 
 @contextmanager
-def _watch(seconds: float) -> Iterator[CancelScope]:
-    """A scope whose deadline is on the current world's time."""
+def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
+    """Yield a scope whose deadline is in the current world's simulated time."""
     from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
 
     world = BulletWorld.current_bullet_world
@@ -88,9 +86,9 @@ def _watch(seconds: float) -> Iterator[CancelScope]:
         raise NoWorld
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
     remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
-    made = CancelScope(current_scope(), remaining)
-    world.time_listeners.add(made.notify_all)
+    timed = CancelScope(current_scope(), remaining)
+    world.time_listeners.add(timed.notify_all)
     try:
-        yield made
+        yield timed
     finally:
-        world.time_listeners.discard(made.notify_all)
+        world.time_listeners.discard(timed.notify_all)

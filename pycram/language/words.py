@@ -1,4 +1,4 @@
-"""The five words of the plan language: each opens a block, or runs functions as the branches of one."""
+"""The five words of the plan language: each opens a block, or runs functions as its branches."""
 
 from __future__ import annotations
 
@@ -18,46 +18,39 @@ Action: TypeAlias = Callable[..., Result]
 
 
 class NeverOpened(RuntimeWarning):
-    """A block was given a list for failures, and no body."""
+    """A block got a list for failures, and no body."""
 
 
 class Opening(Scope[Block]):
-    """Opens a block when a ``with`` statement begins; may be used again, in other threads and within itself."""
+    """Opens a block at the start of a ``with`` statement; reusable, in other threads and within itself.
+
+    Warns with NeverOpened if it is to collect failures, and no ``with`` statement ever used it.
+
+    Args:
+        policy: The kind of block.
+        failures: Collects the failures of the branches; without a list, they are raised.
+    """
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
-        """Makes an opening; failures of the branches go into the list, or are raised."""
         super().__init__(policy.name)
         self._policy = policy
         self._failures = failures
+        self._unused_at = None if failures is None else call_site()
 
     def _opened(self) -> Block:
+        self._unused_at = None
         return Block(self._policy, self._failures)
 
-
-class Collecting(Opening):
-    """Opens a block whose failures go into a list; one that never does is a ``with`` that somebody forgot."""
-
-    def __init__(self, policy: Policy, failures: list[BaseException]) -> None:
-        """Makes an opening; see :class:`Opening`."""
-        super().__init__(policy, failures)
-        self._asked_for = call_site()
-        self._used = False
-
-    def __enter__(self) -> Block:
-        self._used = True
-        return super().__enter__()
-
     def __del__(self) -> None:
-        if not self._used:
+        if self._unused_at is not None:
             text = f"{self._policy.name}(failures) opens no block; write `with {self._policy.name}(failures) as s:`"
-            warnings.warn_explicit(text, NeverOpened, *self._asked_for)
+            warnings.warn_explicit(text, NeverOpened, *self._unused_at)
 
 
 class Nothing(Opening, list[Result]):
-    """What ``par()`` gives: it opens a block; and it is the empty list of the results of ``par(*[])``."""
+    """Value of ``par()``: opens a block, and is the empty list of the results of ``par(*[])``."""
 
     def __init__(self, policy: Policy) -> None:
-        """Makes an opening; see :class:`Opening`."""
         list.__init__(self)
         super().__init__(policy)
 
@@ -72,24 +65,23 @@ class Kind(Opening):
     @overload
     def __call__(self, *branches: Action) -> Result: ...
     def __call__(self, *branches: Action | list[BaseException]) -> Result:
-        """Opens a block, or runs functions as its branches.
+        """Open a block, or run functions as its branches.
 
         Args:
-            branches: nothing; one list, which gets the failures of the block's branches; or functions.
+            branches: Nothing; one list, which collects the failures of the block's branches; or functions.
 
         Returns:
-            What to use with ``with``; or the functions' results as a list, of ``pursue``, ``try_all`` and
-            ``try_in_order`` the result of the one that decided it; in the body of a block a future for that. Without
-            functions what is given serves as both, as an empty list of results.
+            Without functions, a context manager. With functions, the list of their results; for ``pursue``, ``try_all``
+            and ``try_in_order`` the result of the deciding one; in the body of a block, a future for that.
 
         Raises:
-            BadArgument: something else.
-            BranchesFailed: the block failed.
+            BadArgument: A branch isn't one of these.
+            BranchesFailed: The block failed.
         """
         if not branches:
             return Nothing(self._policy)
         if len(branches) == 1 and isinstance(branches[0], list):
-            return Collecting(self._policy, branches[0])
+            return Opening(self._policy, branches[0])
         actions = [branch for branch in branches if callable(branch)]
         if len(actions) != len(branches):
             wrong = next(branch for branch in branches if not callable(branch))
@@ -109,16 +101,16 @@ class Kind(Opening):
 
 
 par: Final = Kind(Policy("par", concurrent=True, decided_by=frozenset()))
-"""Runs branches side by side to their ends; fails if any fails."""
+"""Run branches concurrently to their ends; fail if any fails."""
 
 pursue: Final = Kind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
-"""Runs branches side by side; the first that ends decides, the others are cancelled."""
+"""Run branches concurrently; the first that ends decides, the others are cancelled."""
 
 try_all: Final = Kind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
-"""Runs branches side by side; the first that succeeds decides, the others are cancelled."""
+"""Run branches concurrently; the first that succeeds decides, the others are cancelled."""
 
 seq: Final = Kind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
-"""Runs branches in order up to the first that fails."""
+"""Run branches in order up to the first that fails."""
 
 try_in_order: Final = Kind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
-"""Runs branches in order up to the first that succeeds."""
+"""Run branches in order up to the first that succeeds."""

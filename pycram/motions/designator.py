@@ -1,12 +1,13 @@
 """Designators: descriptions of what a plan wants, resolved to parameters as late as possible (thesis 3.5.1, 4.5, 4.6).
 
-A designator is a list of slots, (key, value) pairs. Referencing it finds its solutions: dictionaries with all that is
-needed to act. Its first solution is its reference; its next solution is another designator with the same slots, equated
-to it. Designators that are equated describe the same thing, over time; they form a chain from the first to the current
-one. A designator is *effective* once it has been referenced, or when it was made to stand for something that was found.
+A designator is a list of slots, (key, value) pairs. Referencing it finds its solutions: dictionaries with all
+parameters of an action. Its first solution is its reference; its next solution is another designator with the same
+slots, equated to it. Equated designators describe the same thing over time, and form a chain from the first to the
+current one. A designator is *effective* once it has been referenced, or if it was made to stand for something that was
+found.
 
-Two designators are ``==`` only if they are one and the same; :meth:`Designator.equal` tells whether they are equated.
-The slots never change, so that a designator may be used by any number of threads; lists among them are its own.
+Designators are ``==`` only if they are identical; :meth:`Designator.equal` tells whether they are equated. The slots
+never change, so any number of threads may use a designator; it copies lists and other containers among them.
 """
 
 from __future__ import annotations
@@ -39,21 +40,18 @@ __all__ = ["Designator", "DesignatorError", "MotionDesignator", "Solution"]
 class Designator(Equated, ABC):
     """A description of something, as a list of slots.
 
+    Args:
+        description: Its slots, (key, value) pairs or a mapping. A value may be a future of a ``par`` block.
+        parent: A designator to equate it with.
+
     Attributes:
-        timestamp: when it became effective, in seconds since the Unix epoch; None as long as it isn't.
+        timestamp: When it became effective, in seconds since the Unix epoch; None before.
+
+    Raises:
+        DesignatorError: The description isn't a list of pairs.
     """
 
     def __init__(self, description: Description, parent: Designator | None = None) -> None:
-        """Makes a designator.
-
-        Args:
-            description: its slots, a list of (key, value) or a mapping. A value may be the handle that ``perform``
-                gives in a ``par`` block; it stands for its result.
-            parent: the designator to equate it with.
-
-        Raises:
-            DesignatorError: the description isn't that.
-        """
         super().__init__()
         self._slots = pairs(description)
         self._lock = threading.Lock()
@@ -71,25 +69,15 @@ class Designator(Equated, ABC):
         return list(pairs(self._slots))
 
     def prop_value(self, key: str) -> Value:
-        """The value of a slot.
-
-        Args:
-            key: its name.
-
-        Returns:
-            The value, the result where it is a handle (waits for it); None if there is no such slot.
-        """
+        """Return a copy of a slot's value, waiting for a future's result; None if there is no such slot."""
         return next((own(unwrap(value)) for name, value in self._slots if name == key), None)
 
     def check_constraints(self, properties: Iterable[str | tuple[str, object]]) -> bool:
-        """Whether the slots are as asked.
+        """Whether the slots fulfil all constraints.
 
         Args:
-            properties: names of slots that must be there with a value other than None, and (name, value) of slots that
-                must have just that value.
-
-        Returns:
-            Whether all of that is so.
+            properties: Names of slots that must have a value other than None, and (name, value) of slots that must have
+                that value.
         """
         for constraint in [properties] if isinstance(properties, str) else properties:
             if isinstance(constraint, str):
@@ -102,20 +90,13 @@ class Designator(Equated, ABC):
         return True
 
     def make_dictionary(self, properties: Iterable[str | tuple[str, object]]) -> dict[str, Value]:
-        """A solution, from slots and other values.
-
-        Args:
-            properties: names of slots to take over, and (key, value) to put in.
-
-        Returns:
-            A dictionary with all of these.
-        """
+        """Make a solution of slots, given by name, and of other (key, value) pairs."""
         given = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
         return {key: unwrap(value) for key, value in pairs(given)}
 
     def newest_effective(self) -> Designator | None:
-        """The newest effective designator among those equated with this one; None if there is none."""
-        return next((one for one in reversed(self.chain()) if one.effective), None)
+        """Return the newest effective designator of the chain; None if there is none."""
+        return next((designator for designator in reversed(self.chain()) if designator.effective), None)
 
     @property
     def effective(self) -> bool:
@@ -124,27 +105,24 @@ class Designator(Equated, ABC):
 
     @property
     def data(self) -> Value:
-        """What it was made effective with; None otherwise."""
+        """The data of :meth:`make_effective`; None otherwise."""
         return self._data
 
     # --- solutions ---------------------------------------------------------------------------------------------------
 
     @abstractmethod
     def _solution(self) -> Solution:
-        """Finds this designator's solution, in any thread.
+        """Find this designator's solution, in any thread.
 
         Raises:
-            DesignatorError: there is none.
+            DesignatorError: There is none.
         """
 
     def reference(self) -> Solution:
-        """Its solution: found when it is asked for the first time, and the same ever after.
-
-        Returns:
-            All parameters by name; what it was made effective with, if it was.
+        """Return its solution, found at the first call; or the data that it was made effective with.
 
         Raises:
-            DesignatorError: there is none.
+            DesignatorError: There is none.
         """
         if self._data is not None:
             solution: Solution = self._data
@@ -157,80 +135,62 @@ class Designator(Equated, ABC):
         return own(solution)
 
     def resources(self) -> Resources | None:
-        """What it needs of the robot, as far as that is known by now. Never waits, never fails.
-
-        Returns:
-            The resources; None if nobody knows: it gets all that there is.
-        """
+        """Return what it needs, as far as known by now; None for the whole robot. Must not wait or fail."""
         return None
 
     def next_solution(self) -> Self | None:
-        """Another solution.
-
-        Returns:
-            A new designator with the same slots that is equated with this one and refers to the solution after this
-            one's; None if there is no other.
-        """
+        """Return an equated designator with the same slots and the solution after this one's; None if there is none."""
         return None
 
     def solutions(self, from_root: object = None) -> Iterator[Solution]:
-        """All solutions from this one's on, each found when it is asked for.
+        """Yield this and all further solutions, each found when needed; raise DesignatorError if there is none.
 
         Args:
-            from_root: anything but None or False begins with the first of the equated designators.
-
-        Returns:
-            An iterator; it raises DesignatorError if there is no solution at all.
+            from_root: Anything but None or False starts with the first of the chain.
         """
-        one = self if from_root is None or from_root is False else self.first()
-        return one._all_solutions()  # noqa: SLF001  same class
+        start = self if from_root is None or from_root is False else self.first()
+        return start._all_solutions()  # noqa: SLF001  same class
 
     def _all_solutions(self) -> Iterator[Solution]:
-        one: Designator | None = self
-        while one is not None:
-            yield one.reference()
-            one = one.next_solution()
+        designator: Designator | None = self
+        while designator is not None:
+            yield designator.reference()
+            designator = designator.next_solution()
 
     def copy(self, new_properties: Description | None = None) -> Self:
-        """A new designator of the same kind, equated with nothing.
+        """Return a new designator of the same kind, equated with nothing.
 
         Args:
-            new_properties: slots that replace those of the same name, or come after the others.
-
-        Returns:
-            The new one.
+            new_properties: Slots that replace those of the same name, or are appended.
         """
         slots = list(self._slots)
         for key, value in pairs(new_properties or ()):
-            places = [place for place, (name, _) in enumerate(slots) if name == key]
-            for place in places:
-                slots[place] = (key, value)
-            if not places:
+            indices = [index for index, (name, _) in enumerate(slots) if name == key]
+            for index in indices:
+                slots[index] = (key, value)
+            if not indices:
                 slots.append((key, value))
         return type(self)(slots)
 
     def make_effective(
         self, properties: Description | None = None, data: Value = None, timestamp: float | None = None
     ) -> Self:
-        """A new designator, equated with this one, that stands for what was found or became true.
+        """Return a new effective designator, equated with this one, that stands for what was found or became true.
 
         Args:
-            properties: its slots; this one's by default.
-            data: what it stands for; its reference.
-            timestamp: when that was so, in seconds since the Unix epoch; now by default.
-
-        Returns:
-            The new one, effective.
+            properties: Its slots; this one's by default.
+            data: Its reference.
+            timestamp: In seconds since the Unix epoch; now by default.
         """
-        made = type(self)(self._slots if properties is None else properties)
-        made._effective = True  # noqa: SLF001  same class
-        made._data = unwrap(data)  # noqa: SLF001  same class
-        made.timestamp = time.time() if timestamp is None else timestamp
-        made.equate(self)
-        return made
+        designator = type(self)(self._slots if properties is None else properties)
+        designator._effective = True  # noqa: SLF001  same class
+        designator._data = unwrap(data)  # noqa: SLF001  same class
+        designator.timestamp = time.time() if timestamp is None else timestamp
+        designator.equate(self)
+        return designator
 
     def __record__(self) -> object:
-        """Its slots by name."""
+        """Return its slots by name."""
         slots: dict[str, object] = {}
         for name, value in self._slots:
             slots.setdefault(name, value.__record__() if isinstance(value, Future) else value)
@@ -246,47 +206,34 @@ Resolver: TypeAlias = Callable[["MotionDesignator"], Iterable[Solution] | None]
 class MotionDesignator(Designator):
     """A motion of the robot, with the parameters that the plan cares about (thesis 4.5; types in tables 4.4-4.14).
 
-    Resolvers find the solutions: functions that take the designator and give solutions, a list or a generator, none at
-    all if it isn't theirs. Users add theirs with :meth:`add_resolver`, a decorator too, and take them back with
-    :meth:`remove_resolver`. They are asked in order; PyCRAM's own, which knows the eleven types of the
-    thesis, comes last. Each subclass has a list of its own, which is asked before its parents'. A resolver that raises
-    DesignatorError doesn't take the designator; the error comes out when no resolver has a solution.
+    Resolvers find the solutions: functions that take the designator and return solutions, a list or a generator, or
+    None for designators of other types. Users add theirs with :meth:`add_resolver`, also a decorator. They are called
+    in order, those of a subclass before its parents', and last PyCRAM's own, which knows the eleven types of the
+    thesis. If a resolver raises DesignatorError, the next one is called; the error is raised if none has a solution.
     """
 
     resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("motion designators")
 
     def __init_subclass__(cls, **kwargs: object) -> None:
-        """Gives a subclass its own resolvers."""
         super().__init_subclass__(**kwargs)
         cls.resolvers = Resolvers(cls.__name__)
 
     def __init__(self, description: Description, parent: Designator | None = None) -> None:
-        """Makes a designator; see :class:`Designator`."""
         super().__init__(description, parent)
         self._solutions = Solutions(self._resolve)
         self._index = 0
 
     @classmethod
     def add_resolver(cls, resolver: Resolver) -> Resolver:
-        """Adds a resolver for this class and its subclasses, after those that were added before.
-
-        Args:
-            resolver: gives solutions for a designator; the same one counts once.
-
-        Returns:
-            The resolver.
-        """
+        """Add a resolver for this class and its subclasses, after those added before, once; return it."""
         return cls.resolvers.append(resolver)
 
     @classmethod
     def remove_resolver(cls, resolver: Resolver) -> None:
-        """Removes a resolver.
-
-        Args:
-            resolver: one that was added to this class.
+        """Remove a resolver that was added to this class.
 
         Raises:
-            UnknownName: it wasn't.
+            UnknownName: It wasn't.
         """
         cls.resolvers.remove(resolver)
 
@@ -297,23 +244,22 @@ class MotionDesignator(Designator):
         return value if isinstance(value, str) else ""
 
     def resources(self) -> Resources | None:
-        """What it needs of the robot: by the ``cmd`` of its solution once that is found, before that by its type.
+        """Return what it needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
 
-        Only PyCRAM's own are known; others get the whole robot, and their process module may make that less. A
-        subclass that says here what it needs has it from the moment in which it is asked for.
+        Only PyCRAM's own are known; others get the whole robot, unless their process module or a subclass says less.
         """
         if self.effective and isinstance(solution := self.reference(), Mapping):
             return motion_types.resources_of(solution)
         return motion_types.resources_by_type(self)
 
     def next_solution(self) -> Self | None:
-        """Another solution; see :meth:`Designator.next_solution`."""
+        """Return the designator of the next solution; see :meth:`Designator.next_solution`."""
         if self._data is not None or self._solutions.at(self._index + 1) is None:
             return None
-        other = type(self)(self._slots, self)
-        other._solutions = self._solutions  # noqa: SLF001  same class
-        other._index = self._index + 1  # noqa: SLF001  same class
-        return other
+        following = type(self)(self._slots, self)
+        following._solutions = self._solutions  # noqa: SLF001  same class
+        following._index = self._index + 1  # noqa: SLF001  same class
+        return following
 
     def _solution(self) -> Solution:
         solution = self._solutions.at(self._index)
@@ -322,7 +268,7 @@ class MotionDesignator(Designator):
         return solution
 
     def _all_solutions(self) -> Iterator[Solution]:
-        yield self.reference()  # the others are looked up without making a designator for each
+        yield self.reference()  # no designator is made for each of the others
         if self._data is None:
             for index in itertools.count(self._index + 1):
                 solution = self._solutions.at(index)
@@ -356,13 +302,6 @@ def _solutions_of(resolver: Resolver, designator: MotionDesignator) -> Iterator[
 
 
 def unfinished(designator: Designator) -> list[str]:
-    """Names of the branches that a designator waits for and that wait themselves for who knows what.
-
-    Args:
-        designator: any.
-
-    Returns:
-        The branches among its slots that have not ended and may come to wait for something that is asked for later.
-    """
+    """Return the names of running branches among a designator's slots that may wait for something requested later."""
     branches = branches_in([value for _, value in designator.description])
     return [branch.name for branch in branches if not branch.done and not branch.ordered]

@@ -1,4 +1,4 @@
-"""Execution environments: which process modules serve a robot there (thesis 4.8).
+"""Execution environments: sets of process modules, one for each robot (thesis 4.8).
 
 The plan names neither robot nor module, so the same plan runs in simulation and, with other modules, on a real robot.
 """
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
 from pycram.foundation.names import export
+from pycram.scheduling.binding import Binding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,10 +28,10 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Module(Protocol):
-    """A process module as far as environments and motions are concerned."""
+    """A process module, as environments and motions use it."""
 
     def resources(self, designator: Designator) -> Resources | None:
-        """What carrying a designator out needs of the robot."""
+        """Return what carrying a designator out needs of the robot."""
 
     def execute(self, designator: Designator) -> Any:
         """Carry a designator out."""
@@ -51,10 +52,10 @@ class NoProcessModule(UsageError):
     """No process module takes a designator.
 
     Attributes:
-        cmd: what is to be done.
-        robot: the robot.
-        environment: the execution environment.
-        known: what its modules do.
+        cmd: The solution's ``cmd``.
+        robot: Name of the robot.
+        environment: The execution environment.
+        known: The ``cmd`` of each of its modules.
     """
 
     def __init__(self, cmd: str, robot: str, environment: str, known: list[str]) -> None:
@@ -73,28 +74,25 @@ export("pycram.process_module", NoProcessModule)
 
 @contextmanager
 def execution_environment(name: str) -> Iterator[None]:
-    """Choose the process modules of an environment for what the block performs.
+    """Use the process modules of an environment in the ``with`` block.
 
     Args:
-        name: "simulated" (the default everywhere), or one that modules are registered for.
+        name: "simulated" (the default), or an environment that modules are registered for.
     """
-    token = _environment.set(name)
-    try:
+    with Binding(_environment, name):
         yield
-    finally:
-        _environment.reset(token)
 
 
 def register(robot: str, environment: str, modules: Modules) -> None:
-    """Say which process modules serve a robot in an environment; replaces what was said before.
+    """Register the process modules of a robot in an environment, in place of those registered before.
 
     Args:
-        robot: the robot's name in its URDF.
-        environment: the execution environment.
-        modules: by the ``cmd`` of the solutions that they take.
+        robot: The robot's name in its URDF.
+        environment: The execution environment.
+        modules: By the ``cmd`` of the solutions that they take.
 
     Raises:
-        BadArgument: something else than process modules.
+        BadArgument: They aren't process modules.
     """
     if not isinstance(modules, Mapping) or not all(_serves(cmd, module) for cmd, module in modules.items()):
         raise BadArgument("modules", modules, "process modules by cmd, such as {'looking': Looking()}")
@@ -108,26 +106,22 @@ def _serves(cmd: object, module: object) -> bool:
 
 
 def register_default(environment: str, modules: Callable[[], Modules]) -> None:
-    """Say which process modules serve, in an environment, every robot that has a description and none of its own.
+    """Register the process modules, in an environment, of each robot that has a description and no modules of its own.
 
     Args:
-        environment: the execution environment.
-        modules: makes a new set, by the ``cmd`` of the solutions that they take; called once for each robot.
+        environment: The execution environment.
+        modules: Makes a new set, by the ``cmd`` of the solutions that they take; called once for each robot.
     """
     with _lock:
         _defaults[environment] = modules
 
 
 def module_for(cmd: str, world: BulletWorld) -> Module:
-    """Return the module that serves a world's robot in the present environment.
-
-    Args:
-        cmd: what is to be done.
-        world: the world.
+    """Return the module for a ``cmd`` of a world's robot in the current environment.
 
     Raises:
-        NoProcessModule: there is none.
-        NoWorld: the world has no robot.
+        NoProcessModule: There is none.
+        NoWorld: The world has no robot.
     """
     if world.robot is None:
         raise NoWorld("robot")
@@ -146,8 +140,8 @@ def _modules_of(world: BulletWorld, robot: Object) -> Modules:
         make = _defaults.get(environment)
         if make is None or robot.description is None:
             return {}
-        made = _of_world.setdefault(world, {})
+        sets = _of_world.setdefault(world, {})
         key = robot.name, environment
-        if key not in made:
-            made[key] = make()
-        return made[key]
+        if key not in sets:
+            sets[key] = make()
+        return sets[key]

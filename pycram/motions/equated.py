@@ -1,7 +1,6 @@
-"""Equating: things that describe the same over time form a chain, from the first to the current one (thesis 3.5.1).
+"""Equated designators: descriptions of the same thing over time form a chain, oldest first (thesis 3.5.1).
 
-Chains of different things get joined, so one lock guards them all; it is held for a few steps at most, and never while
-other code runs.
+Chains of different things get joined, so one lock guards them all; no other code runs while it is held.
 """
 
 from __future__ import annotations
@@ -21,17 +20,13 @@ class Equated:
     """A link of such a chain; alone at first."""
 
     def __init__(self: Self) -> None:
-        """Begins a chain of its own."""
         self._chain: list[Self] = [self]
 
     def equate(self, other: Self) -> None:
-        """Says that this describes the same as another one, and is newer than all that are equated with that.
-
-        Args:
-            other: any; nothing happens if they are equated already.
+        """State that this describes the same as another one, and is newer than all of the other's chain.
 
         Raises:
-            BadArgument: it is something else.
+            BadArgument: The other can't be equated.
         """
         if not isinstance(other, Equated):
             raise BadArgument("other", other, "something to equate with, such as a designator")
@@ -39,14 +34,14 @@ class Equated:
             own, theirs = self._chain, other._chain
             if own is theirs:
                 return
-            place = own.index(self)
-            theirs[:0] = own[:place]  # what this was equated with comes before all of the other's
-            theirs += own[place:]
-            for one in own:
-                one._chain = theirs  # noqa: SLF001  same class
+            index = own.index(self)
+            theirs[:0] = own[:index]  # this one's predecessors come before all of the other's
+            theirs += own[index:]
+            for link in own:
+                link._chain = theirs  # noqa: SLF001  same class
 
     def chain(self) -> list[Self]:
-        """All that are equated with this one, and itself, the oldest first."""
+        """Return all that are equated with this one, and itself, the oldest first."""
         with _lock:
             return list(self._chain)
 
@@ -56,9 +51,9 @@ class Equated:
             return isinstance(other, Equated) and self._chain is other._chain
 
     def first(self) -> Self:
-        """The oldest of those that are equated with this one."""
+        """Return the oldest of the chain."""
         return self.chain()[0]
 
     def current(self) -> Self:
-        """The newest of those that are equated with this one."""
+        """Return the newest of the chain."""
         return self.chain()[-1]

@@ -1,7 +1,7 @@
-"""A motion from being asked for to its end: it waits for its turn, is resolved, and carried out.
+"""A motion from its request to its end: it queues for resources, is resolved, and is carried out.
 
-Motions that one motion is made of queue among themselves, for what that one holds: who is queued waits on one level
-only, so none waits for one that waits for it. One in another world, to look ahead, queues there as any does.
+The motions that a motion is made of queue among themselves, for the resources that it holds. So no motion waits for one
+that waits for it. A motion in another world, performed to look ahead, queues there as any other does.
 """
 
 from __future__ import annotations
@@ -32,16 +32,14 @@ _parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_par
 
 
 class Motion:
-    """A designator that is to be carried out.
+    """A designator to be carried out in a world.
 
     Args:
-        designator: what to do.
-        world: in which.
-        choose: finds the process module for a designator that can be resolved.
+        choose: Returns the process module of a designator that can be resolved.
 
     Attributes:
-        name: its type.
-        span: its node of the task tree.
+        name: The designator's type.
+        span: Its node of the task tree.
     """
 
     def __init__(self, designator: Designator, world: BulletWorld, choose: Callable[[Designator], Module]) -> None:
@@ -54,7 +52,7 @@ class Motion:
         self.span = Span("motion", self.name, parameters=slots)
 
     def enqueue(self) -> None:
-        """Take its place among those that wait for parts of the robot."""
+        """Take its place in the queue for resources."""
         self._ticket.enqueue()
 
     def leave(self) -> None:
@@ -62,11 +60,7 @@ class Motion:
         self._ticket.leave()
 
     def carry_out(self) -> Any:
-        """Wait for its turn, resolve it, and run its process module; as the task that its span is.
-
-        Returns:
-            What the process module returned.
-        """
+        """Wait for its turn, resolve it, run its process module within the span, and return the module's result."""
         try:
             self._await_slots()
             with self._ticket.turn():
@@ -78,13 +72,13 @@ class Motion:
             self.leave()
 
     def _await_slots(self) -> None:
-        """Wait for futures among its slots, which may wait themselves, while it holds nothing of the robot."""
+        """Wait for futures among its slots while it holds no resources: their branches may need some."""
         for branch in branches_in([value for _, value in self._designator.description]):
             branch.result()
 
     def _resolve(self) -> Module:
-        """Find solution and process module, and correct its resources by these."""
-        with self._holding():  # for what resolvers perform
+        """Find solution and process module, and request the resources that these need."""
+        with self._holding():  # resolvers may perform motions
             self.span.solution = self._designator.reference()
             module = self._choose(self._designator)
             resources = module.resources(self._designator)
@@ -92,7 +86,7 @@ class Motion:
         return module
 
     def _holding(self) -> Binding[Mapping[BulletWorld, ResourceQueue]]:
-        """What is performed in the block in this world is part of this motion, within what it holds."""
+        """Make motions performed in this world in the ``with`` block parts of this one, within its resources."""
         return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self._ticket.resources)})
 
 

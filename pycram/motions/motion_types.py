@@ -1,7 +1,7 @@
 """The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and resources.
 
-One resolver serves them all. It checks the slots and gives the solutions: dictionaries with ``cmd`` and every parameter
-that the process module needs, inferred where the plan left it out.
+One resolver serves them all. It checks the slots and yields solutions: dictionaries with ``cmd`` and every parameter of
+the process module, inferred if the plan left it out.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Value: TypeAlias = Any
 
 
 class Described(Protocol):
-    """A designator as far as its type is concerned."""
+    """A designator, as this module uses it."""
 
     @property
     def type(self) -> str:
-        """Its slot ``type``; empty if that is no text."""
+        """Its slot ``type``; empty if that isn't a string."""
 
     @property
     def description(self) -> Iterable[tuple[str, Value]]:
@@ -40,14 +40,12 @@ class Described(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """One slot.
+    """A slot of a motion type.
 
     Attributes:
-        name: its name in designators.
-        check: what it may hold.
-        required: whether it has to be there.
-        default: what stands for it otherwise, from what is given; None leaves it out of the solution's decisions.
-        aliases: other names that it goes by.
+        check: Check of its value.
+        default: Infers a missing value from the given ones; None leaves it out of the solution.
+        aliases: Other names for it.
     """
 
     name: str
@@ -57,7 +55,7 @@ class Slot:
     aliases: tuple[str, ...] = ()
 
     def describe(self) -> str:
-        """In words, for messages."""
+        """Describe it, for messages."""
         names = " or ".join((self.name, *self.aliases))
         need = "required" if self.required else "optional"
         return f"{names} ({need}): {(self.check.__doc__ or '').strip().rstrip('.')}"
@@ -65,16 +63,15 @@ class Slot:
 
 @dataclass(frozen=True, slots=True)
 class MotionType:
-    """One type of motion designator.
+    """A type of motion designators.
 
     Attributes:
-        type: value of its slot ``type``.
-        cmd: value of ``cmd`` in its solutions, which process modules go by.
-        slots: what it takes beside ``type``.
-        one_of: slots of which at least one has to be there.
-        only_one: whether it has to be just one.
-        resources: what it needs of the robot, by its slots or by its solution.
-        fixed: further parameters of its solutions.
+        cmd: ``cmd`` of its solutions, by which process modules are chosen.
+        slots: Its slots beside ``type``.
+        resources: Returns what it needs of the robot, given its slots or its solution.
+        one_of: Slots of which at least one is required.
+        only_one: Whether exactly one is.
+        fixed: Further parameters of its solutions.
     """
 
     type: str
@@ -86,7 +83,7 @@ class MotionType:
     fixed: tuple[tuple[str, str], ...] = ()
 
     def describe(self) -> str:
-        """What it takes, in words."""
+        """Describe its slots, for messages."""
         lines = [f"a {self.type} designator takes", "  type (required): " + repr(self.type)]
         lines += [f"  {slot.describe()}" for slot in self.slots]
         if self.one_of:
@@ -104,7 +101,7 @@ def _left(_: dict[str, Value]) -> Value:
 
 
 def _holding_arm(given: dict[str, Value]) -> Value:
-    """The arm that holds the object; the left one if none does."""
+    """Return the arm that holds the object; the left one if none does."""
     body = given.get("object")
     attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
     description = BulletWorld.current_robot().description
@@ -114,31 +111,25 @@ def _holding_arm(given: dict[str, Value]) -> Value:
     return arm.name if arm else "left"
 
 
-def _resources(moves: tuple[str, ...], at_rest: tuple[str, ...] = ()) -> Resources:
-    return Resources(frozenset(moves), frozenset(at_rest))
-
-
 def _arm_resources(given: dict[str, Value]) -> Resources:
-    return _resources(
-        tuple(f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")), ("base",)
-    )
+    return Resources({f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")}, {"base"})
 
 
 def _gripper_resources(given: dict[str, Value]) -> Resources:
-    return _resources(tuple(f"{side}-gripper" for side in _sides(given, "gripper")))
+    return Resources({f"{side}-gripper" for side in _sides(given, "gripper")})
 
 
 def _joint_resources(given: dict[str, Value]) -> Resources:
-    return _resources(tuple(f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given))
+    return Resources({f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given})
 
 
 def _base_resources(_: dict[str, Value]) -> Resources:
-    return _resources(("base",), tuple(f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")))
+    return Resources({"base"}, {f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")})
 
 
 def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
     side = given.get(slot)
-    return (side,) if isinstance(side, str) else slot_checks.sides()  # not known yet: either may be it
+    return (side,) if isinstance(side, str) else slot_checks.sides()  # not known yet: it may be any
 
 
 _ARM: Final = Slot("arm", slot_checks.side, default=_left)
@@ -189,7 +180,7 @@ TYPES: Final = {
             "looking",
             "looking",
             (Slot("target", slot_checks.position), Slot("object", slot_checks.body)),
-            lambda _: _resources(("head",), ("base",)),
+            lambda _: Resources({"head"}, {"base"}),
             one_of=("target", "object"),
             only_one=True,
         ),
@@ -199,7 +190,7 @@ TYPES: Final = {
             "detecting",
             "detecting",
             (Slot("object-type", slot_checks.kind, required=True, aliases=("object",)),),
-            lambda _: _resources((), (WHOLE_ROBOT,)),
+            lambda _: Resources(at_rest={WHOLE_ROBOT}),
         ),
         MotionType(
             "move-tcp",
@@ -225,14 +216,7 @@ TYPES: Final = {
 
 
 def resources_by_type(designator: Described) -> Resources | None:
-    """What a designator needs of the robot, by its type and slots.
-
-    Args:
-        designator: any; handles among its slots are not waited for.
-
-    Returns:
-        Its resources; None for a type that isn't one of the eleven.
-    """
+    """Return what a designator needs by its type and slots, without waiting for futures; None for other types."""
     given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
     kind = given.get("type")
     motion = TYPES.get(kind) if isinstance(kind, str) else None
@@ -240,30 +224,19 @@ def resources_by_type(designator: Described) -> Resources | None:
 
 
 def resources_of(solution: Solution) -> Resources | None:
-    """What a solution needs of the robot, whichever type it came from.
-
-    Args:
-        solution: what a designator was resolved to.
-
-    Returns:
-        Its resources; None for a ``cmd`` that isn't PyCRAM's own.
-    """
+    """Return what a solution needs by its ``cmd``; None for one that isn't PyCRAM's own."""
     given = {key: value for key, value in solution.items() if value is not None}
     motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
     return motion.resources(given) if motion else None
 
 
 def resolve(designator: Described) -> Iterator[Solution]:
-    """Solutions of the eleven types (thesis 4.6).
+    """Yield the solution of a designator of the eleven types (thesis 4.6).
 
-    Args:
-        designator: a designator.
-
-    Yields:
-        The solution; for ``moving`` with an orientation also one with the robot's present orientation.
+    For ``moving`` with an orientation, also yield one with the robot's current orientation.
 
     Raises:
-        DesignatorError: its type is unknown, or a slot is missing, unknown or wrong.
+        DesignatorError: Its type is unknown, or a slot is missing, unknown or wrong.
     """
     given: dict[str, Value] = {}
     for key, value in designator.description:
@@ -289,7 +262,7 @@ def resolve(designator: Described) -> Iterator[Solution]:
 
 
 def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
-    """The slots by their names, each checked."""
+    """Return the checked values by the slots' names."""
     names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     takes = motion.describe()
     checked: dict[str, Value] = {}
@@ -299,9 +272,8 @@ def _checked(motion: MotionType, given: dict[str, Value]) -> dict[str, Value]:
             problem = f"unknown slot {key}{did_you_mean(key, names)}"
             raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
         if slot.name in checked:
-            raise DesignatorError(
-                f"slot {slot.name} is given twice", type=motion.type, slot=key, value=value, takes=takes
-            )
+            problem = f"slot {slot.name} is given twice"
+            raise DesignatorError(problem, type=motion.type, slot=key, value=value, takes=takes)
         try:
             checked[slot.name] = slot.check(key, value)
         except BadArgument as error:

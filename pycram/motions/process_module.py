@@ -1,7 +1,7 @@
 """Process modules: the code that carries a motion out on one robot, in one execution environment (thesis 4.7-4.9).
 
-``ProcessModule.perform(designator)`` makes a motion of the designator (:mod:`pycram.motions.motion`), which is resolved
-and given to the module that serves the robot in the present environment (:mod:`pycram.motions.environments`).
+``ProcessModule.perform(designator)`` makes a motion of the designator (:mod:`pycram.motions.motion`) for the module
+that serves the robot in the current environment (:mod:`pycram.motions.environments`).
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
 
 _ONE_AT_A_TIME = Resources(moves=frozenset({"module"}))
 
-#: The queues of the modules that one module makes use of, apart from those of modules that run side by side.
+#: Queues of the modules that a running module performs motions with; concurrent modules have separate ones.
 _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
 
 
 class ProcessModule(ABC):
     """Carries out one kind of motion, one designator at a time, in order of arrival.
 
-    It may perform other motions to do so: these are parts of its own, within the resources of that.
+    Motions that it performs are parts of that motion, within its resources.
     """
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
-    """Functions that choose a module for a designator, or None; asked before the registered ones.
+    """Functions that return a module for a designator, or None; called before the registered modules are looked up.
 
-    Like resolvers, they are asked when the motion's turn has come. What they perform is part of it."""
+    Like resolvers, they are called when the motion's turn has come; motions that they perform are part of it."""
 
     _queue: ResourceQueue
 
@@ -59,41 +59,26 @@ class ProcessModule(ABC):
 
     @abstractmethod
     def _execute(self, designator: Designator) -> Result:
-        """Carry a designator out.
-
-        Args:
-            designator: what to do; its ``reference()`` has the parameters.
-
-        Returns:
-            What the plan gets from ``perform``.
+        """Carry a designator out, with the parameters of its ``reference()``; return what the plan gets.
 
         Raises:
-            PlanFailure: the world said no; the world is consistent then.
+            PlanFailure: The world said no; the world is consistent then.
         """
 
     def resources(self, designator: Designator) -> Resources | None:
-        """What carrying a designator out needs of the robot; asked when it is resolved, before anything moves.
+        """Return what carrying a designator out needs of the robot; None for the whole robot.
 
-        Those of PyCRAM's own motions are known by the solution's ``cmd``. A module for another ``cmd`` gets the whole
-        robot, unless it says here what it needs, for itself and for all motions that it performs::
+        Called when it is resolved, before anything moves. The resources of PyCRAM's own motions are known by the
+        solution's ``cmd``. A module for another ``cmd`` gets the whole robot, unless it returns here what it needs, for
+        itself and for all motions that it performs::
 
             def resources(self, designator):
                 return Resources(moves={"left-arm"}, at_rest={"base"})
-
-        Args:
-            designator: what to do.
-
-        Returns:
-            The resources; None if nobody knows, for all that there is.
         """
         return designator.resources()
 
     def execute(self, designator: Designator) -> Result:
-        """Carry a designator out when all that came before are done; a failure frees the module for the next.
-
-        Args:
-            designator: what to do.
-        """
+        """Carry a designator out after all earlier ones; a failure frees the module for the next."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
         with Ticket(queue, _ONE_AT_A_TIME).turn(), Binding(_inner_queues, {}):
@@ -106,19 +91,14 @@ class ProcessModule(ABC):
 
     @staticmethod
     def perform(designator: Designator) -> Result:
-        """Perform a motion (thesis 4.9).
+        """Perform a motion (thesis 4.9); return its process module's result.
 
-        Args:
-            designator: what to do.
-
-        Returns:
-            What its process module returns; in the body of a block whose branches are concurrent, or are tried in
-            order, a future that serves as that.
+        In the body of a block whose branches are concurrent, or are tried in order, return a future of that.
 
         Raises:
-            DesignatorError: it isn't a designator, or can't be resolved.
-            NoProcessModule: no process module takes it.
-            PlanFailure: the world said no.
+            DesignatorError: It isn't a designator, or can't be resolved.
+            NoProcessModule: No process module takes it.
+            PlanFailure: The world said no.
         """
         if not isinstance(designator, Designator):
             raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
@@ -128,7 +108,7 @@ class ProcessModule(ABC):
             with motion.span:
                 motion.span.result = result = motion.carry_out()
                 return result
-        # its place in the queue is taken here if nothing but earlier ones can then keep it waiting
+        # queued already here if it can wait only for earlier motions
         ordered = block.immediate and not unfinished(designator)
         try:
             if ordered:
@@ -140,15 +120,12 @@ class ProcessModule(ABC):
 
 
 def choose(designator: Designator) -> Module:
-    """Return the process module for a designator (thesis 4.8).
-
-    Args:
-        designator: one that can be resolved.
+    """Return the process module for a designator that can be resolved (thesis 4.8).
 
     Raises:
-        NoProcessModule: there is none.
-        NoWorld: the current world has no robot.
-        BadArgument: a user's function has chosen something else.
+        NoProcessModule: There is none.
+        NoWorld: The current world has no robot.
+        BadArgument: A user's function returned something else.
     """
     for chooser in ProcessModule.resolvers:
         module = chooser(designator)

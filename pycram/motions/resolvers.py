@@ -1,4 +1,4 @@
-"""Resolvers: a list of functions that users can add to, asked one after the other."""
+"""Resolvers: functions that users register, called in order until one answers."""
 
 from __future__ import annotations
 
@@ -16,29 +16,22 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions in the order in which they were added. Whoever goes through them goes through a snapshot."""
+    """Functions in the order in which they were added; iteration goes through a snapshot.
+
+    Args:
+        owner: What they resolve, for messages.
+    """
 
     def __init__(self, owner: str) -> None:
-        """Makes an empty list.
-
-        Args:
-            owner: what they resolve, for messages.
-        """
         self.owner = owner
         self._lock = threading.Lock()
         self._functions: tuple[Function, ...] = ()
 
     def append(self, function: Function) -> Function:
-        """Adds a function at the end, once; serves as decorator too.
-
-        Args:
-            function: the function.
-
-        Returns:
-            The function.
+        """Add a function at the end, once, and return it; also a decorator.
 
         Raises:
-            BadArgument: it can't be called.
+            BadArgument: It isn't callable.
         """
         if not callable(function):
             raise BadArgument(f"resolver of {self.owner}", function, "a function that takes a designator")
@@ -48,13 +41,10 @@ class Resolvers(Generic[Function]):
         return function
 
     def remove(self, function: Function) -> None:
-        """Removes a function.
-
-        Args:
-            function: one that was added.
+        """Remove a function.
 
         Raises:
-            UnknownName: it isn't in the list.
+            UnknownName: It isn't in the list.
         """
         with self._lock:
             kept = tuple(known for known in self._functions if known != function)
@@ -64,14 +54,7 @@ class Resolvers(Generic[Function]):
 
     @contextmanager
     def added(self, function: Function) -> Iterator[Function]:
-        """Adds a function for as long as its block runs.
-
-        Args:
-            function: one that isn't in the list.
-
-        Yields:
-            The function.
-        """
+        """Add a function, not yet in the list, for the ``with`` block."""
         self.append(function)
         try:
             yield function

@@ -1,20 +1,19 @@
-"""Resources: which parts of the robot a motion needs, and the queue in which motions wait for them.
+"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for them.
 
 A robot's resources are its base, head, arms and grippers. A motion *moves* some of them, and needs some others *at
-rest*: it would come out differently if they moved meanwhile. Two motions conflict if one moves what the other moves or
-needs. A motion takes its place in the queue when it is asked for, gets all its resources at once, and gets them as soon
-as no earlier motion conflicts with it. So conflicting motions run in the order in which the plan asks for them, others
-run concurrently, and since each waits for earlier ones only, there is no deadlock.
+rest*: its outcome would differ if they moved meanwhile. Two motions conflict if one moves what the other moves or
+needs. A motion takes its place in the queue when it is requested, and is granted all its resources at once, as soon as
+no earlier motion conflicts with it. So conflicting motions run in the order of the plan, others run concurrently, and
+as each waits for earlier ones only, there is no deadlock.
 
-What a motion needs is certain when it is resolved and its process module is chosen, which is when its turn has come.
-Until then it has what its designator says, or the whole robot if that says nothing. Then its resources are corrected,
-*before* it moves anything. Where it needs more than it had, it gives up what it has, keeps its place, and waits also
-for those later ones that run already. These wait for nobody here, so there is no deadlock in that either.
+The needs of a motion are certain when it is resolved and its process module is chosen, which is when its turn has come.
+Until then it has those of its designator, or the whole robot if these are unknown. Then its resources are corrected,
+*before* it moves anything. If it needs more, it releases what it has, keeps its place, and also waits for later motions
+that run already. These wait for nothing in this queue, so there is still no deadlock.
 
-For a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place, detect) this means:
-the base starts when the arms are parked, since their posture decides whether the robot fits there; the head turns when
-the base has arrived, since it is to look at a place in the world; and detecting, which needs the whole robot at rest,
-sees what the robot sees when all that was asked for before is done. The order of the listing is its meaning.
+In a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place, detect), the base
+starts when the arms are parked, as their posture decides whether the robot fits there; the head turns when the base
+has arrived, as it looks at a place in the world; and detecting, which needs the whole robot at rest, comes last.
 """
 
 from __future__ import annotations
@@ -32,21 +31,20 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from collections.abc import Set as AbstractSet
 
-#: Stands for all resources, also those that nobody has named.
+#: Stands for all resources, also unnamed ones.
 WHOLE_ROBOT: Final = "the whole robot"
 
 
 class ResourceError(UsageError):
     """A motion that is part of another one needs more of the robot than that one has.
 
-    It would have to wait while the outer motion holds the rest, and two of that kind would wait for each other for
-    ever.
+    If it waited for the rest, two such motions could wait for each other for ever.
 
     Attributes:
-        motion: what needs it.
-        moves: what it moves and the outer motion doesn't.
-        at_rest: what it needs at rest and the outer motion hasn't got at all.
-        held: what the outer motion has.
+        motion: Name of the inner motion.
+        moves: What it moves and the outer motion doesn't.
+        at_rest: What it needs at rest and the outer motion doesn't have.
+        held: The outer motion's resources.
     """
 
     def __init__(self, motion: str, excess: Resources, held: Resources) -> None:
@@ -65,11 +63,11 @@ class Resources:
     """What a motion needs of the robot.
 
     Attributes:
-        moves: what it moves: "base", "head", "left-arm", "right-gripper", ..., or :data:`WHOLE_ROBOT`.
-        at_rest: what must not move meanwhile.
+        moves: Names such as "base", "head", "left-arm", "right-gripper", ..., or :data:`WHOLE_ROBOT`.
+        at_rest: Names of what must not move meanwhile.
 
     Raises:
-        BadArgument: something else than names.
+        BadArgument: They aren't names.
     """
 
     moves: AbstractSet[str] = frozenset()
@@ -88,7 +86,7 @@ class Resources:
         return _overlap(self.moves, other.moves | other.at_rest) or _overlap(other.moves, self.at_rest)
 
     def beyond(self, outer: Resources) -> Resources:
-        """What is in these and not in ``outer``."""
+        """Return what these have and ``outer`` doesn't."""
         return Resources(_without(self.moves, outer.moves), _without(self.at_rest, outer.moves | outer.at_rest))
 
     def __bool__(self) -> bool:
@@ -100,7 +98,7 @@ class Resources:
 
 
 EVERYTHING: Final = Resources(moves=frozenset({WHOLE_ROBOT}))
-"""What a motion has of which nothing is known."""
+"""Resources of a motion of unknown needs."""
 
 
 def _overlap(a: AbstractSet[str], b: AbstractSet[str]) -> bool:
@@ -112,10 +110,10 @@ def _without(needed: AbstractSet[str], given: AbstractSet[str]) -> AbstractSet[s
 
 
 class ResourceQueue:
-    """Motions that wait for parts of one robot, in order of arrival.
+    """Motions that wait for resources of one robot, in order of arrival.
 
     Args:
-        outer: for the motions that one motion is made of: what that one holds.
+        outer: Resources of the motion that the queued ones are parts of.
     """
 
     def __init__(self, outer: Resources = EVERYTHING) -> None:
@@ -125,15 +123,11 @@ class ResourceQueue:
         self._outer = outer
 
     def within(self, resources: Resources | None, motion: str) -> Resources:
-        """What a motion gets that asks for resources.
-
-        Args:
-            resources: what it needs; None if nobody knows, for all that there is.
-            motion: its name, in messages.
+        """Return what a motion gets that requests resources; None requests all.
 
         Raises:
-            ResourceError: it is part of a motion that doesn't hold all of this.
-            BadArgument: something else than resources.
+            ResourceError: The outer motion doesn't hold all of this.
+            BadArgument: They aren't resources.
         """
         if resources is None:
             return self._outer
@@ -146,19 +140,19 @@ class ResourceQueue:
 
 
 class Ticket:
-    """A place in a queue, taken with :meth:`enqueue`; leave it when done, however that ended.
+    """A motion's place in a queue, taken with :meth:`enqueue` and given up with :meth:`leave`.
 
     Args:
-        queue: the queue.
-        resources: what is needed; None if nobody knows, for all that there is.
-        motion: for what, in messages.
+        queue: The queue.
+        resources: What the motion needs; None for all.
+        motion: Its name, for messages.
 
     Attributes:
-        resources: what it stands for.
-        granted: whether its turn has come.
+        resources: What it requests.
+        granted: Whether its turn has come.
 
     Raises:
-        ResourceError: it is for part of a motion that doesn't hold all of this.
+        ResourceError: The outer motion doesn't hold all of this.
     """
 
     def __init__(self, queue: ResourceQueue, resources: Resources | None, motion: str = "the motion") -> None:
@@ -168,20 +162,17 @@ class Ticket:
         self._motion = motion
 
     def enqueue(self) -> None:
-        """Take the next place, unless it has one; doesn't wait.
-
-        Leave it also where Ctrl-C keeps this from returning.
-        """
+        """Take the last place, unless it has one, without waiting; leave it also if Ctrl-C interrupts this."""
         with self._queue.lock:
             if self not in self._queue.tickets:
                 self._queue.tickets.append(self)
 
     @contextmanager
     def turn(self) -> Iterator[None]:
-        """Take its place if it has none, wait for its turn, run the block, and leave the queue.
+        """Enqueue if need be, wait for the turn, run the ``with`` block, and leave.
 
         Raises:
-            Cancelled: the branch was cancelled while it waited; the place is given up then.
+            Cancelled: The branch was cancelled while it waited.
         """
         try:
             self.enqueue()
@@ -191,14 +182,11 @@ class Ticket:
             self.leave()
 
     def correct(self, resources: Resources | None) -> None:
-        """Change its resources when its turn has come and nothing has been done yet; waits again if need be.
-
-        Args:
-            resources: what is needed; None if nobody knows, for all that there is.
+        """Change the resources of a granted ticket before anything has moved; wait again if need be.
 
         Raises:
-            ResourceError: it is for part of a motion that doesn't hold all of this.
-            Cancelled: the branch was cancelled while it waited.
+            ResourceError: The outer motion doesn't hold all of this.
+            Cancelled: The branch was cancelled while it waited.
         """
         given = self._queue.within(resources, self._motion)
         if given != self.resources:
@@ -208,21 +196,21 @@ class Ticket:
             self._wait()
 
     def leave(self) -> None:
-        """Give the place up; nothing happens if it has none."""
+        """Give up the place, if it has one."""
         with self._queue.lock:
-            known = self in self._queue.tickets
-            if known:
+            queued = self in self._queue.tickets
+            if queued:
                 self._queue.tickets.remove(self)
-        if known:
+        if queued:
             self._queue.changed.notify_all()
 
     def _wait(self) -> None:
-        """Wait until no earlier ticket conflicts, and no later one that has been granted."""
+        """Wait until no earlier ticket conflicts, and no granted later one."""
         wait(self._queue.changed, self._grant)
 
     def _grant(self) -> bool:
         earlier = True
-        with self._queue.lock:  # of two that fit to all others and not to each other one gets in
+        with self._queue.lock:  # of two that conflict with each other only, one is granted
             for other in self._queue.tickets:
                 if other is self:
                     earlier = False

@@ -1,7 +1,7 @@
-"""What the slots of motion designators may hold: one check per kind of value.
+"""Checks of slot values, one for each kind of value.
 
-A check takes the slot's value and gives it back in the form that process modules work with, or raises BadArgument with
-what is expected.
+A check returns the value in the form that process modules work with, or raises BadArgument with what is expected. Its
+docstring describes the value in messages.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Check: TypeAlias = Callable[[str, Value], Value]
 
 
 def sides() -> tuple[str, ...]:
-    """Names of the current robot's arms; those of most robots where nothing is known of it."""
+    """Return the names of the current robot's arms; "left" and "right" if it has no description."""
     return tuple(_arms()) or ("left", "right")
 
 
@@ -94,7 +94,7 @@ def posture(name: str, value: Value) -> Value:
 
 
 def _arms() -> Mapping[str, Arm]:
-    """The arms of the current robot; none where nothing is known of it."""
+    """Return the arms of the current robot; none if it has no description."""
     world = BulletWorld.current_bullet_world
     robot = world.robot if world is not None else None
     return robot.description.arms if robot is not None and robot.description is not None else {}

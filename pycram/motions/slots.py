@@ -1,4 +1,4 @@
-"""Descriptions: the slots of a designator, (name, value) pairs that nobody can change once it is made."""
+"""Slots of designators: (name, value) pairs that don't change once a designator is made."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from pycram.foundation.failures import UsageError
 from pycram.foundation.names import export
 
-#: Slots as plans write them, and the constraints and properties of the same form.
+#: Slots as plans write them; also constraints and properties.
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
-#: What a slot holds, or what a designator stands for: whatever the plan gave.
+#: Whatever the plan put into a slot, or made a designator stand for.
 Value: TypeAlias = Any
 T = TypeVar("T")
 
@@ -21,10 +21,10 @@ class DesignatorError(UsageError):
     """A designator that can't be resolved: a slot is missing, unknown or wrong.
 
     Attributes:
-        type: the designator's type, "" if it has none.
-        slot: the slot in question, "" for none.
-        value: what stands there.
-        takes: what such a designator takes.
+        type: The designator's type, "" if it has none.
+        slot: Name of the slot, "" for none.
+        value: Its value.
+        takes: Description of the slots of that type.
     """
 
     def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
@@ -39,13 +39,10 @@ export("pycram.designator", DesignatorError)
 
 
 def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
-    """A description's slots, with containers of their own, so that nobody changes them later.
-
-    Args:
-        description: as a plan wrote it.
+    """Return a description's slots, with copies of its containers.
 
     Raises:
-        DesignatorError: it isn't a list of pairs.
+        DesignatorError: It isn't a list of pairs.
     """
     try:
         if isinstance(description, str):
@@ -64,23 +61,19 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
 
 
 def own(value: T) -> T:
-    """The same value, in lists, dictionaries, sets and arrays of its own.
-
-    Args:
-        value: anything; what it holds beside containers stays what it is.
-    """
-    made: T = _own(value, {})
-    return made
+    """Return a value with copies of its lists, dictionaries, sets and arrays; other objects in it stay the same."""
+    copied: T = _own(value, {})
+    return copied
 
 
 def _own(value: Value, known: dict[int, Value]) -> Value:
     if id(value) in known:  # a container that holds itself
         return known[id(value)]
     if type(value) is list:
-        made: list[Value] = []
-        known[id(value)] = made
-        made.extend(_own(item, known) for item in value)
-        return made
+        items: list[Value] = []
+        known[id(value)] = items
+        items.extend(_own(item, known) for item in value)
+        return items
     if type(value) is dict:
         table: dict[Value, Value] = {}
         known[id(value)] = table
@@ -92,12 +85,6 @@ def _own(value: Value, known: dict[int, Value]) -> Value:
 
 
 def same(left: Value, right: Value) -> bool:
-    """Whether two values are equal, arrays too.
-
-    Args:
-        left: one.
-        right: the other.
-    """
-    if isinstance(left, np.ndarray) or isinstance(right, np.ndarray):
-        return bool(np.array_equal(left, right))
-    return bool(left == right)
+    """Whether two values are equal, arrays too."""
+    arrays = isinstance(left, np.ndarray) or isinstance(right, np.ndarray)
+    return bool(np.array_equal(left, right) if arrays else left == right)

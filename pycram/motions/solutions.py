@@ -1,4 +1,4 @@
-"""Solutions of a description: found as they are asked for, and kept."""
+"""Solutions of a designator: found when they are requested, and kept."""
 
 from __future__ import annotations
 
@@ -7,38 +7,29 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeAlias
 
-#: What a reference is: all parameters by name.
+#: All parameters of an action, by name.
 Solution: TypeAlias = Mapping[str, Any]
 
 
 class Solutions:
-    """What a designator and its next ones share; any number of threads may ask.
+    """The solutions that a designator and its next ones share, in any number of threads.
 
-    Finding is the resolvers' code and runs without a lock: a resolver may wait for a thread that asks for the same
-    solutions. Threads that look at the same time each look themselves, and the first to find one decides.
+    Resolvers run without a lock: they may wait for a thread that requests the same solutions. Concurrent threads each
+    search, and the first to find a solution decides.
+
+    Args:
+        find: Yields the solutions; called again after it failed, and then the known ones are skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[Solution]]) -> None:
-        """Begins with none.
-
-        Args:
-            find: gives the solutions; called again when it failed, and then the first ones are skipped.
-        """
         self._lock = threading.Lock()
         self._find = find
-        self._rest: Iterator[Solution] | None = None  # gives what comes after those that are kept
+        self._rest: Iterator[Solution] | None = None  # yields those after the kept ones
         self._kept: list[Solution] = []
         self._complete = False
 
     def at(self, index: int) -> Solution | None:
-        """A solution.
-
-        Args:
-            index: its number, from 0.
-
-        Returns:
-            The solution, None if there are fewer.
-        """
+        """Return the solution of an index from 0; None if there are fewer."""
         while True:
             with self._lock:
                 count = len(self._kept)
@@ -49,7 +40,7 @@ class Solutions:
                 rest = itertools.islice(self._find(), count, None)
             solution = next(rest, None)
             with self._lock:
-                if len(self._kept) == count:  # nobody was faster
+                if len(self._kept) == count:  # no other thread was faster
                     self._rest = rest
                     self._complete = solution is None
                     if solution is not None:

@@ -1,25 +1,26 @@
-"""Scheduling: which branch of a plan runs, where branches give way to each other, and how they are told to stop.
+"""Cooperative scheduling of a plan's branches, and their cancellation.
 
-The branches of a plan's concurrent blocks are greenlets: stacks of their own within the thread that opened the block.
-One of them runs at a time, and goes on until it gives way, which it does at a checkpoint only:
+The branches of concurrent blocks are greenlets of the thread that opened the block. One of them runs at a time, until a
+checkpoint:
 
 - before a motion, and before a change of a world that isn't part of a motion;
 - in a wait for what doesn't hold yet: for a fluent, a part of the robot, a result, the end of a block.
 
-So the same plan takes the same order each time, and between two checkpoints no other branch changes anything. Threads
-of the plan's own, the clock of a world in real time and workers of ``in_thread`` run beside that, in no order.
+So the same plan runs in the same order each time, and no other branch changes anything between two checkpoints.
+Threads of the plan's own, the clock of a world in real time and the workers of ``in_thread`` run in parallel, in no
+fixed order.
 
 Rules:
 
-- Who holds a lock (:class:`pycram.scheduling.locks.Lock`, which those of worlds and fluents are) must not give way:
-  the lock is the thread's, so the next branch of the same thread would get in too. It is refused with ``LockHeld``.
-  Other locks are held for a few assignments, without user code, waits or changes of a world.
-- User code (handlers of events, functions of networks, resolvers, plans) is never called with a lock held, as it may
-  give way. Who is called by user code is prepared for another state of the world afterwards.
+- Code that holds a lock (:class:`pycram.scheduling.locks.Lock`, used by worlds and fluents) must not yield: the lock
+  belongs to the thread, so the thread's next branch would get in too. ``LockHeld`` refuses it. Other locks are held for
+  a few assignments, without user code, waits or changes of a world.
+- User code (event handlers, functions of fluents, resolvers, plans) is called without locks, as it may yield; the world
+  may be another one afterwards.
 - What blocks the thread outside of PyCRAM (``time.sleep``, a socket, ``threading`` locks and events) blocks all its
   branches: :func:`pycram.scheduling.worker.in_thread` runs it in a worker while its branch waits.
-- Who changes what others wait for does so first and notifies then, from any thread; waits look again, so notifying
-  once too often harms nobody.
-- Ctrl-C reaches the code that opened the outermost block of the main thread, at its next checkpoint, and it alone: it
-  cancels the branches (:mod:`recorder.tracing.interrupts`).
+- A change that others wait for is made first and notified then, from any thread. Waits check their predicate again, so
+  spurious notifications are harmless.
+- Ctrl-C is raised in the code that opened the main thread's outermost block, at its next checkpoint, and nowhere else;
+  that block cancels its branches (:mod:`recorder.tracing.interrupts`).
 """

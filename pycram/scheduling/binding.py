@@ -1,4 +1,4 @@
-"""A value that a context variable has while a block runs."""
+"""A context variable's value for the duration of a ``with`` block."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Value = TypeVar("Value")
 
 
 class Binding(Generic[Value]):
-    """Gives a variable its value for a ``with`` block; each branch enters several, so it is no generator."""
+    """Sets a context variable for a ``with`` block; a class, as each branch enters several and generators are slow."""
 
     __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
@@ -21,9 +21,7 @@ class Binding(Generic[Value]):
         self._value = value
 
     def __enter__(self) -> None:
-        """From now on it holds."""
         self._token = self._variable.set(self._value)
 
     def __exit__(self, *_: object) -> None:
-        """The variable has again what it had before."""
         self._variable.reset(self._token)

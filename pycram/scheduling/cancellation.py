@@ -1,9 +1,8 @@
-"""Cancellation: a block that is decided tells its other branches to stop, and they stop where that is safe.
+"""Cancellation: a decided block cancels its other branches, and they stop where that is safe.
 
-A cancel scope is a part of the plan that can be cancelled, or that has a deadline; scopes nest as the blocks of the
-plan do. Nothing is interrupted: a cancelled branch stops by itself at its next checkpoint, where the world is
-consistent, by a :class:`~recorder.tracing.span.Cancelled` that rises through it. Checkpoints are: before a motion, in a
-wait, and before a change of a world, except within a motion, which is done as a whole.
+A cancel scope is a part of the plan that can be cancelled, or that has a deadline; scopes nest as the plan's blocks do.
+A cancelled branch stops by itself at its next checkpoint (:mod:`pycram.scheduling`), where the world is consistent:
+:class:`~recorder.tracing.span.Cancelled` is raised in it.
 """
 
 from __future__ import annotations
@@ -40,22 +39,20 @@ __all__ = [
 
 
 class CancelScope(Condition):
-    """A part of the plan that can be told to stop, from any thread. Wakes those who wait in it.
+    """A part of the plan that can be cancelled, from any thread; that wakes the waits in it.
+
+    Args:
+        parent: The scope around it, whose cancellation is this one's too.
+        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 once it has passed; None for
+            no deadline.
 
     Attributes:
-        around: the scopes around it, from the inside out. Not itself too: what refers to itself is freed late.
-        cancel_called: whether this very scope has been told to stop.
-        deadlines: what is left until their deadlines, of those that have one; see the constructor.
+        around: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
+        cancel_called: Whether this very scope has been cancelled.
+        deadlines: ``remaining`` of this and all scopes around it that have a deadline.
     """
 
     def __init__(self, parent: CancelScope | None = None, remaining: Callable[[], float] | None = None) -> None:
-        """Makes a scope.
-
-        Args:
-            parent: the scope around it; when that is cancelled, this is too.
-            remaining: how many seconds by the clock there are at least until its deadline, 0 when it has passed;
-                None for no deadline.
-        """
         super().__init__()
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
         known = parent.deadlines if parent is not None else ()
@@ -70,7 +67,7 @@ class CancelScope(Condition):
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether it, or a scope around it, has been told to stop or is overdue."""
+        """Whether it, or a scope around it, has been cancelled or is overdue."""
         if self.cancel_called:
             return True
         for scope in self.around:
@@ -79,12 +76,12 @@ class CancelScope(Condition):
         return bool(self.deadlines) and any(remaining() <= 0 for remaining in self.deadlines)
 
     def deadline(self) -> float | None:
-        """When a wait in it has to look again, as time.monotonic() tells it; None for never."""
+        """Time of time.monotonic() at which a wait in it has to check its deadlines; None for never."""
         shortest = min((remaining() for remaining in self.deadlines), default=None)
         return None if shortest is None or shortest > threading.TIMEOUT_MAX else time.monotonic() + shortest
 
     def cancel(self) -> None:
-        """Tells it to stop, and wakes whatever waits in it."""
+        """Cancel it, and wake the waits in it."""
         self.cancel_called = True
         self.notify_all()
 
@@ -93,22 +90,22 @@ _scope: ContextVar[CancelScope | None] = ContextVar("pycram_scope", default=None
 
 
 def current_scope() -> CancelScope | None:
-    """The innermost scope of this context; None outside of all blocks."""
+    """Return the innermost scope of this context; None outside of all blocks."""
     return _scope.get()
 
 
 def entered(scope: CancelScope | None) -> Binding[CancelScope | None]:
-    """Runs its block in a scope; None for outside of all."""
+    """Run the ``with`` block in a scope; None for outside of all."""
     return Binding(_scope, scope)
 
 
 def enter(scope: CancelScope) -> None:
-    """From here on this context is in a scope."""
+    """Put this context into a scope for good."""
     _scope.set(scope)
 
 
 def shielded() -> Binding[CancelScope | None]:
-    """Runs its block so that no cancellation reaches it: for what must be done although the branch is told to stop."""
+    """Shield the ``with`` block from cancellation, for what must be done in a cancelled branch too."""
     return entered(None)
 
 
@@ -117,57 +114,49 @@ _uninterruptible: ContextVar[bool] = ContextVar("pycram_uninterruptible", defaul
 
 @contextmanager
 def uninterruptible() -> Iterator[None]:
-    """Runs its block so that changes of a world in it are no checkpoints: what is begun is done."""
+    """Run the ``with`` block so that changes of a world in it are no checkpoints."""
     with Binding(_uninterruptible, value=True):
         yield
 
 
 def before_change() -> None:
-    """A checkpoint before a world is changed, unless that is part of an :func:`uninterruptible` block or of a lock's.
-
-    Raises:
-        Cancelled: the branch has been told to stop.
-    """
+    """Checkpoint before a world is changed, except in an :func:`uninterruptible` block or while a lock is held."""
     if not _uninterruptible.get() and not held.count:  # what is made of several changes is done as a whole
         checkpoint()
 
 
 def checkpoint() -> None:
-    """A place where other branches may go on first, and a cancelled one may stop.
+    """Let other branches run first, and stop here if cancelled.
 
     Raises:
-        Cancelled: it has been told to.
-        LockHeld: the caller holds a lock.
+        Cancelled: The branch is cancelled.
+        LockHeld: The caller holds a lock.
     """
-    scheduler().give_way()
+    scheduler().yield_turn()
     raise_if_cancelled()
 
 
 def raise_if_cancelled() -> None:
-    """Stops a branch that is cancelled; doesn't let others go on.
-
-    Raises:
-        Cancelled: it has been told to stop.
-    """
+    """Raise Cancelled if the branch is cancelled; other branches don't run."""
     scope = _scope.get()
     if scope is not None and scope.is_cancelled:
         raise Cancelled
 
 
 def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | None = None) -> bool:
-    """Waits until something holds, or until the branch is told to stop. Other branches go on meanwhile.
+    """Wait until a predicate holds, while other branches run.
 
     Args:
-        condition: notified whenever the answer may have changed.
-        predicate: asked in the branch that waits, without a lock.
-        timeout: in seconds; None to wait for ever.
+        condition: Notified whenever the predicate may have changed.
+        predicate: Called in the branch that waits, without a lock.
+        timeout: In seconds; None for no limit.
 
     Returns:
         Whether it holds; False only after the timeout.
 
     Raises:
-        Cancelled: the branch has been told to stop, and it doesn't hold yet.
-        LockHeld: the caller holds a lock.
+        Cancelled: The branch is cancelled, and the predicate doesn't hold.
+        LockHeld: The caller holds a lock.
     """
     if predicate():
         return True
@@ -177,15 +166,15 @@ def wait(condition: Condition, predicate: Callable[[], bool], timeout: float | N
     with Waiter(sources) as waiter:
         while not predicate():
             raise_if_cancelled()
-            times = [one for one in (end, scope.deadline() if scope is not None else None) if one is not None]
-            waiter.sleep(min(times, default=None))
+            deadlines = (end, scope.deadline() if scope is not None else None)
+            waiter.sleep(min((limit for limit in deadlines if limit is not None), default=None))
             if end is not None and end <= time.monotonic():
                 return predicate()
     return True
 
 
 def join(condition: Condition, predicate: Callable[[], bool]) -> None:
-    """Waits until something holds, whoever is told to stop; see :func:`wait`."""
+    """Wait until a predicate holds, even if cancelled; see :func:`wait`."""
     with Waiter((condition,)) as waiter:
         while not predicate():
             waiter.sleep()

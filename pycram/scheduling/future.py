@@ -1,8 +1,8 @@
-"""Futures: what a plan gets at once for an action that may still run.
+"""Futures: lazy results of actions that may still run.
 
-A future can be used as the result itself: looking at its attributes, comparing, calculating, printing or iterating
-waits for the branch to end and then works on the result. Where the type matters (``is``, ``json.dumps``, ``str.join``),
-:func:`unwrap` gives the result.
+A future can be used as the result itself: attributes, comparisons, arithmetic, printing and iteration wait for the end
+of the branch and then act on its result. Where the type matters (``is``, ``json.dumps``, ``str.join``), :func:`unwrap`
+returns the result.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Result: TypeAlias = Any
 
 
 class Pending(Protocol):
-    """What a future stands for, as far as its result is concerned: a branch of a block."""
+    """The branch of a block whose result a future stands for."""
 
     name: str
     state: State
@@ -37,10 +37,10 @@ class Pending(Protocol):
 
 
 class Future:
-    """Stands for the result of a branch; everything that is done with it is done with the result, once it is there.
+    """Stands for the result of a branch: every operation waits for the result and is applied to it.
 
-    Its own is only :meth:`result`. When the branch failed, using the future raises what the branch raised. What it is
-    the result of tells :func:`branch_of`.
+    Its only own method is :meth:`result`; :func:`branch_of` returns its branch. Using the future of a failed branch
+    raises what the branch raised.
     """
 
     __slots__ = ("__weakref__", "_branch")
@@ -50,11 +50,11 @@ class Future:
         object.__setattr__(self, "_branch", branch)
 
     def result(self, timeout: float | None = None) -> Result:
-        """Waits for the result itself; see :meth:`pycram.language.branch.Branch.result`."""
+        """Wait for the result and return it; see :meth:`pycram.language.branch.Branch.result`."""
         return self._branch.result(timeout)
 
     def __record__(self) -> object:
-        """Its result; the branch's name as long as there is none, so that recording waits for nobody."""
+        """Return the result, or the branch's name as long as there is none: recording doesn't wait."""
         branch = self._branch
         return branch.result() if branch.state is State.SUCCEEDED else {"branch": branch.name}
 
@@ -85,15 +85,13 @@ class Future:
         self._branch.result()[unwrap(key)] = value
 
     def __call__(self, *args: object, **kwargs: object) -> Result:
-        """Calls the result."""
+        """Call the result."""
         return self._branch.result()(*args, **kwargs)
 
     def __enter__(self) -> Result:
-        """Enters the result."""
         return self._branch.result().__enter__()
 
     def __exit__(self, *raised: object) -> Result:
-        """Leaves the result."""
         return self._branch.result().__exit__(*raised)
 
     def __reduce__(self) -> Result:
@@ -129,7 +127,7 @@ _FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
     "round": round,
     "str": str,
 }
-"""What Python does for ``__add__``, ``__len__``, ...: done with the result, and with the results of other futures."""
+"""Functions behind ``__add__``, ``__len__``, ..., applied to the result and to those of other futures."""
 
 
 def _operation(name: str, function: Callable[..., Result]) -> Callable[..., Result]:
@@ -145,40 +143,36 @@ for _name, _function in _FUNCTIONS.items():
 
 
 def is_future(value: object) -> bool:
-    """Whether this is a future, without waiting for what it stands for."""
+    """Whether this is a future; doesn't wait."""
     return issubclass(type(value), Future)
 
 
 def branch_of(value: object) -> Pending | None:
-    """The branch whose result a future stands for; None for anything else. Doesn't wait."""
+    """Return the branch whose result a future stands for, None for other values; doesn't wait."""
     branch: Pending | None = object.__getattribute__(value, "_branch") if is_future(value) else None
     return branch
 
 
 def branches_in(value: object) -> Iterator[Pending]:
-    """The branches of all futures in a value: of itself, and of those in lists, tuples and dictionaries, however deep.
+    """Yield the branches of all futures in a value, nested in lists, tuples and dictionaries too; doesn't wait.
 
-    Doesn't wait. Who waits for each before asking for the next gets those in their results too.
+    A caller that waits for each branch before it takes the next one also gets those in their results.
     """
     queue = [value]
     seen = set()
-    for one in queue:
-        branch = branch_of(one)
+    for item in queue:
+        branch = branch_of(item)
         if branch is not None:
             yield branch
             if branch.state is State.SUCCEEDED:
                 queue.append(branch.result())
-        elif isinstance(one, (list, tuple, dict)) and id(one) not in seen:
-            seen.add(id(one))
-            queue += one.values() if isinstance(one, dict) else one
+        elif isinstance(item, (list, tuple, dict)) and id(item) not in seen:
+            seen.add(id(item))
+            queue += item.values() if isinstance(item, dict) else item
 
 
 def unwrap(value: Result) -> Result:
-    """The thing itself where a future stands for it (waits for it); anything else unchanged.
-
-    Raises:
-        BaseException: what the branch raised.
-    """
+    """Return a future's result, waiting for it, or raise what its branch raised; return other values unchanged."""
     while is_future(value):
         value = value.result()
     return value

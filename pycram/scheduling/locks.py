@@ -1,4 +1,4 @@
-"""Locks of threads: re-entrant, held for a short time, and never while a branch gives way to another one."""
+"""Re-entrant locks of threads: held for a short time, and never across a checkpoint."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ if TYPE_CHECKING:
 
 
 class LockHeld(UsageError):
-    """Code waits, or lets other branches go on, that holds a lock: another branch of its thread would get in."""
+    """A branch waits, or lets others run, while it holds a lock: other branches of its thread would get in too."""
 
     def __init__(self) -> None:
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")
 
 
 class _Held(threading.local):
-    """How many locks this thread holds."""
+    """Number of locks that the thread holds."""
 
     count = 0
 
@@ -33,27 +33,20 @@ class Lock:
     __slots__ = ("_lock",)
 
     def __init__(self) -> None:
-        """Begins free."""
         self._lock = threading.RLock()
 
     def __enter__(self) -> None:
-        """Waits for it."""
         self._lock.acquire()
         held.count += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Lets it go."""
         held.count -= 1
         self._lock.release()
 
 
 def refuse_held() -> None:
-    """Called where a branch may give way.
-
-    Raises:
-        LockHeld: this thread holds a lock.
-    """
+    """Raise LockHeld if the thread holds a lock; called wherever a branch may yield to others."""
     if held.count:
         raise LockHeld

@@ -1,8 +1,8 @@
-"""The scheduler of a thread: which of its branches goes on next, and what wakes those that wait.
+"""The scheduler of a thread: which of its branches runs next, and what wakes those that wait.
 
-A branch that gives way switches to the scheduler's loop, a greenlet too, which begins or resumes the next one that is
-ready. Where none is, the thread sleeps until another thread rings its bell or the first deadline has passed. The code
-outside of all branches is one of those that take turns; a thread without branches just sleeps.
+A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
+ready. If none is, the thread sleeps until another thread rings its bell or the first deadline has passed. The code
+outside of all branches takes turns with them; a thread without branches just sleeps.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from recorder.tracing import interrupts
 from recorder.tracing.call_site import plan_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
+    from collections.abc import Callable, Collection
     from contextvars import Context
     from types import FrameType
     from typing import Self
@@ -32,29 +32,28 @@ _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
 class Waiter:
-    """Somebody who waits, in a branch or outside of all, and can be told to look again."""
+    """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends."""
 
     __slots__ = ("_greenlet", "_scheduler", "_sources", "_woken")
 
     def __init__(self, sources: Collection[Condition] = ()) -> None:
-        """Makes one for the code that runs here; the sources wake it until its ``with`` block ends."""
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
         self._woken = False
 
     def wake(self) -> None:
-        """Has it look again when its turn comes; from any thread."""
+        """Schedule it to check its predicate again; from any thread."""
         if not self._woken:
             self._woken = True
             self._scheduler.add(self)
 
     def resume(self) -> None:
-        """Goes on with it; for the scheduler."""
+        """Switch to the waiting code; for the scheduler's loop."""
         self._greenlet.switch()
 
     def sleep(self, deadline: float | None = None) -> None:
-        """Gives way until it is woken, perhaps for nothing; at the latest at a time of time.monotonic()."""
+        """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic()."""
         self._scheduler.park(self, deadline)
         self._woken = False
 
@@ -69,11 +68,7 @@ class Waiter:
 
 
 class _Branch:
-    """A branch that hasn't begun, or not ended.
-
-    Attributes:
-        name: what records call it.
-    """
+    """A branch that hasn't started, or hasn't ended."""
 
     __slots__ = ("_action", "_context", "_scheduler", "name")
 
@@ -84,10 +79,10 @@ class _Branch:
         self._action = action
 
     def resume(self) -> None:
-        """Begins it; for the scheduler's loop."""
-        made = greenlet(self._run)
-        made.gr_context = self._context
-        made.switch()
+        """Start it; for the scheduler's loop."""
+        stack = greenlet(self._run)
+        stack.gr_context = self._context
+        stack.switch()
 
     def _run(self) -> None:
         try:
@@ -102,10 +97,7 @@ Ready: TypeAlias = "Waiter | _Branch"
 
 
 def schedule(ready: deque[Ready]) -> Ready:
-    """Takes the one that goes on next out of those that could: the one that has been ready for longest.
-
-    The order of a plan is decided here and nowhere else.
-    """
+    """Remove and return what runs next: what has been ready longest. Nothing else decides the order of a plan."""
     return ready.popleft()
 
 
@@ -113,29 +105,27 @@ class Condition:
     """Something that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`.
 
     Attributes:
-        waiters: those who wait, in the order in which they came.
+        waiters: Current waits, in order of arrival.
     """
 
     def __init__(self) -> None:
-        """Nobody waits yet."""
         self.waiters: dict[Waiter, None] = {}
 
     def notify_all(self) -> None:
-        """Has all who wait look again; after the change, from any thread."""
+        """Have all waits check their predicate again; after the change, from any thread."""
         for waiter in list(self.waiters):
             waiter.wake()
 
 
 class Scheduler:
-    """What takes turns in one thread.
+    """Lets the branches of one thread take turns.
 
     Attributes:
-        branches: those that haven't ended, in the order in which they were begun.
-        joining: whether Ctrl-C has been pressed, and the code outside of all branches waits for these to end.
+        branches: Those that haven't ended, in the order in which they were added.
+        joining: Whether the code outside of all branches, interrupted by Ctrl-C, waits for their ends.
     """
 
     def __init__(self) -> None:
-        """Nothing takes turns yet."""
         self.branches: dict[_Branch, None] = {}
         self.joining = False
         self._ready: deque[Ready] = deque()
@@ -146,13 +136,13 @@ class Scheduler:
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
 
     def begin(self, name: str, context: Context, action: Callable[[], None]) -> None:
-        """Begins a branch when its turn comes, in this very context; from any thread. The action must not raise."""
+        """Schedule a new branch, run in this very context; from any thread. The action must not raise."""
         branch = _Branch(self, name, context, action)
         self.branches[branch] = None
         self.add(branch)
 
     def add(self, ready: Ready, *, first: bool = False) -> None:
-        """Lets somebody go on when its turn comes; from any thread."""
+        """Append to what is ready, or prepend; from any thread."""
         if first:
             self._ready.appendleft(ready)
         else:
@@ -160,13 +150,13 @@ class Scheduler:
         self.ring()
 
     def ring(self) -> None:
-        """Wakes the thread if it sleeps; from any thread, and from handlers of signals."""
+        """Wake the thread if it sleeps; from any thread, and from signal handlers."""
         if self._bell.locked():  # else it was rung already
             with suppress(RuntimeError):  # by another thread just now
                 self._bell.release()
 
-    def give_way(self) -> None:
-        """Lets the others that are ready go on first; outside of all branches raises Ctrl-C that was held back."""
+    def yield_turn(self) -> None:
+        """Run the others that are ready first; outside of all branches, raise a deferred Ctrl-C."""
         refuse_held()
         if interrupts.is_pending() and self._is_outside() and not self.joining:
             interrupts.raise_pending()
@@ -178,7 +168,7 @@ class Scheduler:
                 waiter.sleep()
 
     def park(self, waiter: Waiter, deadline: float | None) -> None:
-        """Lets others go on until somebody is woken; see :meth:`Waiter.sleep`."""
+        """Run others until the waiter is woken; see :meth:`Waiter.sleep`."""
         refuse_held()
         outside = self._is_outside()
         if deadline is not None:
@@ -200,16 +190,16 @@ class Scheduler:
             interrupts.raise_pending()
 
     def leave(self) -> None:
-        """Has a branch that ends go back to the loop: it may have begun in one that an error has ended meanwhile."""
+        """Have a branch that ends return to the current loop: an error may have ended the one that started it."""
         if self._loop is not None:
             getcurrent().parent = self._loop
 
     def _is_outside(self) -> bool:
-        """Whether the code that runs is outside of all branches."""
+        """Whether the running code is outside of all branches."""
         return self._loop is None or getcurrent() is self._loop.parent
 
     def _run(self) -> None:
-        """The loop, as long as there are branches."""
+        """Loop as long as there are branches."""
         try:
             while self.branches:
                 self._wake_overdue()
@@ -223,14 +213,14 @@ class Scheduler:
     def _sleep_alone(self) -> None:
         if not self._ready:
             self._sleep()
-        while self._ready and isinstance(self._ready[0], Waiter):  # it looks again by itself
+        while self._ready and isinstance(self._ready[0], Waiter):  # its wait checks the predicate anyway
             self._ready.popleft()
 
     def _sleep(self) -> None:
-        """Has the thread sleep until the bell rings or a deadline passes."""
+        """Block the thread until the bell rings or a deadline passes."""
         first = min(self._deadlines.values(), default=None)
-        left = -1.0 if first is None else min(max(0.0, first - time.monotonic()), threading.TIMEOUT_MAX)
-        self._bell.acquire(timeout=left)
+        timeout = -1.0 if first is None else min(max(0.0, first - time.monotonic()), threading.TIMEOUT_MAX)
+        self._bell.acquire(timeout=timeout)
 
     def _wake_overdue(self) -> None:
         if self._deadlines:
@@ -240,11 +230,11 @@ class Scheduler:
                     waiter.wake()
 
     def defers(self, frame: FrameType) -> bool:
-        """Whether Ctrl-C has to wait for the next checkpoint, where it has met this code."""
+        """Whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""
         return not self._is_outside() or _in_own_code(frame)
 
     def interrupt(self) -> None:
-        """Ctrl-C has been held back: has the code outside of all branches go on next, which raises it."""
+        """Take note of a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
             names = ", ".join(branch.name for branch in self.branches)
             sys.stderr.write(f"waiting for {names} to get to the next action; Ctrl-\\ ends the process at once\n")
@@ -254,20 +244,17 @@ class Scheduler:
 
 
 def _in_own_code(frame: FrameType) -> bool:
-    """Whether the plan has called the language, and that hasn't called the plan since."""
+    """Whether a frame of the plan language or the scheduler is on the stack above the innermost frame of the plan."""
     plan = plan_frame(frame)[0]
-    return any(str(one.f_globals.get("__name__", "")).startswith(_OWN) for one in _outwards(frame, plan))
-
-
-def _outwards(frame: FrameType | None, end: FrameType | None) -> Iterator[FrameType]:
-    while frame is not None and frame is not end:
-        yield frame
-        frame = frame.f_back
+    current: FrameType | None = frame
+    while current is not None and current is not plan:
+        if str(current.f_globals.get("__name__", "")).startswith(_OWN):
+            return True
+        current = current.f_back
+    return False
 
 
 class _Local(threading.local):
-    """The scheduler of this thread."""
-
     def __init__(self) -> None:
         self.scheduler = Scheduler()
 
@@ -276,5 +263,5 @@ _local = _Local()
 
 
 def scheduler() -> Scheduler:
-    """The scheduler of this thread."""
+    """Return the scheduler of this thread."""
     return _local.scheduler

@@ -1,4 +1,4 @@
-"""Workers: threads in which a branch has something done that would block all branches of its own thread."""
+"""Worker threads for calls that would block all branches of a thread."""
 
 from __future__ import annotations
 
@@ -18,24 +18,16 @@ Result = TypeVar("Result")
 
 
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-    """Calls a function in a worker thread, while other branches of the plan go on.
+    """Call a function in a worker thread, in the branch's context, while other branches run; return its result.
 
-    For what blocks outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long calculation that lets
-    go of the interpreter. A branch that is cancelled meanwhile stops when the function has returned: give it a timeout
-    of its own. What it changes in a world comes at no fixed place in the plan's order.
-
-    Args:
-        function: what to call, with the context of the branch.
-        args: its arguments.
-        kwargs: its named arguments.
-
-    Returns:
-        What it returned.
+    For what blocks outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long calculation that
+    releases the interpreter lock. A branch that is cancelled meanwhile stops when the function has returned: give it a
+    timeout of its own. What it changes in a world comes at no fixed place in the plan's order.
 
     Raises:
-        BaseException: what it raised.
-        Cancelled: the branch has been told to stop meanwhile.
-        LockHeld: the caller holds a lock.
+        BaseException: The function raised it.
+        Cancelled: The branch was cancelled meanwhile.
+        LockHeld: The caller holds a lock.
     """
     refuse_held()
     ended = Condition()
@@ -50,7 +42,7 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
         ended.notify_all()
 
     name = f"{threads.name()} {getattr(function, '__name__', 'function')}"
-    # a daemon's: only Ctrl-C outside of all branches leaves it behind, and then the process may end
+    # a daemon: only Ctrl-C outside of all branches abandons it, and then the process may end
     threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
     join(ended, lambda: bool(results or errors))
     try:
@@ -59,4 +51,4 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
         raise_if_cancelled()
         return results[0]
     finally:
-        errors.clear()  # what was raised refers to this frame
+        errors.clear()  # the error's traceback refers to this frame

@@ -1,15 +1,15 @@
-"""Ctrl-C: raised at once in the plan's own Python, and elsewhere where nothing is left half done.
+"""Ctrl-C: raised at once in the plan's own Python, and deferred where it would leave something half done.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. In the middle of a change it would
-leave a world that differs from its log, in the middle of a record a number without a record, in the middle of a block a
-branch that nobody waits for. So it is held back
+Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change it would leave a world
+that differs from its log, within a record a number without a record, within a block a branch that nothing waits for. So
+it is deferred
 
-- in a section (:class:`Uninterrupted`): a change, a record; until the section ends;
-- where the :class:`Host` says so, which the plan language is: in branches and in its own code, until it calls
+- in a section (:class:`Uninterrupted`), which is a change or a record, to the section's end;
+- where the :class:`Host`, which is the plan language, says so: in branches and in its own code, until it calls
   :func:`raise_pending`, as it does at every checkpoint (:mod:`pycram.scheduling`).
 
-Our handler of SIGINT is there only as long as a section or a scope of the plan language is open in the main thread. It
-hands on to the handler that was there before, so a program's own handler is called at the same moments.
+Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
+calls the handler that was installed before, so a program's own handler is called at the same moments.
 """
 
 from __future__ import annotations
@@ -29,30 +29,26 @@ _SIGINT: Final = int(signal.SIGINT)
 
 
 class Host(Protocol):
-    """Who runs code that must not be broken off anywhere; asked and told in the main thread only."""
+    """Runs code that must not be interrupted just anywhere; called in the main thread only."""
 
     def defers(self, frame: FrameType) -> bool:
-        """Whether Ctrl-C has to wait until the host raises it.
-
-        Args:
-            frame: the code that it has met.
-        """
+        """Whether a Ctrl-C that arrives in this frame has to wait until the host raises it."""
 
     def interrupt(self) -> None:
-        """Ctrl-C is being held back; called by the handler of the signal, so between any two instructions."""
+        """Take note of a deferred Ctrl-C; called by the signal handler, so between any two instructions."""
 
 
 _host: Host | None = None
-_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the one before ours
-_holder = 0  # identifies the main thread, to tell it from that of a process which another thread has forked
-_open = 0  # sections and scopes in the main thread; our handler is there as long as there are any
-_sections = 0  # the sections among them
+_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the one installed before ours
+_holder = 0  # ident of the main thread; another one in a process that another thread has forked
+_open = 0  # number of open sections and scopes in the main thread; our handler is installed while there are any
+_sections = 0  # number of sections among them
 _pending = False
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
     global _pending  # noqa: PLW0603  there is one main thread
-    if threading.get_ident() != _holder:  # forked by another thread: here nobody is in a section
+    if threading.get_ident() != _holder:  # forked by another thread: no section is open in this process
         _signal.signal(_SIGINT, _handler)
         _handler(number, frame)
     elif _sections or (frame is not None and (frame.f_globals is globals() or _defers(frame))):
@@ -68,10 +64,10 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Has our handler act until :func:`leave`; returns whether it does, as signals raise in the main thread only.
+    """Install our handler until :func:`leave`; return whether it is, as signals raise in the main thread only.
 
     Args:
-        host: who is asked from now on whether Ctrl-C has to wait, until our handler goes.
+        host: Decides whether Ctrl-C is deferred, as long as our handler is installed.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -93,7 +89,7 @@ def enter(host: Host | None = None) -> bool:
 
 
 def leave() -> None:
-    """Ends what :func:`enter` began. The last one raises what is held back."""
+    """Undo :func:`enter`; the last one raises a deferred Ctrl-C."""
     global _open, _pending  # noqa: PLW0603  as above
     _open -= 1
     if not _open:
@@ -105,28 +101,25 @@ def leave() -> None:
 
 
 def is_pending() -> bool:
-    """Whether Ctrl-C is being held back."""
+    """Whether a Ctrl-C is deferred."""
     return _pending
 
 
 def raise_pending() -> None:
-    """Raises what is held back; for code of the main thread that isn't in a section and may be broken off here."""
+    """Raise a deferred Ctrl-C, unless a section is open; for code of the main thread that may be interrupted here."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
         _handler(_SIGINT, sys._getframe(1))  # noqa: SLF001  inspect.currentframe() gives no other
 
 
 def drop_pending() -> None:
-    """Forgets what is held back: the plan is being broken off already."""
+    """Drop a deferred Ctrl-C: the plan is being interrupted already."""
     global _pending  # noqa: PLW0603  as above
     _pending = False
 
 
 class Uninterrupted:
-    """A section that SIGINT doesn't break off, where Python handles it.
-
-    For the main thread: signals raise in no other, where it does nothing. Sections may nest; the outermost does it all.
-    """
+    """A section that SIGINT doesn't interrupt; may nest. Does nothing outside of the main thread."""
 
     __slots__ = ("_held",)
 
@@ -138,7 +131,7 @@ class Uninterrupted:
 
     @property
     def noted(self) -> bool:
-        """Whether an interrupt waits for the end of this section: what takes long asks now and then, and ends early."""
+        """Whether a Ctrl-C waits for the end of this section; long sections poll this, and end early."""
         return self._held and _pending and not _defers(sys._getframe(1))  # noqa: SLF001  as above
 
     def __exit__(self, *_: object) -> None:

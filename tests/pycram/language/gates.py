@@ -1,4 +1,4 @@
-"""What plans under test are made of.
+"""Actions and gates for plans under test.
 
 Timing is controlled by gates, never by the clock: a branch that waits at a gate goes on when the test opens it, or stops
 when it is cancelled.
@@ -17,7 +17,7 @@ S, F, C = State.SUCCEEDED, State.FAILED, State.CANCELLED
 
 
 class Gate:
-    """Something to wait for; who is cancelled waits no more."""
+    """A condition that stays true once the test has opened it."""
 
     def __init__(self) -> None:
         self.changed = Condition()
@@ -32,19 +32,19 @@ class Gate:
 
 
 class Meeting:
-    """Where so many branches wait for each other; each gets a number, in the order in which they came."""
+    """A barrier for branches; each gets its number in the order of arrival."""
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self.came = 0
+        self.arrived = 0
         self.gate = Gate()
 
     def wait(self) -> int:
-        self.came += 1
-        number = self.came - 1
-        if self.came == self.count:
+        self.arrived += 1
+        number = self.arrived - 1
+        if self.arrived == self.count:
             self.gate.open()
-        assert self.gate.pass_through(20), "some don't come"
+        assert self.gate.pass_through(20), "some don't arrive"
         return number
 
 

@@ -1,4 +1,4 @@
-"""What may be an action of a plan: what does something when it is called."""
+"""Actions act when they are called; coroutine and generator functions are refused."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ RUNNERS: list[Callable[[Callable[[], object]], object]] = [
 
 
 class Counting:
-    """A method and an object that give generators when they are called."""
+    """A method and an object that return generators when called."""
 
     def count(self) -> Iterator[int]:
         yield 1
@@ -79,7 +79,7 @@ def test_generator_functions_are_refused(run: Callable[[Callable[[], object]], o
 
 
 @pytest.mark.parametrize("action", [Counting().count, Counting(), functools.partial(counting), decorated])
-def test_generator_functions_are_refused_in_any_guise(action: Callable[[], object]) -> None:
+def test_generator_functions_are_refused_however_wrapped(action: Callable[[], object]) -> None:
     with pytest.raises(BadArgument, match="does nothing before its values are taken"):
         par(action)
 
@@ -90,7 +90,7 @@ def test_whenever_as_a_branch_needs_a_body(action: Callable[[Fluent], object]) -
         s(action, Fluent(value=1))
 
 
-def test_a_plain_function_may_give_a_generator() -> None:
+def test_a_plain_function_may_return_a_generator() -> None:
     def expression() -> Iterator[int]:
         return (number for number in (1, 2))
 

@@ -1,4 +1,4 @@
-"""Blocks in the bodies of others: in any kind, read where they stand and done in their turn."""
+"""Blocks in the bodies of others: read where they stand, and run in their turn."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pycram.scheduling.future import branch_of
 from tests.pycram.language.gates import C, F, Gate, Meeting, S, fails, succeeds
 
 
-def test_blocks_in_a_concurrent_body_run_beside_each_other_and_in_order_inside() -> None:
+def test_blocks_in_a_concurrent_body_run_concurrently_and_in_order_inside() -> None:
     meeting = Meeting(3)
     order: list[str] = []
     with par as s:
@@ -58,7 +58,7 @@ def test_a_sequence_in_a_concurrent_body_stops_at_its_first_failure() -> None:
         late.result()
 
 
-def test_who_looks_at_a_future_in_the_body_waits_for_it_or_leaves_the_body() -> None:
+def test_a_future_used_in_the_body_is_awaited_or_ends_the_body() -> None:
     done = []
     with par as s:
         with seq as t:
@@ -98,14 +98,14 @@ def test_attempts_timeouts_and_cleanups_in_a_read_body_keep_its_order() -> None:
 
 
 def test_waits_for_fluents_in_a_read_body_keep_its_order() -> None:
-    gate, order, here = Gate(), [], Fluent(True)
+    gate, order, fluent = Gate(), [], Fluent(True)
     with par as s:
         with seq as t:
             t(lambda: (gate.pass_through(0.05), order.append(1)))  # late
-            assert here.wait_for()
+            assert fluent.wait_for()
             order.append(2)
             t(order.append, 3)
-            for _ in whenever(here):
+            for _ in whenever(fluent):
                 order.append(4)
                 break
         s(succeeds)

@@ -1,4 +1,4 @@
-"""What a plan does at the end of a stretch is done, however that ended."""
+"""Cleanups run at the end of a scope, however it ended."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pycram.scheduling.cancellation import checkpoint
 from tests.pycram.language.gates import C, F, Gate, S, fails, fails_to_look, is_wrong, succeeds
 
 
-def test_cleaning_up_happens_always_and_is_not_cancelled() -> None:
+def test_cleanups_run_always_and_are_not_cancelled() -> None:
     gate, done = Gate(), []
 
     def clean(value: object) -> None:
@@ -40,7 +40,7 @@ def test_cleaning_up_happens_always_and_is_not_cancelled() -> None:
         pass
 
 
-def test_failures_of_cleaning_up_are_not_lost() -> None:
+def test_failures_of_cleanups_are_not_lost() -> None:
     with pytest.raises(Unreachable), finally_(fails):
         pass
     with pytest.raises(LookingFailed) as raised, finally_(fails):
@@ -50,7 +50,7 @@ def test_failures_of_cleaning_up_are_not_lost() -> None:
         fails()
 
 
-def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> None:
+def test_a_failed_cleanup_of_a_cancelled_branch_fails_the_block() -> None:
     inside = Gate()
 
     def slow() -> None:
@@ -67,7 +67,7 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
 
     for branch in (slow, in_a_block, tried_again):
         inside.is_open = False
-        with pytest.raises(NotCleanedUp, match=r"fails, done as .* Unreachable: left arm") as raised, pursue as s:
+        with pytest.raises(NotCleanedUp, match=r"fails, the cleanup .* Unreachable: left arm") as raised, pursue as s:
             s(branch)
             s(inside.pass_through)
         assert [branch.state for branch in s.branches] == [F, S]
@@ -83,7 +83,7 @@ def test_a_branch_that_cannot_clean_up_when_it_is_stopped_fails_the_block() -> N
     assert isinstance(failures[0].failure, Unreachable)
 
 
-def test_cleaning_up_that_fails_after_a_timeout_may_be_tried_again() -> None:
+def test_a_failed_cleanup_after_a_timeout_may_be_retried() -> None:
     cleaned: list[int] = []
 
     def clean() -> None:

@@ -1,4 +1,4 @@
-"""Ctrl-C ends blocks and their branches, wherever it comes, and leaves nothing behind."""
+"""Ctrl-C ends blocks and their branches, whenever it arrives, and leaves nothing behind."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -43,12 +43,12 @@ def assert_nothing_left() -> None:
     assert not interrupts.is_pending()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert not scheduler().branches
-    with seq as s, seq as t:  # nothing that was left open is in its way
+    with seq as s, seq as t:  # no scope is left open
         t(succeeds)
     assert s.state is S
 
 
-def test_interrupting_the_body_stops_the_branches() -> None:
+def test_interrupting_the_body_cancels_the_branches() -> None:
     gate = Gate()
     for kind in (par, pursue, try_all):
         with pytest.raises(KeyboardInterrupt), kind as s:
@@ -70,7 +70,7 @@ def test_ctrl_c_in_the_plan_s_own_python_is_raised_at_once() -> None:
     assert_nothing_left()
 
 
-def test_ctrl_c_in_a_branch_is_raised_where_the_block_is_at_the_branch_s_next_checkpoint() -> None:
+def test_ctrl_c_in_a_branch_is_raised_in_the_outermost_block_at_the_next_checkpoint() -> None:
     gate, reached = Gate(), []
 
     def interrupted() -> None:
@@ -114,7 +114,7 @@ def test_ctrl_c_while_all_branches_wait_ends_them() -> None:
     assert_nothing_left()
 
 
-def test_pressing_ctrl_c_again_tells_whom_it_waits_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_second_ctrl_c_prints_the_branches_that_it_waits_for(monkeypatch: pytest.MonkeyPatch) -> None:
     class Screen:
         text = ""
 
@@ -146,7 +146,7 @@ def test_pressing_ctrl_c_again_tells_whom_it_waits_for(monkeypatch: pytest.Monke
     assert_nothing_left()
 
 
-def test_a_cleanup_is_done_also_after_ctrl_c() -> None:
+def test_a_cleanup_runs_also_after_ctrl_c() -> None:
     done = []
 
     def branch() -> None:
@@ -160,7 +160,7 @@ def test_a_cleanup_is_done_also_after_ctrl_c() -> None:
 
 
 def plan() -> None:
-    """Some of everything."""
+    """Use every part of the language."""
     gate = Gate()
     with par as s:
         s(gate.open)
@@ -180,7 +180,7 @@ def plan() -> None:
             succeeds()
 
 
-# What traces stands between the line and its handler: it is made one of our modules, which the handler looks through.
+# The tracer is on the stack between the line and the signal handler, so it has to be one of our modules.
 _TRACER = """
 import signal
 def tracer(folders, number):
@@ -198,7 +198,7 @@ def tracer(folders, number):
 
 
 def interrupted_at(number: int, action: Callable[[], None]) -> bool:
-    """Runs a plan and presses Ctrl-C before a line of the language; whether it came that far."""
+    """Run a plan and press Ctrl-C before a line of the language; return whether the line was reached."""
     own: dict[str, Callable[..., tuple[Callable[..., object], list[int]]]] = {"__name__": "pycram.tracer"}
     exec(compile(_TRACER, "<tracer>", "exec"), own)
     folders = tuple(str(REPO / folder) for folder in ("pycram/language", "pycram/scheduling", "recorder/span.py"))
@@ -217,11 +217,11 @@ def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) ->
     ended = 0
     for number in itertools.count(1, every):
         try:
-            came = interrupted_at(number, plan)
+            reached = interrupted_at(number, plan)
         except KeyboardInterrupt:
             ended += 1
         else:
-            if not came:
+            if not reached:
                 break
             pytest.fail(f"Ctrl-C at line {number} was lost")
         assert_nothing_left()
@@ -253,10 +253,12 @@ def test_ctrl_c_at_any_moment_leaves_nothing_behind() -> None:
         assert_nothing_left()
     thread.join()
     assert ended == rounds
-    assert not [one for one in gc.get_objects() if type(one) is greenlet and one and one.parent is not None]
+    assert not [g for g in gc.get_objects() if type(g) is greenlet and g and g.parent is not None]
 
 
-def test_ctrl_c_that_keeps_a_block_from_ending_is_noticed_by_the_one_around_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_that_keeps_a_block_from_ending_is_noticed_by_the_block_around_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     whole = Scope.__exit__
 
     def never_called(opening: Scope[object], *raised: object) -> bool | None:
@@ -289,20 +291,20 @@ def test_ctrl_c_before_the_record_of_a_tasks_end_leaves_no_task_running(monkeypa
 
 
 def test_a_handler_of_the_plan_s_own_is_called_and_stays() -> None:
-    told: list[str] = []
-    before = signal.signal(signal.SIGINT, lambda *_: told.append("pressed"))
+    calls: list[str] = []
+    before = signal.signal(signal.SIGINT, lambda *_: calls.append("pressed"))
     try:
         with par as s:
             s(press)
             s(os.getpid)
-        assert told == ["pressed"]
+        assert calls == ["pressed"]
         assert signal.getsignal(signal.SIGINT)(0, None) is None
-        assert told == ["pressed", "pressed"]
+        assert calls == ["pressed", "pressed"]
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-def test_an_error_that_a_handler_of_the_plan_s_own_raises_while_all_wait_comes_out_where_the_block_is() -> None:
+def test_an_error_that_a_handler_of_the_plan_s_own_raises_while_all_branches_wait_is_raised_in_the_block() -> None:
     main, gate, over = threading.get_ident(), Gate(), threading.Event()
     waiting = threading.Event()
 
@@ -327,4 +329,4 @@ def test_an_error_that_a_handler_of_the_plan_s_own_raises_while_all_wait_comes_o
         signal.signal(signal.SIGUSR1, before)
     assert {branch.state for branch in s.branches} == {C}
     assert_nothing_left()
-    assert not [one for one in gc.get_objects() if type(one) is greenlet and one and one.parent is not None]
+    assert not [g for g in gc.get_objects() if type(g) is greenlet and g and g.parent is not None]

@@ -71,7 +71,7 @@ def test_when_all_fail(name: str, count: int) -> None:
         s(fails)
         s(fails_to_look if both else gate.pass_through)
     assert s.state is F
-    assert [type(one) for one in raised.value.failures] == [Unreachable, LookingFailed][:count]
+    assert [type(failure) for failure in raised.value.failures] == [Unreachable, LookingFailed][:count]
     assert raised.value.failures == s.failures
     with pytest.raises(BranchesFailed):
         KINDS[name](fails, fails)
@@ -88,7 +88,7 @@ def test_empty_blocks_succeed(name: str) -> None:
 
 @pytest.mark.parametrize("name", KINDS)
 @pytest.mark.parametrize("bug", [is_wrong, has_a_bug])
-def test_bugs_come_out_of_every_block_as_they_are(name: str, bug: Callable[[], None]) -> None:
+def test_bugs_are_raised_by_every_block_as_they_are(name: str, bug: Callable[[], None]) -> None:
     kind = BadArgument if bug is is_wrong else ZeroDivisionError
     gate = Gate()
     failures: list[BaseException] = []
@@ -105,7 +105,7 @@ def test_bugs_come_out_of_every_block_as_they_are(name: str, bug: Callable[[], N
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_bug_in_the_body_of_a_block_that_is_read_comes_out_too(name: str) -> None:
+def test_a_bug_in_the_body_of_a_block_that_is_read_is_raised_too(name: str) -> None:
     gate = Gate()
     with pytest.raises(ZeroDivisionError), par as s:
         s(gate.pass_through)
@@ -146,8 +146,8 @@ def test_every_block_in_every_other(outer: str, inner: str) -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_block_that_is_told_to_stop_by_the_one_around_it(name: str) -> None:
-    """It stops at its next wait or action, and what is behind it isn't run."""
+def test_a_block_is_cancelled_by_the_one_around_it(name: str) -> None:
+    """It stops at its next wait or action, and the code after it isn't run."""
     gate, inside = Gate(), Gate()
     reached = []
 
@@ -161,7 +161,7 @@ def test_a_block_that_is_told_to_stop_by_the_one_around_it(name: str) -> None:
             reached.append(s)
             s(stops)
             s(stops)
-        reached.append("behind")
+        reached.append("after")
 
     with pursue as outer:
         outer(inner)
@@ -173,7 +173,7 @@ def test_a_block_that_is_told_to_stop_by_the_one_around_it(name: str) -> None:
     assert len(s.branches) == 1 or s.policy.concurrent
 
 
-def test_cancelled_is_what_a_cancelled_branch_sees() -> None:
+def test_cancelled_is_raised_in_a_cancelled_branch() -> None:
     seen = []
 
     def branch() -> None:

@@ -1,4 +1,4 @@
-"""What comes out of a block that failed: all failures, as what they have in common, and every bug."""
+"""Failed blocks raise all failures, as the types that these have in common, and every bug."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -14,26 +14,26 @@ from pycram.language import par, pursue, seq, try_all
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, fails, fails_to_look, has_a_bug, succeeds
 
 
-def test_a_failed_block_can_be_caught_as_what_all_its_failures_are() -> None:
-    with pytest.raises(Unreachable) as one:
+def test_a_failed_block_can_be_caught_as_the_common_types_of_its_failures() -> None:
+    with pytest.raises(Unreachable) as single:
         par(fails, lambda: 1)
-    assert isinstance(one.value, BranchesFailed)
-    assert (one.value.arm, one.value.distance) == ("left", 0.2)
-    assert one.value.__cause__ is one.value.failures[0]
+    assert isinstance(single.value, BranchesFailed)
+    assert (single.value.arm, single.value.distance) == ("left", 0.2)
+    assert single.value.__cause__ is single.value.failures[0]
     with pytest.raises(Unreachable):
         par(fails, lambda: par(fails, fails))
-    with pytest.raises(BranchesFailed) as two:
+    with pytest.raises(BranchesFailed) as several:
         par(fails, fails_to_look)
-    assert not isinstance(two.value, (Unreachable, LookingFailed))
-    text = "".join(traceback.format_exception(two.value))
+    assert not isinstance(several.value, (Unreachable, LookingFailed))
+    text = "".join(traceback.format_exception(several.value))
     for part in ("1 of 2", "in fails", "in fails_to_look", "can't reach", "can't look"):
         assert part in text
-    told = two.value.data["failures"]
-    assert [failure["type"] for failure in told] == ["Unreachable", "LookingFailed"]
-    assert told[0]["data"]["arm"] == "left"
+    fields = several.value.data["failures"]
+    assert [failure["type"] for failure in fields] == ["Unreachable", "LookingFailed"]
+    assert fields[0]["data"]["arm"] == "left"
 
 
-def test_types_that_cannot_be_combined_still_come_in_one_failure() -> None:
+def test_types_that_cannot_be_combined_are_still_raised_as_one_failure() -> None:
     class Odd(PlanFailure, OSError):
         pass
 
@@ -45,20 +45,20 @@ def test_types_that_cannot_be_combined_still_come_in_one_failure() -> None:
     assert isinstance(raised.value.failures[0], Odd)
 
 
-def test_failures_of_all_levels_are_told() -> None:
+def test_failures_of_all_levels_are_in_the_message() -> None:
     with pytest.raises(BranchesFailed) as raised, par as s:
         s(fails)
         with seq as t:
             t(succeeds)
             t(fails_to_look)
         raise InCollision([0, 0, 0], [0, 0, 0, 1], ["kitchen"])
-    assert [type(one) for one in raised.value.leaves] == [Unreachable, LookingFailed, InCollision]
+    assert [type(failure) for failure in raised.value.leaves] == [Unreachable, LookingFailed, InCollision]
     assert all(word in str(raised.value) for word in ("can't reach", "can't look", "kitchen"))
     with pytest.raises(Unreachable, match=r"^par failed: seq failed: Unreachable: left arm"):
         par(lambda: seq(fails))
 
 
-def test_a_failing_body_lets_the_branches_of_par_run_and_stops_those_of_others() -> None:
+def test_a_failing_body_lets_branches_of_par_run_and_cancels_those_of_other_blocks() -> None:
     gate = Gate()
     with pytest.raises(Unreachable), par as s:
         s(gate.pass_through)
@@ -83,22 +83,22 @@ def test_a_decided_block_stands_whatever_its_body_does_then(name: str) -> None:
 
     s = late()
     assert s.state is S
-    assert [type(one) for one in s.failures] == [Unreachable]  # nothing vanishes
+    assert [type(failure) for failure in s.failures] == [Unreachable]  # nothing vanishes
     node = tasks.tree().roots[-1]
     assert node.status is S
     assert [(part.name, part.status) for part in node.children] == [("succeeds", S), ("body", F)]
     assert node.children[1].failure.type == "Unreachable"
     failures: list[BaseException] = []
     assert late(failures).state is S
-    assert [type(one) for one in failures] == [Unreachable]
+    assert [type(failure) for failure in failures] == [Unreachable]
     with par as outer:
-        inner = late()  # read here, done by a branch
+        inner = late()  # read here, run by a branch
         outer(succeeds)
     assert (outer.state, inner.state) == (S, S)
-    assert [type(one) for one in inner.failures] == [Unreachable]
+    assert [type(failure) for failure in inner.failures] == [Unreachable]
 
 
-def test_a_failing_body_is_one_more_that_was_tried() -> None:
+def test_a_failing_body_counts_as_one_more_branch() -> None:
     gate = Gate()
     with try_all as s:
         s(gate.pass_through)
@@ -121,7 +121,7 @@ def test_a_failing_body_is_one_more_that_was_tried() -> None:
     assert [branch.state for branch in t.branches] == [S, S]
 
 
-def test_a_cancelled_block_hands_over_what_failed_in_it() -> None:
+def test_a_cancelled_block_collects_its_failures() -> None:
     failed, failures = Gate(), []
 
     def inner() -> None:
@@ -135,7 +135,7 @@ def test_a_cancelled_block_hands_over_what_failed_in_it() -> None:
         s(inner)
         s(failed.pass_through)
     assert s.branches[0].state is C
-    assert [type(one) for one in failures] == [Unreachable]
+    assert [type(failure) for failure in failures] == [Unreachable]
 
 
 def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
@@ -153,7 +153,7 @@ def test_a_sequence_goes_on_when_its_body_handles_the_failure() -> None:
         s(has_a_bug)
 
 
-def test_plain_python_exceptions_are_swallowed_by_nobody_and_cancellation_not_by_except_exception() -> None:
+def test_except_exception_does_not_swallow_cancellation() -> None:
     gate = Gate()
     swallowed = []
 

@@ -1,4 +1,4 @@
-"""Futures stand for the results of branches, whatever is done with them."""
+"""Futures stand for the results of branches in every operation."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def test_futures_are_their_results() -> None:
     with pytest.raises(Unreachable):
         failed.arm  # noqa: B018
     with pursue as s:
-        stopped = s(Gate().pass_through)
+        cancelled = s(Gate().pass_through)
         s(succeeds)
     with pytest.raises(NoResult, match="was cancelled"):
-        bool(stopped)
+        bool(cancelled)
 
 
 def test_futures_are_formatted_rounded_changed_and_copied_as_their_results() -> None:
@@ -51,7 +51,7 @@ def test_futures_are_formatted_rounded_changed_and_copied_as_their_results() -> 
     assert type(copy.copy(table)) is dict
 
 
-def test_whatever_is_done_with_a_future_is_done_with_its_result(tmp_path: Path) -> None:
+def test_operations_on_a_future_apply_to_its_result(tmp_path: Path) -> None:
     file = tmp_path / "x"
     file.write_text("text")
     with par as s:

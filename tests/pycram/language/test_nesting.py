@@ -81,7 +81,7 @@ def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_
         assert list(zip(plan(), strict=True)) == [(None,)]
 
 
-def test_what_began_in_one_branch_does_not_end_in_another() -> None:
+def test_a_scope_opened_in_one_branch_is_not_ended_by_another() -> None:
     def plan() -> Iterator[None]:
         with timeout(100):
             yield

@@ -1,6 +1,6 @@
-"""Random plans: nested blocks, motions that want the same parts of the robot, failures, retries, timeouts, cancellation.
+"""Random plans: nested blocks, motions that need the same resources, failures, retries, timeouts, cancellation.
 
-Whatever they do, they end, leave no thread, and their log tells all of it.
+They end, leave no thread, and their log has the whole task tree.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ class Juggling(MotionDesignator):
 
 @dataclass(frozen=True)
 class Running:
-    """A motion under way, and those that it is part of."""
+    """A running motion, and those that it is part of."""
 
     needs: Resources
     juggler: ProcessModule
     around: tuple[Running, ...]
 
 
-class SceneView:
-    """All motions that are under way: none ever meets another one that needs what it moves, or the same module."""
+class Monitor:
+    """The running motions; asserts that none runs beside one that needs what it moves, or in the same module."""
 
     def __init__(self) -> None:
         self.lock = threading.Lock()
@@ -65,36 +65,36 @@ class SceneView:
         self.around: ContextVar[tuple[Running, ...]] = ContextVar("around", default=())
 
     @contextmanager
-    def on(self, needs: Resources, juggler: ProcessModule) -> Iterator[None]:
-        mine = Running(needs, juggler, self.around.get())
+    def running_with(self, needs: Resources, juggler: ProcessModule) -> Iterator[None]:
+        motion = Running(needs, juggler, self.around.get())
         with self.lock:
             for other in self.running:
-                if other not in mine.around:
+                if other not in motion.around:
                     assert not needs.conflicts(other.needs)
-                    assert juggler is not other.juggler or mine.around != other.around
-            self.running.append(mine)
-        token = self.around.set((*mine.around, mine))
+                    assert juggler is not other.juggler or motion.around != other.around
+            self.running.append(motion)
+        token = self.around.set((*motion.around, motion))
         try:
             yield
         finally:
             self.around.reset(token)
             with self.lock:
-                self.running.remove(mine)
+                self.running.remove(motion)
 
 
 class Juggler(ProcessModule):
     """Moves an object, and may be made of other motions."""
 
-    def __init__(self, stage: SceneView) -> None:
+    def __init__(self, monitor: Monitor) -> None:
         super().__init__()
-        self.stage = stage
+        self.monitor = monitor
 
     def resources(self, designator: Juggling) -> Resources:
         return designator.reference()["needs"]
 
     def _execute(self, designator: Juggling) -> object:
         solution = designator.reference()
-        with self.stage.on(solution["needs"], self):
+        with self.monitor.running_with(solution["needs"], self):
             for action in solution["parts"]:
                 action()
         return solution["body"]
@@ -109,7 +109,7 @@ def resolve(designator: Juggling) -> Iterator[dict[str, object]]:
 
 
 class Plan:
-    """A plan made of dice."""
+    """A random plan."""
 
     def __init__(self, seed: int, world: BulletWorld, jugglers: list[Juggler]) -> None:
         self.dice = random.Random(seed)
@@ -119,7 +119,7 @@ class Plan:
         self.signal = Fluent(0)
 
     def make(self, depth: int, moves: tuple[str, ...] = PARTS) -> Callable[[], object]:  # noqa: PLR0911  one for each sort
-        """A part of the plan; all dice are cast here, before anything runs."""
+        """Make a part of the plan; all dice are cast here, before anything runs."""
         dice = self.dice
         what = dice.random()
         if depth <= 0 or what < 0.10:
@@ -163,7 +163,7 @@ class Plan:
         return lambda: self.world.get_object(body).set_position(place)
 
     def motion(self, depth: int, allowed: tuple[str, ...]) -> Callable[[], object]:
-        """A motion; the motions that it is made of want no more than it has."""
+        """Make a motion; its parts need no more than it has."""
         dice = self.dice
         wanted = tuple(part for part in allowed if dice.random() < 0.4)
         moves = tuple(part for part in wanted if dice.random() < 0.7)
@@ -191,29 +191,29 @@ class Plan:
         return perform
 
     def block(self, depth: int, allowed: tuple[str, ...]) -> Callable[[], object]:
-        """A block with actions of all sorts in its body."""
+        """Make a block with actions of all sorts in its body."""
         dice = self.dice
         kind = dice.choice(KINDS)
         parts = [self.make(depth - 1, allowed) for _ in range(dice.choice((0, 1, 2, 3, 3, 4)))]
-        ways = [dice.randrange(3) for _ in parts]
+        forms = [dice.randrange(3) for _ in parts]
         collected: list[BaseException] | None = [] if dice.random() < 0.3 else None
         if dice.random() < 0.15:
             return lambda: kind(*parts) if parts else None
 
         def run() -> object:
             with kind(collected) if collected is not None else kind as s:
-                handles, given = [], None
-                for part, way in zip(parts, ways, strict=True):
-                    if way == 0:
-                        handles.append(s(part))
-                    elif way == 1:
+                futures, given = [], None
+                for part, form in zip(parts, forms, strict=True):
+                    if form == 0:
+                        futures.append(s(part))
+                    elif form == 1:
                         # a motion or a block in the body, or plain Python; a motion may wait for the one before
                         given = part(given) if part.__name__ == "perform" else part()
                     else:
                         with seq as t:
                             t(part)
-                if handles and ways[0] == 1:
-                    handles[0].result()  # looks at a result in the body
+                if futures and forms[0] == 1:
+                    futures[0].result()  # looks at a result in the body
             assert isinstance(s, Block)
             return None
 
@@ -221,22 +221,22 @@ class Plan:
 
 
 def run(plans: int, first: int, file: Path) -> None:
-    """Runs plans in a world of their own, recorded, and compares."""
+    """Run plans in a world, recorded, and compare task tree and log."""
     faulthandler.dump_traceback_later(200, exit=True)  # the watchdog
     outcomes = {"succeeded": 0, "failed": 0}
     with recorder.record(file), BulletWorld() as world:
         for body in BODIES:
             Object(body, body, f"{body}.stl", [0, 0, 5])
-        stage = SceneView()
-        jugglers = [Juggler(stage) for _ in range(3)]
+        monitor = Monitor()
+        jugglers = [Juggler(monitor) for _ in range(3)]
         chooser = ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("juggler"))
         threads = threading.active_count()
         with chooser, Juggling.resolvers.added(resolve):
             for seed in range(first, first + plans):
-                made = Plan(seed, world, jugglers)
-                beside = [made.block(4, PARTS) for _ in range(2)]
+                plan = Plan(seed, world, jugglers)
+                blocks = [plan.block(4, PARTS) for _ in range(2)]
                 try:
-                    par(*beside)
+                    par(*blocks)
                 except PlanFailure:
                     outcomes["failed"] += 1
                 else:
@@ -247,9 +247,9 @@ def run(plans: int, first: int, file: Path) -> None:
         assert all(node.finished is not None for node in found.nodes.values())
         poses = {body.name: body.get_position_and_orientation() for body in world.objects}
     with replay.open(file) as log:
-        told = log.tree()
-        assert told == found
-        assert len(told) == len(found) > plans
+        recorded = log.tree()
+        assert recorded == found
+        assert len(recorded) == len(found) > plans
         last = [step for step, record in enumerate(log) if type(record).__name__ == "Mutation"][-2]
         state = log.state_at(last).worlds[world.name]
         for name, (position, orientation) in poses.items():

@@ -1,4 +1,4 @@
-"""Timeouts: what takes too long is stopped at its next wait."""
+"""Timeouts: what misses its deadline is cancelled at its next wait."""
 
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
@@ -16,7 +16,7 @@ def test_what_takes_too_long_times_out_at_its_next_wait() -> None:
     with pytest.raises(TimedOut, match=r"within 0\.02 s") as raised, timeout(0.02):
         gate.pass_through()
     assert (raised.value.seconds, raised.value.clock) == (0.02, "wall")
-    with pytest.raises(TimedOut), timeout(1), par as s:  # long enough to begin both, however busy the machine is
+    with pytest.raises(TimedOut), timeout(1), par as s:  # long enough to start both on a busy machine
         s(gate.pass_through)
         s(par, gate.pass_through, gate.pass_through)
     assert [branch.state for branch in s.branches] == [C, C]

@@ -1,4 +1,4 @@
-"""Failure handling: how often, after what and with what something is tried again."""
+"""Failure handling: number of retries, their failures, and their parameters."""
 
 # ruff: noqa: PT012, PT031  the blocks under test have bodies
 from __future__ import annotations
@@ -40,7 +40,7 @@ def test_five_retries_are_six_runs_and_then_the_last_failure_with_the_earlier_on
     assert node.status is F
 
 
-def test_retry_as_the_original_says_it() -> None:
+def test_retry_works_as_in_cram() -> None:
     seen = []
     for attempt in failure_handling(5, arm="left"):
         with attempt:
@@ -88,15 +88,15 @@ def test_retry_in_a_branch_reaches_its_attempt() -> None:
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, SystemExit])
-def test_trying_again_in_one_branch_does_not_hide_a_bug_or_ctrl_c_in_another(error: type[BaseException]) -> None:
-    runs, begun = [], Gate()
+def test_a_retry_in_one_branch_does_not_hide_a_bug_or_ctrl_c_in_another(error: type[BaseException]) -> None:
+    runs, started = [], Gate()
 
     def tries_again() -> None:
-        begun.pass_through()
+        started.pass_through()
         retry()
 
     def breaks_off() -> None:
-        begun.open()
+        started.open()
         raise error
 
     with pytest.raises(error):
@@ -129,13 +129,13 @@ def test_recoveries_by_the_type_of_failure() -> None:
     assert recovered == [["table"]]
     recovered.clear()
     assert handling(act)() == "right"  # as a decorator, and a second time
-    with pytest.raises(KeyError):  # what a recovery raises comes out
+    with pytest.raises(KeyError):  # a recovery's error is raised
         handling.run(lambda **_: (_ for _ in ()).throw(Unreachable("both", [0, 0, 0])))
     with pytest.raises(BadArgument, match="result of the recovery"):
         failure_handling(1).on(PlanFailure, lambda _: 3).run(fails)
 
 
-def test_only_the_named_failures_and_never_bugs_are_tried_again() -> None:
+def test_only_the_named_failures_and_never_bugs_are_retried() -> None:
     runs = []
 
     def run(action: Callable[[], None]) -> None:
@@ -161,7 +161,7 @@ def test_only_the_named_failures_and_never_bugs_are_tried_again() -> None:
         failure_handling(1, ValueError)
 
 
-def test_what_python_cannot_run_again_says_so() -> None:
+def test_misused_failure_handlings_are_refused() -> None:
     with pytest.raises(UsageError, match="for attempt in failure_handling"), failure_handling(5):
         pass
     with pytest.raises(UsageError, match="has to be `with attempt:`"):
@@ -169,7 +169,7 @@ def test_what_python_cannot_run_again_says_so() -> None:
             pass
 
 
-def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
+def test_leaving_the_loop_after_a_failure_ends_the_handling_and_warns() -> None:
     with pytest.warns(FailureLeft, match="after attempt 2 had failed: Unreachable: left arm") as warned:
         for attempt in failure_handling(5):
             with attempt:
@@ -183,7 +183,7 @@ def test_leaving_the_loop_ends_the_handling_and_is_not_silent() -> None:
     assert tasks.current() is None
 
 
-def test_a_cancelled_branch_that_leaves_the_loop_is_not_warned() -> None:
+def test_a_cancelled_branch_that_leaves_the_loop_causes_no_warning() -> None:
     failed = Gate()
 
     def between_attempts() -> None:

@@ -24,7 +24,7 @@ def test_functions_in_a_body_are_branches() -> None:
     assert {results[0], other.result()} == {0, 1}
 
 
-def test_a_branch_may_ask_for_others_until_the_block_has_ended() -> None:
+def test_a_branch_may_add_others_until_the_block_has_ended() -> None:
     done = []
     with par as s:
         s(lambda: s(lambda: s(done.append, 1)))
@@ -46,14 +46,14 @@ def test_no_functions_give_no_results(name: str) -> None:
     assert [*results] == []
 
 
-def test_a_forgotten_with_is_told() -> None:
+def test_a_forgotten_with_causes_a_warning() -> None:
     failures: list[BaseException] = []
     with pytest.warns(NeverOpened, match=r"write `with par\(failures\) as s:`") as warned:
         par(failures)
     assert warned[0].filename == __file__
 
 
-def test_the_five_words_may_be_used_again_in_threads_and_within_themselves() -> None:
+def test_the_five_words_are_reusable_in_threads_and_within_themselves() -> None:
     def deep(levels: int) -> int:
         if not levels:
             return 1

@@ -56,7 +56,7 @@ class CustomModule(ProcessModule):
         return self.action()
 
     def perform(self, kind: str, **slots: object) -> object:
-        """As a user does it: a designator that was given a resolver."""
+        """Perform a designator of the user's, as a user does."""
         given = {"type": kind, "module": self, **slots}
         return ProcessModule.perform(MotionDesignator(list(given.items())))
 
@@ -108,7 +108,7 @@ def test_opposite_orders_of_acquisition_do_not_deadlock() -> None:
                 do(lambda: done.append(1), "right-arm")
                 do(lambda: done.append(1), "left-arm")
     assert len(done) == 80
-    one, two, meeting = Doer(), Doer(), Meeting(2)
+    a, b, meeting = Doer(), Doer(), Meeting(2)
 
     def of(other: Doer, arm: str) -> Callable[[], object]:
         def action() -> None:
@@ -118,10 +118,10 @@ def test_opposite_orders_of_acquisition_do_not_deadlock() -> None:
         return action
 
     with par:
-        do(of(two, "left-arm"), "left-arm", module=one)
-        do(of(one, "right-arm"), "right-arm", module=two)
+        do(of(b, "left-arm"), "left-arm", module=a)
+        do(of(a, "right-arm"), "right-arm", module=b)
     assert done[80:] == [2, 2]
-    do(lambda: do(lambda: done.append(3), module=one), module=one)  # a module that is made of itself
+    do(lambda: do(lambda: done.append(3), module=a), module=a)  # a module that is made of itself
     assert done[-1] == 3
 
 

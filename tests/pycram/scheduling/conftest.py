@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(autouse=True)
 def _watched() -> Iterator[None]:
-    """Nothing hangs, no branch or worker outlives its block, and nothing runs on in the task tree."""
+    """Nothing hangs, no branch or worker outlives its block, and no task stays running in the task tree."""
     faulthandler.dump_traceback_later(60, exit=True)
     before = threading.active_count()
     yield

@@ -16,18 +16,18 @@ from recorder.tracing.span import span
 from tests.pycram.language.gates import C, F, Gate, S, fails
 
 
-def test_other_branches_go_on_while_a_worker_is_blocked() -> None:
+def test_other_branches_run_while_a_worker_is_blocked() -> None:
     messages: queue.Queue[str] = queue.Queue()
-    here, there = socket.socketpair()
-    with here, there, par as s:
+    receiver, sender = socket.socketpair()
+    with receiver, sender, par as s:
         message = s(lambda: in_thread(messages.get, timeout=20))
-        received = s(in_thread, here.recv, 5)
+        received = s(in_thread, receiver.recv, 5)
         s(messages.put, "hello")
-        s(there.send, b"world")
+        s(sender.send, b"world")
     assert (message, received.result()) == ("hello", b"world")
 
 
-def test_what_a_worker_raises_comes_out_in_the_branch() -> None:
+def test_a_worker_s_error_is_raised_in_the_branch() -> None:
     with pytest.raises(Unreachable), par as s:
         s(in_thread, fails)
     assert s.branches[0].state is F

@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
 
 def greenlets() -> list[greenlet]:
-    """Those that have begun and not ended, but for threads' own."""
-    return [one for one in gc.get_objects() if type(one) is greenlet and one and one.parent is not None]
+    """Return those that run, without those of threads."""
+    return [g for g in gc.get_objects() if type(g) is greenlet and g and g.parent is not None]
 
 
 def test_one_branch_runs_at_a_time_from_checkpoint_to_checkpoint() -> None:
@@ -97,7 +97,7 @@ def busy_plan() -> None:
 
 
 def contents(sink: MemorySink) -> list[tuple[object, ...]]:
-    """What was recorded, but for times and the numbers of tasks."""
+    """Return the records without times, and with task numbers relative to the first."""
     first = min((record.task for record in sink.of(Task)), default=0)
     found: list[tuple[object, ...]] = []
     for record in sink.records:
@@ -195,7 +195,7 @@ def test_handlers_of_events_may_wait_while_other_branches_change_the_world(world
     assert order == ["waits", "moved", "goes on"]
 
 
-def test_branches_nest_and_recur_as_deep_as_python_lets_them() -> None:
+def test_branches_nest_and_recur_up_to_the_recursion_limit() -> None:
     def nested(levels: int) -> int:
         if not levels:
             return 0
@@ -259,7 +259,7 @@ def test_each_branch_has_its_own_context_and_exception() -> None:
     assert variable.get() == "outside"
 
 
-def test_a_generator_may_be_gone_on_with_by_another_branch() -> None:
+def test_a_generator_may_be_resumed_by_another_branch() -> None:
     def numbers() -> Iterator[int]:
         for number in range(4):
             checkpoint()
@@ -292,7 +292,7 @@ def test_a_wait_ends_in_time_while_others_are_busy() -> None:
             checkpoint()
 
 
-def test_threads_of_the_plan_s_own_wake_branches_and_ask_for_some() -> None:
+def test_threads_of_the_plan_s_own_wake_and_add_branches() -> None:
     gate, done = Gate(), []
     with par as s:
 
@@ -324,7 +324,7 @@ def test_each_thread_has_branches_of_its_own() -> None:
     assert results == [[0, 1, 2], [0, 1, 2]]
 
 
-def test_a_process_that_a_branch_forks_goes_on_with_all_branches() -> None:
+def test_a_process_that_a_branch_forks_continues_all_branches() -> None:
     order: list[str] = []
     meeting = Meeting(2)
     child = -1
@@ -372,7 +372,7 @@ def test_a_debugger_sees_the_lines_of_branches() -> None:
     assert sorted(lines) == ["a", "a", "b", "b"]
 
 
-def test_records_of_a_thread_that_a_branch_starts_tell_its_own_name(sink: MemorySink) -> None:
+def test_records_of_a_thread_that_a_branch_starts_have_its_own_name(sink: MemorySink) -> None:
     def branch() -> None:
         journal.emit(Event(name="of the branch"))
         thread = threading.Thread(target=lambda: journal.emit(Event(name="of the thread")), name="helper")
