@@ -56,11 +56,11 @@ def _tolerance(text: str) -> float:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the difference; of two whole recordings that differ, the exit code is 1."""
     if options.second is not None:
-        found = difference(log.state_at(options.first), log.state_at(options.second))
+        delta = difference(log.state_at(options.first), log.state_at(options.second))
         if options.json:
-            print_json(facts(found))
+            print_json(facts(delta))
         else:
-            print_text("\n".join(lines(found, whole=options.all)))
+            print_text("\n".join(lines(delta, whole=options.all)))
         return _FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
@@ -81,15 +81,15 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 # --- two steps -------------------------------------------------------------------------------------------------------
 
 
-def facts(found: Difference) -> dict[str, object]:
+def facts(delta: Difference) -> dict[str, object]:
     """Return a difference, for machines."""
     return {
-        "opened": found.opened,
-        "closed": found.closed,
-        "came": [{"world": world, "object": body} for world, body in found.added],
-        "went": [{"world": world, "object": body} for world, body in found.removed],
-        "changed": [_change_facts(change) for change in found.changed],
-        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in found.facts.items()],
+        "opened": delta.opened,
+        "closed": delta.closed,
+        "came": [{"world": world, "object": body} for world, body in delta.added],
+        "went": [{"world": world, "object": body} for world, body in delta.removed],
+        "changed": [_change_facts(change) for change in delta.changed],
+        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in delta.facts.items()],
     }
 
 
@@ -110,21 +110,21 @@ def _change_facts(change: BodyChange) -> dict[str, object]:
     }
 
 
-def lines(found: Difference, *, whole: bool = False) -> Iterator[str]:
+def lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
     """Yield a difference as text; ``whole`` includes settling of physics and every joint."""
-    yield from (f"{world} was opened" for world in found.opened)
-    yield from (f"{world} was closed" for world in found.closed)
-    yield from (f"{body} is new" for _, body in found.added)
-    yield from (f"{body} is gone" for _, body in found.removed)
-    for (world, name), (before, after) in found.facts.items():
+    yield from (f"{world} was opened" for world in delta.opened)
+    yield from (f"{world} was closed" for world in delta.closed)
+    yield from (f"{body} is new" for _, body in delta.added)
+    yield from (f"{body} is gone" for _, body in delta.removed)
+    for (world, name), (before, after) in delta.facts.items():
         yield f"{world}: {name} {_plain(before)} -> {_plain(after)}"
-    shown = found.changed if whole else found.notable
+    shown = delta.changed if whole else delta.notable
     for change in shown:
         yield from _change(change, whole=whole)
-    rest = len(found.changed) - len(shown)
+    rest = len(delta.changed) - len(shown)
     if rest:
         yield (f"{rest} more settled by less than 1 mm" if shown else f"{rest} objects settled by less than 1 mm")
-    if not found:
+    if not delta:
         yield "no difference"
 
 

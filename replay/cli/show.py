@@ -56,8 +56,8 @@ def _lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
 def _items(values: list[Plain], indent: str) -> Iterator[str]:
     for item in values:
         if isinstance(item, dict):
-            first, *others = _lines(item, indent + "  ")
+            first, *rest = _lines(item, indent + "  ")
             yield f"{indent}- {first.strip()}"
-            yield from others
+            yield from rest
         else:
             yield f"{indent}- {json.dumps(item, ensure_ascii=False)}"

@@ -62,10 +62,10 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
         names = "_".join(log.path.stem for log in logs)
         file = temporary_file(f"{names}.rrd")
         convert(logs, file, step)
-    shown: dict[str, object] = {"file": str(file)}
+    result: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
-        shown["viewer"] = show(file, step, options.connect)
-    return shown
+        result["viewer"] = show(file, step, options.connect)
+    return result
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:

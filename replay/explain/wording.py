@@ -86,8 +86,8 @@ def vector(values: Sequence[float]) -> str:
 
 def call(name: str, parameters: Mapping[str, Plain]) -> str:
     """Return a task or query with what it was given."""
-    given = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
-    return f"{name}({given})" if given else name
+    arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
+    return f"{name}({arguments})" if arguments else name
 
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
@@ -129,7 +129,7 @@ def path(file: str) -> str:
     return file
 
 
-def place(line: Line) -> str:
+def location(line: Line) -> str:
     """Return a line of the plan: where it is and what it says."""
     function = f" in {line.function}" if line.function else ""
     return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
@@ -160,88 +160,88 @@ def answer(query: Query) -> str:
     """Return its answer: yes, no, the objects found, or how it failed."""
     if query.HasField("failure"):
         return format_failure(query.failure)
-    found = to_plain(query.answer_json)
-    if isinstance(found, bool):
-        return "yes" if found else "no"
-    if isinstance(found, list):
-        return names([value(item) for item in found])
-    return value(found)
+    result = to_plain(query.answer_json)
+    if isinstance(result, bool):
+        return "yes" if result else "no"
+    if isinstance(result, list):
+        return names([value(item) for item in result])
+    return value(result)
 
 
 def reasons(query: Query) -> str:
     """Return what its answer rests on."""
     evidence = arguments_data(query.evidence)
-    found: list[str] = []
+    phrases: list[str] = []
     for key, item in evidence.items():
         if key in _PHRASES:
-            found += _PHRASES[key](item, evidence)
+            phrases += _PHRASES[key](item, evidence)
         elif isinstance(item, bool | int | float | str):
-            found.append(f"{key.replace('_', ' ')} {value(item)}")
-    return ", ".join(found)
+            phrases.append(f"{key.replace('_', ' ')} {value(item)}")
+    return ", ".join(phrases)
 
 
-def _share(found: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, int | float):
+def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(share, int | float):
         seen, alone = evidence.get("pixels_seen"), evidence.get("pixels_alone")
-        how_much = "all" if found >= 1 else "nothing" if not found else f"{found:.0%}"
+        how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
         yield f"{how_much} of it is seen" + (f" ({seen} of {alone} pixels)" if alone else "")
 
 
-def _hidden(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, dict):
-        for name, share in found.items():
+def _hidden(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(bodies, dict):
+        for name, share in bodies.items():
             yield f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it"
 
 
-def _distance(found: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if not isinstance(found, int | float):
+def _distance(distance: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if not isinstance(distance, int | float):
         return
     if "joints" not in evidence:
-        yield f"{number(found * 1e3)} mm apart" if found >= 0 else f"{number(-found * 1e3)} mm deep"
+        yield f"{number(distance * 1e3)} mm apart" if distance >= 0 else f"{number(-distance * 1e3)} mm deep"
         return
     turn = evidence.get("turn")
     turned = isinstance(turn, int | float) and turn >= math.radians(1)
-    if found >= 1e-3 or turned:
-        yield f"the nearest posture stays {found:.3f} m away" + (
+    if distance >= 1e-3 or turned:
+        yield f"the nearest posture stays {distance:.3f} m away" + (
             f" and is turned by {math.degrees(turn):.0f} degrees" if isinstance(turn, int | float) and turned else ""
         )
     else:
         yield "there is a posture for it"
 
 
-def _obstacles(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, dict) and found:
-        yield f"the arm would touch {names(list(found))}"
+def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(bodies, dict) and bodies:
+        yield f"the arm would touch {names(list(bodies))}"
 
 
 def _angle(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(found, int | float):
-            yield f"{word} {math.degrees(found):.1f} degrees"
+    def phrase(angle: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+        if isinstance(angle, int | float):
+            yield f"{word} {math.degrees(angle):.1f} degrees"
 
     return phrase
 
 
 def _length(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(found, int | float):
-            yield f"{word} {found * 1e3:.1f} mm"
+    def phrase(metres: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+        if isinstance(metres, int | float):
+            yield f"{word} {metres * 1e3:.1f} mm"
 
     return phrase
 
 
-def _links(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, list) and found:
+def _links(links: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(links, list) and links:
         pairs = [
             " and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base"
-            for item in found
+            for item in links
         ]
         yield f"at {names(pairs)}"
 
 
-def _simulated(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, int):
-        yield f"in {found / STEPS_PER_SECOND:.2f} s of simulation"
+def _simulated(steps: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(steps, int):
+        yield f"in {steps / STEPS_PER_SECOND:.2f} s of simulation"
 
 
 def _nothing(_: Plain, __: Mapping[str, Plain]) -> Iterator[str]:

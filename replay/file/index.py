@@ -87,8 +87,8 @@ class Index:
 
     def _clear(self) -> None:
         self.chunks.clear()
-        for found in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
-            found.clear()
+        for table in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
+            table.clear()
 
     def read(self, extent: Extent | ChunkExtent) -> bytes:
         """Return the content of a record, less if the file ends in it.

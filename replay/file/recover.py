@@ -116,8 +116,8 @@ class Scan:
                 )
             except DAMAGE:
                 return
-            known: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
-            if definition.id not in known:
+            defined: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
+            if definition.id not in defined:
                 self._index.define(definition)
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
@@ -221,9 +221,8 @@ class Scan:
         while at < size:
             self._file.seek(at)
             block = self._file.read(_BLOCK + 64)
-            found = sorted(i for mark in _MARKS for i in _all(block, mark))
-            for i in found:
-                offset = at + i - CHUNK_HEAD.size + 4 - HEADER
+            for position in sorted(i for mark in _MARKS for i in _all(block, mark)):
+                offset = at + position - CHUNK_HEAD.size + 4 - HEADER
                 if offset >= start and self._chunk_at(offset, size):
                     return offset
             at += _BLOCK

@@ -101,24 +101,24 @@ def ask(
         if not isinstance(record, Query):
             raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
         question, world = question_of(record), record.world
-    asked = parse(question) if isinstance(question, str) else question
-    if asked.query not in QUERIES:
-        raise NoSuchName("query", asked.query, QUERIES)
+    call = parse(question) if isinstance(question, str) else question
+    if call.query not in QUERIES:
+        raise NoSuchName("query", call.query, QUERIES)
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
     with unrecorded(log, step, name) as restored:
         try:
             for move in moves:
                 _apply(restored, move)
-            found = _call(restored, asked)
+            result = _call(restored, call)
         except NoSuchName as error:  # of an object, which another world may have
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
-            raise BadQuestion(str(asked), str(error)) from error
-        answer = [_item(item) for item in found] if isinstance(found, list) else bool(found)
-        evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
+            raise BadQuestion(str(call), str(error)) from error
+        answer = [_item(item) for item in result] if isinstance(result, list) else bool(result)
+        evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
-    return Answer(step, title, asked, answer, evidence, tuple(moves))
+    return Answer(step, title, call, answer, evidence, tuple(moves))
 
 
 def _apply(world: BulletWorld, move: Move) -> None:
@@ -157,9 +157,9 @@ def _value(world: BulletWorld, parameter: str, term: object) -> object:
 
 
 def _object(world: BulletWorld, name: str) -> Object:
-    found = world.get_objects_by_name(name)
-    if found:
-        return found[0]
+    objects = world.get_objects_by_name(name)
+    if objects:
+        return objects[0]
     if name == "robot" and world.robot is not None:
         return world.robot
     raise NoSuchName("object", name, (body.name for body in world.objects))

@@ -110,15 +110,15 @@ class Reexecution:
                 _COMMANDS[command](self.worlds[record.world], record)
             if command == "close_world":
                 del self.worlds[record.world]
-        now = self._last.record
-        if now is not None:
-            now.seq, now.wall_time_ns, now.thread = record.seq, record.wall_time_ns, record.thread
-            now.world, now.task = record.world, record.task
-            now.source_file, now.source_line = record.source_file, record.source_line
-            now.callers.extend(record.callers)
+        repeated = self._last.record
+        if repeated is not None:
+            repeated.seq, repeated.wall_time_ns, repeated.thread = record.seq, record.wall_time_ns, record.thread
+            repeated.world, repeated.task = record.world, record.task
+            repeated.source_file, repeated.source_line = record.source_file, record.source_line
+            repeated.callers.extend(record.callers)
             if command == "open_world":
-                now.open_world.mode = record.open_world.mode  # a window changes nothing
-        return now
+                repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+        return repeated
 
 
 def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:

@@ -102,10 +102,10 @@ class Scene:
             return self._draw(self._robot_camera(camera, size), size)
         low, high = self._bounds()
         aim = _vector((low + high) / 2) if target is None else _point("target", target)
-        place = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
-        if math.dist(place, aim) < 1e-6:
-            raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
-        return self._draw(_pinhole((place, geometry.look_at(place, aim)), _FIELD_OF_VIEW, size), size)
+        viewpoint = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
+        if math.dist(viewpoint, aim) < 1e-6:
+            raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
+        return self._draw(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size), size)
 
     def _draw(self, camera: Camera, size: tuple[int, int]) -> Image.Image:
         up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
@@ -165,9 +165,9 @@ def write_pictures(log: Log, why: Why, folder: Path) -> list[Path]:
 
 def _middle(why: Why) -> Vector:
     """Return a point between robot and objects, at the height of the objects."""
-    places = [involved.body.position for involved in why.bodies]
-    x, y = (sum(place[axis] for place in places) / len(places) for axis in (0, 1))
-    return x, y, max(place[2] for place in places)
+    positions = [involved.body.position for involved in why.bodies]
+    x, y = (sum(position[axis] for position in positions) / len(positions) for axis in (0, 1))
+    return x, y, max(position[2] for position in positions)
 
 
 def _drawn(log: Log, body: Body) -> _Drawn:

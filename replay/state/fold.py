@@ -179,11 +179,10 @@ class WorldBuilder:
 
     def _attach(self, attachments: Iterable[records.Attachment]) -> None:
         """Add attachments, or change their relative poses."""
-        for made in attachments:
-            position, orientation = _vector(made.position), _quaternion(made.orientation)
-            self.attachments[made.carrier, made.body] = Attachment(
-                made.carrier, made.carrier_link, made.body, made.body_link, position, orientation
-            )
+        for held in attachments:
+            pose = _vector(held.position), _quaternion(held.orientation)
+            attachment = Attachment(held.carrier, held.carrier_link, held.body, held.body_link, *pose)
+            self.attachments[held.carrier, held.body] = attachment
 
     def _set_states(self, states: Iterable[records.BodyState]) -> None:
         """Set the states of bodies; one whose loading is lost stays unknown."""

@@ -46,8 +46,8 @@ def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
         if field.name.endswith("_json"):
             yield field.name.removesuffix("_json"), to_plain(value)
         elif field.enum_type is not None:
-            known = field.enum_type.values_by_number.get(value)
-            yield field.name, known.name.lower() if known else value
+            enum_value = field.enum_type.values_by_number.get(value)
+            yield field.name, enum_value.name.lower() if enum_value else value
         else:
             yield field.name, _value(field, value)
 

@@ -97,10 +97,10 @@ def cached(log: Log, at: int | None = None) -> Path:
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = temporary_file(beside.name)
-    missing = log.problems
+    problems = log.problems
     convert([log], beside)
     made_ns = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
-    if log.problems != missing:
+    if log.problems != problems:
         made_ns = 0  # damage was found on the way: it is to be found, and reported, each time
     os.utime(beside, ns=(made_ns, made_ns))
     return beside
