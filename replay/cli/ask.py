@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, add_world, numbers
-from replay.cli.console import native_output_to_stderr, print_json, print_text
+from replay.cli.arguments import add_step, numbers
+from replay.cli.console import native_output_to_stderr, print_result
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="move an object before asking, to a position in m and an orientation; repeatable",
     )
-    add_world(parser, "in this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -43,12 +43,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         answer = log.ask(
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
         )
-    if options.json:
-        print_json(_data(answer))
-        return 0
-    print_text(f"{answer.question}: {_answer(answer.answer)}")
-    for line in _lines(answer.evidence, "  "):
-        print_text(line)
+    lines = [f"{answer.question}: {_answer(answer.answer)}", *_lines(answer.evidence, "  ")]
+    print_result(lambda: _data(answer), lines, as_json=options.json)
     return 0
 
 

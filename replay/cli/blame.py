@@ -8,7 +8,7 @@ from itertools import takewhile
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Keyframe
-from replay.cli.console import print_json, print_text
+from replay.cli.console import print_result
 from replay.explain import wording
 from replay.explain.blame import commanded
 from replay.explain.step_names import HINT
@@ -39,10 +39,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the change and its causes."""
     change = log.blame(options.object, options.at, options.world)
-    if options.json:
-        print_json(facts(change))
-    else:
-        print_text("\n".join(lines(change)))
+    print_result(lambda: facts(change), lines(change), as_json=options.json)
     return 0
 
 

@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import print_json, print_message, print_text
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FAILED, FINE, INCOMPLETE
 from replay.errors import ReplayError
 from replay.explain import wording
 from replay.explain.compare import compare
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 _MAX_LISTED: Final = 8  # joints and fields that are listed one by one
 _MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
-_FINE, _DIFFERENT, _INCOMPLETE = 0, 1, 3
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -57,25 +57,19 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the difference; of two whole recordings that differ, the exit code is 1."""
     if options.second is not None:
         delta = difference(log.state_at(options.first), log.state_at(options.second))
-        if options.json:
-            print_json(facts(delta))
-        else:
-            print_text("\n".join(lines(delta, whole=options.all)))
-        return _FINE
+        print_result(lambda: facts(delta), lines(delta, whole=options.all), as_json=options.json)
+        return FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
     with open_recording(options.first) as other:
         compared = compare(log, other, options.tolerance)
         problems = other.problems  # it was read to its end
-    if options.json:
-        print_json(_run_facts(compared))
-    else:
-        print_text("\n".join(_run_lines(compared, whole=options.all)))
+    print_result(lambda: _run_facts(compared), _run_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")
     if problems or log.problems:  # lost records may be the difference
-        return _INCOMPLETE
-    return _DIFFERENT if compared.divergence is not None or compared.difference else _FINE
+        return INCOMPLETE
+    return FAILED if compared.divergence is not None or compared.difference else FINE
 
 
 # --- two steps -------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import print_json, print_text
+from replay.cli.console import print_result
 from replay.explain.summary import summary
 from replay.explain.wording import one_line
 from replay.file.lifetimes import title
@@ -27,10 +27,8 @@ def add(_: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the summary."""
     info = summary(log)
-    if options.json:
-        print_json(_data(log, info))
-    else:
-        print_text("\n".join(f"{name:12} {text}" for name, text in _lines(log, info) if text))
+    lines = (f"{name:12} {text}" for name, text in _lines(log, info) if text)
+    print_result(lambda: _data(log, info), lines, as_json=options.json)
     return 0
 
 

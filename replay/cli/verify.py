@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import native_output_to_stderr, print_json, print_text
+from replay.cli.console import native_output_to_stderr, print_result
 from replay.cli.main import FAILED, FINE
 
 if TYPE_CHECKING:
@@ -37,11 +37,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     with native_output_to_stderr(), _progress(len(log)) as progress:
         verification = verify(log, progress)
     seconds = time.perf_counter() - start
-    if options.json:
-        print_json(_plain(verification, seconds))
-    else:
-        for line in _lines(verification, seconds):
-            print_text(line)
+    print_result(lambda: _plain(verification, seconds), _lines(verification, seconds), as_json=options.json)
     return FINE if verification.sound else FAILED
 
 

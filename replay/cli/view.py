@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.console import native_output_to_stderr, print_json, print_message, print_text
+from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 from replay.recording import open_recording
@@ -40,10 +40,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if options.web:
             return _serve(logs, wants_json=options.json)
         shown = _open(logs, step, options)
-    if options.json:
-        print_json(shown)
-    else:
-        print_text(str(shown["file"]))
+    print_result(lambda: shown, [str(shown["file"])], as_json=options.json)
     return 0
 
 

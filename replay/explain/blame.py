@@ -132,11 +132,11 @@ def _removal(log: Log, state: State, target: str, world: str | None, error: NoSu
     """Return the record that removed a body, or the one with that joint, from a world that is still open.
 
     Raises:
-        NoSuchName: there is none; it says so if the body was in a world that had been closed by then.
+        NoSuchName: there is none; with a hint if the body was in a world that had been closed by then.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error says so itself
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error has that hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _bodies(target) if candidates or some_closed else ():
@@ -187,11 +187,8 @@ class _Search:
     """A search backwards through a world's changes."""
 
     def __init__(self, log: Log, subject: _Subject) -> None:
-        self._log = log
-        self._subject = subject
-        self._world = subject.world
-        self._body = subject.body
-        self._joint = subject.joint
+        self._log, self._subject = log, subject
+        self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
         """Return the last change; and if that was physics, what happened to it before."""
@@ -206,7 +203,7 @@ class _Search:
         raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record that did more than let it settle; found without folding states."""
+        """Return the last earlier record of more than settling, without folding states."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -225,7 +222,7 @@ class _Search:
         return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """Return what a record says of it: position and orientation, or the joint's value."""
+        """Return its values in a record: position and orientation, or the joint's value."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -278,8 +275,8 @@ class _Search:
             before = self._value(state)
             how, chain = _how(record, state.world(self._world), self._body)
         carried = tuple(self._carried(held, record.seq) for held in chain)
-        found = causes(self._log, record)
-        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, found)
+        because = causes(self._log, record)
+        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, because)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)

@@ -34,7 +34,7 @@ class ParsedException:
 
     Attributes:
         type: its type's name.
-        message: what it says.
+        message: its message.
         lines: the plan's own lines that led to it, outermost first.
     """
 

@@ -69,7 +69,7 @@ class Source:
         return tuple(line for line in lines if line is not None)
 
     def text(self, file: str) -> str:
-        """Return what a file said; "" if it is not attached, or damaged."""
+        """Return the text of a file; "" if it is not attached, or damaged."""
         key = self._keys.get(name_of(file))
         if key is None:
             return ""

@@ -24,11 +24,9 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 def step_of(log: Log, name: int | str) -> int:
     """Return the number of a step.
 
-    Args:
-        log: the recording.
-        name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
-            explains), simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the
-            first world that gets so far), or a task, see :func:`task_step`.
+    Names are numbers (negative ones count from the end), ``last``, ``failure`` (the moment that ``why`` explains),
+    simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the first world that gets
+    so far), and tasks, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -60,13 +58,10 @@ def _failure(log: Log) -> int:
 
 
 def task_step(log: Log, text: str) -> int:
-    """Return the start or the end of a task.
+    """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
-    Args:
-        log: the recording.
-        text: ``task:PATH@start`` or ``task:PATH@end``. A path is names from the outside in, such as ``par/moving`` or
-            just ``pick-up``, or the task's id; it may leave out outer tasks. Of several that fit it is the first;
-            ``task:pick-up#2@end`` is the second, ``#-1`` the last.
+    A path is names from the outside in, such as ``par/moving`` or just ``pick-up``, or the task's id; it may leave out
+    outer tasks. Of several that fit it is the first; ``task:pick-up#2@end`` is the second, ``#-1`` the last.
 
     Raises:
         NoSuchStep: there is no such task, or it has not ended.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from recorder.records import Task
-from recorder.tasks import Node, State, Tree
+from recorder.tasks import Tree
 from replay.explain.root_cause import root_cause, uncaught_failure
 
 if TYPE_CHECKING:
     from replay.file.log import Log
-
-__all__ = ["Node", "State", "Tree", "tree"]
 
 
 def tree(log: Log, stop: int | None = None) -> Tree:

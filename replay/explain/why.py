@@ -14,7 +14,7 @@ from recorder.records import Query
 from replay.errors import NoSuchStep
 from replay.explain.explanation import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.explain.failed_tasks import failures
-from replay.explain.root_cause import root_cause
+from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.source import Source
 from replay.explain.summary import failed_threads, final_step, summary
 from replay.state.diff import difference
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from replay.explain.failed_tasks import Failures, TaskExecution
-    from replay.explain.root_cause import RootCause
     from replay.explain.summary import Summary
     from replay.file.log import Log
     from replay.state.json_data import Plain
@@ -37,12 +36,7 @@ _MOVED: Final = 0.001  # m from which on a body counts as moved since a query
 
 
 def why(log: Log, step: int | None = None) -> Why:
-    """Explain a failure.
-
-    Args:
-        log: the recording.
-        step: one of a task that failed, or the first after it did; by default that of
-            :func:`replay.explain.root_cause.root_cause`.
+    """Explain the failed task that a step is part of, or the last before it; by default the root cause.
 
     Raises:
         NoSuchStep: there is no such step, or nothing failed until then.
@@ -50,7 +44,8 @@ def why(log: Log, step: int | None = None) -> Why:
     failed = failures(log)
     run = summary(log)
     if step is not None:
-        return _task_failure(log, run, _failed_at(log, failed, step))
+        task = _failed_at(log, failed, step)
+        return _task_failure(log, run, task, RootCause(task.end, task))
     cause = root_cause(log, failed)
     unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.parts))
     if cause is None:
@@ -76,11 +71,7 @@ def _failed_at(log: Log, failed: Failures, step: int) -> TaskExecution:
 
 
 def _task_failure(
-    log: Log,
-    run: Summary,
-    task: TaskExecution,
-    cause: RootCause | None = None,
-    unfinished: tuple[TaskExecution, ...] = (),
+    log: Log, run: Summary, task: TaskExecution, cause: RootCause, unfinished: tuple[TaskExecution, ...] = ()
 ) -> Why:
     source, motion = Source(log), task.motion
     start, end = motion.started.seq, task.end
@@ -98,9 +89,9 @@ def _task_failure(
     return Why(
         run,
         end,
-        (cause.failure if cause is not None else None) or task.failure,
-        thread=cause.thread if cause is not None else "",
-        exceptions=cause.exceptions if cause is not None else (),
+        cause.failure or task.failure,
+        thread=cause.thread,
+        exceptions=cause.exceptions,
         task=task,
         call_stack=next(filter(None, (source.call_stack(execution.started) for execution in task.around())), ()),
         world=world,

@@ -56,9 +56,8 @@ def one_line(text: str) -> str:
 
 def number(amount: float) -> str:
     """Return a number with three decimals, without trailing zeros."""
-    return (
-        f"{amount:.3f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(amount) < 5e-4 else _trimmed(f"{amount:.3f}")
-    )
+    text = f"{amount:.3f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def apart(before: float, after: float) -> tuple[str, str]:
@@ -73,10 +72,6 @@ def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
     """Return two positions or the like, with as many digits as distinguish them."""
     pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
-
-
-def _trimmed(text: str) -> str:
-    return text.rstrip("0").rstrip(".")
 
 
 def vector(values: Sequence[float]) -> str:
@@ -130,7 +125,7 @@ def path(file: str) -> str:
 
 
 def location(line: Line) -> str:
-    """Return a line of the plan: where it is and what it says."""
+    """Return a line of the plan: its location and its text."""
     function = f" in {line.function}" if line.function else ""
     return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
 
@@ -175,16 +170,16 @@ def reasons(query: Query) -> str:
     for key, item in evidence.items():
         if key in _PHRASES:
             phrases += _PHRASES[key](item, evidence)
-        elif isinstance(item, bool | int | float | str):
+        elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
             phrases.append(f"{key.replace('_', ' ')} {value(item)}")
     return ", ".join(phrases)
 
 
 def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
     if isinstance(share, int | float):
-        seen, alone = evidence.get("pixels_seen"), evidence.get("pixels_alone")
+        visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
         how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
-        yield f"{how_much} of it is seen" + (f" ({seen} of {alone} pixels)" if alone else "")
+        yield f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
 
 
 def _hidden(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
@@ -214,18 +209,10 @@ def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
         yield f"the arm would touch {names(list(bodies))}"
 
 
-def _angle(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(angle: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(angle, int | float):
-            yield f"{word} {math.degrees(angle):.1f} degrees"
-
-    return phrase
-
-
-def _length(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(metres: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(metres, int | float):
-            yield f"{word} {metres * 1e3:.1f} mm"
+def _measure(verb: str, factor: float, unit: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
+    def phrase(amount: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+        if isinstance(amount, int | float):
+            yield f"{verb} {amount * factor:.1f} {unit}"
 
     return phrase
 
@@ -244,23 +231,16 @@ def _simulated(steps: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
         yield f"in {steps / STEPS_PER_SECOND:.2f} s of simulation"
 
 
-def _nothing(_: Plain, __: Mapping[str, Plain]) -> Iterator[str]:
-    yield from ()
-
-
 #: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
 _PHRASES: Final[Mapping[str, Callable[[Plain, Mapping[str, Plain]], Iterator[str]]]] = {
     "share": _share,
-    "pixels_seen": _nothing,
-    "pixels_alone": _nothing,
     "hidden_by": _hidden,
-    "reached": _nothing,
     "distance": _distance,
-    "turn": _nothing,
     "obstacles": _obstacles,
-    "moved": _length("it moved"),
-    "turned": _angle("turned"),
+    "moved": _measure("it moved", 1e3, "mm"),
+    "turned": _measure("turned", math.degrees(1), "degrees"),
     "links": _links,
     "simulated_steps": _simulated,
-    "moved_after_steps": _nothing,
 }
+#: Parts that the phrases of others include.
+_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

@@ -75,11 +75,7 @@ class Chunks:
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """Return the types of record in a chunk, and their worlds, by its channels.
-
-        Returns:
-            Type of record, and the world that the channel is for; None if it doesn't name exactly one.
-        """
+        """Return for each channel of a chunk its type of record and its world; None if it doesn't name exactly one."""
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
@@ -93,14 +89,9 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """Yield the records of a chunk; nothing but what is asked for is decoded.
+        """Yield the records of a chunk, of some types, of a world, that have a text in one of their fields.
 
-        Args:
-            number: of the chunk.
-            kinds: only those of this type, or of one of these.
-            world: only those of this world.
-            backwards: the last one first.
-            naming: only those that have this text in one of their fields.
+        Nothing but what is asked for is decoded.
         """
         types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if types is not None and not any(kind in types for kind, _ in self.channels(number)):
@@ -139,11 +130,6 @@ class Chunks:
                 record = self._decode(number, entries, at)
                 if record is not None:
                     yield record, self._owners[channel]
-
-    def check(self, number: int) -> None:
-        """Read and decodes a whole chunk, and notes in ``damaged`` what is wrong with it."""
-        for _ in self.records(number):
-            pass
 
     # --- search for a step -------------------------------------------------------------------------------------------
 

@@ -52,7 +52,7 @@ class Lifetime:
 
 
 def title(world: str, number: int) -> str:
-    """Return what people call a world: its name, and which of that name it is if it isn't the first."""
+    """Return the title of a world: its name, and its number among those of that name if it isn't the first."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")

@@ -167,13 +167,7 @@ class Log:
     @overload
     def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream records; nothing but what is asked for is decoded.
-
-        Args:
-            kind: only those of this type, or of one of these.
-            start: the first step, from 0.
-            stop: the step before which to end; the end by default.
-        """
+        """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded."""
         end = self._steps if stop is None else min(stop, self._steps)
         if start >= end:
             return
@@ -187,12 +181,9 @@ class Log:
     @overload
     def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
-        """Stream records from a step down to the first.
+        """Stream records from a step (negative ones count from the end) down to the first.
 
-        Args:
-            start: the step to begin with; negative ones count from the end.
-            kind: only those of this type, or of one of these.
-            naming: only those that have this text in one of their fields; the others are not decoded.
+        Only those of one or several types, that have a text in one of their fields, are decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -231,7 +222,8 @@ class Log:
     def check(self) -> str:
         """Read everything once, and return :attr:`problems`."""
         for number in range(len(self._chunks)):
-            self._chunks.check(number)
+            for _ in self._chunks.records(number):
+                pass  # what is damaged is noted on the way
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]

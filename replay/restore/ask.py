@@ -75,12 +75,7 @@ class Answer:
 
 
 def ask(
-    log: Log,
-    step: int,
-    question: str | Question | None = None,
-    *,
-    world: str | None = None,
-    moves: Sequence[Move] = (),
+    log: Log, step: int, question: str | Question | None = None, *, world: str | None = None, moves: Sequence[Move] = ()
 ) -> Answer:
     """Ask a query at a past step; no recording mentions it.
 

@@ -45,12 +45,7 @@ class _LastMutation:
 
 
 class Reexecution:
-    """Worlds in which recorded changes are made again; a context manager that closes them.
-
-    Args:
-        log: the recording.
-        suffix: follows the worlds' names and "@".
-        mode: "DIRECT" or "GUI".
+    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again; a context manager that closes them.
 
     Attributes:
         worlds: those that are open, by their recorded names.
@@ -122,13 +117,7 @@ class Reexecution:
 
 
 def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a world as it was after a step, with all that the engine knew: its future is the original's, bit for bit.
-
-    Args:
-        log: the recording.
-        step: from 0.
-        name: of the world, which is open after that step.
-        mode: "DIRECT" or "GUI".
+    """Return a world that is open after a step, with all that the engine knew: its future is the original's.
 
     Raises:
         NotRestored: the world began before the recording.

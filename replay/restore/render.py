@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 with needed("render"):
     from PIL import Image
 
-_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, where no camera says another
+_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
 _SIDE: Final = (-0.55, -0.65, 0.55)  # default direction from the middle to the viewpoint, in the robot's frame
 _PADDING: Final = 0.004  # m around collision shapes, as the physics engine has it
@@ -134,7 +134,7 @@ class Scene:
         return np.min([drawn.low for drawn in chosen], axis=0), np.max([drawn.high for drawn in chosen], axis=0)
 
     def _viewpoint(self, aim: Vector, low: NDArray[np.float64], high: NDArray[np.float64]) -> Vector:
-        """Return a place over the robot's shoulder from which a box is seen whole."""
+        """Return a viewpoint over the robot's shoulder from which a box is seen whole."""
         distance = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
         heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
         direction = np.array(geometry.rotate(heading, _SIDE))

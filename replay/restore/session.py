@@ -36,14 +36,7 @@ def variables_of(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
         identifier = re.sub(r"\W", "_", name)
         if identifier.isidentifier() and not keyword.iskeyword(identifier):
             variables.setdefault(identifier, body)
-    return variables | {
-        "world": world,
-        "robot": world.robot,
-        "objects": objects,
-        "log": log,
-        "step": step,
-        "btr": btr,
-    }
+    return variables | {"world": world, "robot": world.robot, "objects": objects, "log": log, "step": step, "btr": btr}
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:

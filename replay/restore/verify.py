@@ -5,7 +5,7 @@ last bit: every pose, joint, velocity, attachment and simulated sample. That hol
 on one kind of computer; elsewhere the last bits may differ, which contacts amplify. Then the result says how near it
 is. In a world that began before its recording, changes without physics are compared to a micrometre.
 
-What a recording says to other tools (``/tf``, ``/log``) follows from its records and is not compared.
+Messages for other tools (``/tf``, ``/log``) follow from the records and are not compared.
 """
 
 from __future__ import annotations

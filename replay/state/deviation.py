@@ -1,4 +1,4 @@
-"""Deviations of what is found from what is recorded, with their place and size."""
+"""Deviations of actual from recorded values, with their field and size."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Deviation:
 
 
 def first_deviation(recorded: Plain, actual: Plain, field: str = "") -> Deviation | None:
-    """Return the first place in which two values of plain data differ; None if they are the same."""
+    """Return the first deviation between two values of JSON data; None if they are equal."""
     return next(_deviations(recorded, actual, field), None)
 
 

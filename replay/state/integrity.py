@@ -1,7 +1,7 @@
 """Checks whether a recording is consistent; for this no world is needed.
 
 Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; every keyframe
-equals the fold of the records before it; every attached file has the content that its name's hash says.
+equals the fold of the records before it; the content of every attached file has the hash in its name.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Integrity:
         self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
-        """Return what the records so far say of a world that they know."""
+        """Return the state of a known world after the records so far."""
         return self._worlds[name].build()
 
     def task(self, number: int) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ class Body:
         velocity: of its base, linear (m/s), then angular (rad/s).
         joints: values by name, rad or m.
         joint_velocities: by name, rad/s or m/s.
-        color: RGBA 0..1; empty: as its model says.
+        color: RGBA 0..1; empty: that of its model.
     """
 
     name: str
