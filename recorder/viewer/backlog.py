@@ -66,11 +66,7 @@ class Backlog:
             self._changed.notify()
 
     def take(self, max_items: int, max_bytes: int) -> list[Item]:
-        """Waits for items, and removes the oldest ones, no more once they have that many bytes.
-
-        Returns:
-            Items in order; none when the backlog has ended and all have been taken.
-        """
+        """Waits for items, and takes the oldest until they have so many bytes; none when it has ended and is empty."""
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)

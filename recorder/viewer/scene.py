@@ -114,10 +114,9 @@ class Scene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Positions of the joints that lead to a link, if some of them had other positions, in rad or m.
+        """Points in the world, in m, of the joints from the first of the given ones (rad or m) to a link.
 
-        Returns:
-            Points in the world in m, from the first of these joints out to the link; empty without a model.
+        The other joints are as they are; there are no points without a model.
         """
         scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         if scene_body is None or model is None or link not in model.links:

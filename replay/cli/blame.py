@@ -174,9 +174,8 @@ def _call_stack(stack: _CallStack, printed: list[_CallStack]) -> Iterator[str]:
 
 def _held(carried: Carried, printed: list[_CallStack]) -> Iterator[str]:
     held = carried.held
-    link = f" ({held.carrier_link})" if held.carrier_link else ""
     if carried.step is None or carried.causes is None:
-        yield f"  {held.carrier}{link} held {held.body} already when the recording began"
+        yield f"  {wording.carrier(held)} held {held.body} already when the recording began"
         return
-    yield f"  {held.carrier}{link} held {held.body} since step {carried.step}, where it was attached"
+    yield f"  {wording.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
     yield from _because(carried.causes, "    ", printed)

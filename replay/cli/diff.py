@@ -131,11 +131,8 @@ def _plain(value: object) -> str:
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     changes = []
     if change.moved or (whole and (change.distance or change.angle)):
-        turned = (
-            f", turned by {wording.degrees(change.angle)}"
-            if change.angle >= (0.0 if whole else _MIN_TURN) and change.angle
-            else ""
-        )
+        is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
+        turned = f", turned by {wording.degrees(change.angle)}" if is_turned else ""
         before, after = wording.vectors(change.before[0], change.after[0])
         changes.append(f"moved by {wording.length(change.distance)}{turned}: {before} -> {after}")
     if change.carrier_changed:
@@ -164,9 +161,7 @@ def _travel(item: tuple[str, tuple[float, float]]) -> float:
 
 
 def _holder(held: Attachment | None) -> str:
-    if held is None:
-        return "nothing"
-    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
+    return "nothing" if held is None else wording.carrier(held)
 
 
 # --- two recordings --------------------------------------------------------------------------------------------------

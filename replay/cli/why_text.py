@@ -182,11 +182,7 @@ def _involved(involved: InvolvedBody) -> str:
     text = f"{body.name} at {wording.vector(body.position)}"
     if involved.is_robot:
         text += f", facing {_degrees(heading(body))}"
-        text += (
-            f", holding {wording.names([held.body for held in involved.holds])}"
-            if involved.holds
-            else ", holding nothing"
-        )
+        text += f", holding {wording.names([held.body for held in involved.holds])}"
     elif involved.distance is not None and involved.bearing is not None:
         side = math.degrees(involved.bearing)
         turn = (

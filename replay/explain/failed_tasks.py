@@ -81,10 +81,7 @@ class TaskExecution:
     @property
     def motion(self) -> TaskExecution:
         """The motion that it is part of, or is; itself if there is none."""
-        for task in self.around():
-            if task.started.kind == "motion":
-                return task
-        return self
+        return next((task for task in self.around() if task.started.kind == "motion"), self)
 
     def around(self) -> Iterator[TaskExecution]:
         """Yield the task itself and those that it is part of, outwards."""

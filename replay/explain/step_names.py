@@ -35,7 +35,10 @@ def step_of(log: Log, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        return _failure(log)
+        cause = root_cause(log)
+        if cause is None:
+            raise NoSuchStep("failure", len(log), "nothing failed")
+        return cause.step
     if text.startswith("task:"):
         return task_step(log, text)
     try:
@@ -48,13 +51,6 @@ def step_of(log: Log, name: int | str) -> int:
     if not 0 <= step < len(log):
         raise NoSuchStep(number, len(log))
     return step
-
-
-def _failure(log: Log) -> int:
-    cause = root_cause(log)
-    if cause is None:
-        raise NoSuchStep("failure", len(log), "nothing failed")
-    return cause.step
 
 
 def task_step(log: Log, text: str) -> int:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.explain.source import Line
     from replay.state.json_data import Plain
+    from replay.state.state import Attachment
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
@@ -128,6 +129,11 @@ def location(line: Line) -> str:
     """Return a line of the plan: its location and its text."""
     function = f" in {line.function}" if line.function else ""
     return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def carrier(held: Attachment) -> str:
+    """Return a carrier, with the link that holds a body."""
+    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
 def line(record: Record) -> str:

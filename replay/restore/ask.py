@@ -77,15 +77,11 @@ class Answer:
 def ask(
     log: Log, step: int, question: str | Question | None = None, *, world: str | None = None, moves: Sequence[Move] = ()
 ) -> Answer:
-    """Ask a query at a past step; no recording mentions it.
+    """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
 
-    Args:
-        log: the recording.
-        step: from 0.
-        question: as ``visible(milk, wide_stereo_optical_frame)``; all of :data:`QUERIES`, with the arguments of
-            :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again.
-        world: its name; by default the open one that was opened last.
-        moves: what is moved before, with all that it carries.
+    Questions are as ``visible(milk, wide_stereo_optical_frame)``: any of :data:`QUERIES`, with the arguments of
+    :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again, in its
+    world. By default the world is the open one that was opened last.
 
     Raises:
         BadQuestion: it can't be read, that world has no answer to it, or the step's record is no query.

@@ -81,11 +81,7 @@ class Integrity:
         return tuple(reversed(names))
 
     def check(self, record: Record) -> Problem | None:
-        """Take the next record.
-
-        Returns:
-            What is wrong with it, or with what should have come before it.
-        """
+        """Take the next record; return the problem with it, or with what should have come before it."""
         step = record.seq
         if step != self.steps:
             lost = str(self.steps) if step == self.steps + 1 else f"{self.steps} to {step - 1}"
@@ -105,12 +101,8 @@ class Integrity:
         if isinstance(record, Keyframe) and record.world in self._worlds:
             deviation = self._compare(record)
             if deviation is not None:
-                return Problem(
-                    step,
-                    "the keyframe differs from the fold of the records before it",
-                    deviation,
-                    self.task(record.task),
-                )
+                cause = "the keyframe differs from the fold of the records before it"
+                return Problem(step, cause, deviation, self.task(record.task))
         if isinstance(record, Mutation | Keyframe):
             try:
                 apply(self._worlds, record)
