@@ -25,7 +25,7 @@ _PERIOD: Final = 0.2  # s between progress messages
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add nothing."""
+    """Describe the exit codes."""
     parser.epilog = "Exit code 0: it is sound. 1: it isn't. 3: its readable part is, but it is incomplete."
 
 

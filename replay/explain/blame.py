@@ -85,13 +85,9 @@ class Blame:
 
 
 def blame(log: Log, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return what last changed a body or a joint.
+    """Return what last changed a body, or as ``BODY.JOINT`` a joint, until a step.
 
-    Args:
-        log: the recording.
-        target: name of a body, or ``BODY.JOINT``.
-        at: the step until which to look; by default the last one before worlds were closed.
-        world: name of the world; by default, of those that have the body, the one that was opened last.
+    By default that is the last one before worlds were closed, in the world opened last of those that have the body.
 
     Raises:
         NoSuchStep: there is no such step.

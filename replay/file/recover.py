@@ -6,6 +6,7 @@ This is how recordings are read whose process was killed or is still running, an
 from __future__ import annotations
 
 import io
+import re
 import zlib
 from collections import defaultdict
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -29,14 +30,14 @@ from replay.file.layout import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container
 
     from replay.file.index import Index
 
 _MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
 _BLOCK: Final = 1 << 20
 #: Part of the head of each compressed chunk, by which the next one is found after damage.
-_MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
+_MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 
 
 class Scan:
@@ -219,8 +220,8 @@ class Scan:
         while at < size:
             self._file.seek(at)
             block = self._file.read(_BLOCK + 64)
-            for position in sorted(i for mark in _MARKS for i in _all(block, mark)):
-                offset = at + position - CHUNK_HEAD.size + 4 - HEADER
+            for mark in _MARK.finditer(block):
+                offset = at + mark.start() - CHUNK_HEAD.size + 4 - HEADER
                 if offset >= start and self._chunk_at(offset, size):
                     return offset
             at += _BLOCK
@@ -235,10 +236,3 @@ class Scan:
         self._file.seek(offset)
         opcode, length = LENGTH.unpack(self._file.read(HEADER))
         return opcode, Extent(offset + HEADER, length)
-
-
-def _all(block: bytes, mark: bytes) -> Iterator[int]:
-    at = block.find(mark)
-    while at >= 0:
-        yield at
-        at = block.find(mark, at + 1)
