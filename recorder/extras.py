@@ -42,20 +42,13 @@ class NotInstalled(ModuleNotFoundError):
 
 
 def hint(extra: str) -> str:
-    """Return what to type to install an extra.
-
-    Args:
-        extra: its name in pyproject.toml.
-    """
+    """Return what to type to install an extra of pyproject.toml."""
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
 
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """Import something within that may not be installed.
-
-    Args:
-        extra: the extra that is to be installed; by default the first that brings the module.
+    """Import something within that may not be installed; the extra is by default the first that brings the module.
 
     Raises:
         NotInstalled: an extra brings it.

@@ -12,9 +12,9 @@ _MAX_SUGGESTED: Final = 3
 _MAX_LISTED: Final = 10
 
 
-def nearest(name: str, known: Iterable[str]) -> list[str]:
-    """Return the known names that are spelt most like a name, the nearest first; none if no one is like it."""
-    return difflib.get_close_matches(name, list(known), _MAX_SUGGESTED)
+def nearest(name: str, known: Iterable[str], similarity: float = 0.6) -> list[str]:
+    """Return up to 3 known names that are at least that similar (0 to 1) to a name, the most similar first."""
+    return difflib.get_close_matches(name, list(known), _MAX_SUGGESTED, similarity)
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.extras import needed
 from replay.explain.blame import blame
 from replay.explain.step_names import step_of
 from replay.explain.tree import tree
@@ -69,8 +68,7 @@ class Recording(Log):
         world: str | None = None,
     ) -> Image.Image:
         """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`."""
-        with needed("render"):
-            from replay.restore.render import Scene  # noqa: PLC0415
+        from replay.restore.render import Scene  # noqa: PLC0415
 
         return Scene(self, self.step(step), world).picture(camera=camera, eye=eye, target=target, size=size)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from functools import partial
 from typing import TYPE_CHECKING
+
+from recorder.suggestions import nearest
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -20,13 +21,13 @@ def qualified_name(function: object) -> str:
 
 def nearest_names(name: object, known: Iterable[str]) -> list[str]:
     """Return up to 3 known names that are similar to a given one, the most similar first."""
-    return difflib.get_close_matches(str(name), known, n=3, cutoff=0.4)
+    return nearest(str(name), known, 0.4)
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the end of an error message that suggests similar names: "; did you mean ...?", "" without any."""
-    nearest = ", ".join(nearest_names(name, known))
-    return f"; did you mean {nearest}?" if nearest else ""
+    names = ", ".join(nearest_names(name, known))
+    return f"; did you mean {names}?" if names else ""
 
 
 def export(module: str, *classes: type) -> None:

@@ -9,7 +9,6 @@ A joint without a given value is at 0. Every joint has a value of its own, as in
 
 from __future__ import annotations
 
-import difflib
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,6 +18,7 @@ from typing import TYPE_CHECKING
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose
 from recorder.geometry.joints import Joint, UrdfError, read_joint
+from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -93,7 +93,7 @@ class Urdf:
         try:
             return self.joints[name]
         except KeyError:
-            raise UrdfError(self.name, f"it has no joint {name!r}; {_near(name, self.joints)}") from None
+            raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> Joint | None:
         """The joint whose child is a link; None for the root.
@@ -103,7 +103,7 @@ class Urdf:
         """
         joint = self._parents.get(link)
         if joint is None and link != self.root:
-            raise UrdfError(self.name, f"it has no link {link!r}; {_near(link, self.links)}")
+            raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[Joint, ...]:
@@ -113,22 +113,18 @@ class Urdf:
             UrdfError: a link doesn't exist, or the tip is no descendant of the base.
         """
         self.parent_joint(base_link)
-        found: list[Joint] = []
+        joints: list[Joint] = []
         link = tip_link
         while link != base_link:
             joint = self.parent_joint(link)
             if joint is None:
                 raise UrdfError(self.name, f"link {tip_link} doesn't hang on {base_link}")
-            found.append(joint)
+            joints.append(joint)
             link = joint.parent
-        return tuple(reversed(found))
+        return tuple(reversed(joints))
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
-        """Pose of a link in the root link.
-
-        Args:
-            positions: joint values in rad or m by name; by default 0.
-            link: name of the link.
+        """Pose of a link in the root link, from joint values in rad or m by name; by default 0.
 
         Raises:
             UrdfError: there is no such link.
@@ -151,35 +147,29 @@ class Urdf:
         return {joint.child: joint for joint in self.joints.values()}
 
 
-def _near(name: str, known: Iterable[str]) -> str:
-    names = list(known)
-    nearest = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
-    return f"did you mean {', '.join(nearest)}?" if nearest else f"it has {len(names)} of them"
-
-
 def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:
-    found: dict[str, None] = {}
+    unique: dict[str, None] = {}
     for name in names:
         if not name:
             raise UrdfError(robot, f"a {kind} has no name")
-        if name in found:
+        if name in unique:
             raise UrdfError(robot, f"it has two {kind}s of the name {name}")
-        found[name] = None
-    return list(found)
+        unique[name] = None
+    return list(unique)
 
 
 def _ends(robot: str, links: list[str], joints: list[Joint]) -> tuple[dict[str, Joint], dict[str, list[str]]]:
     """The joint above each link, and the links below it."""
-    known = set(links)
+    names = set(links)
     parents: dict[str, Joint] = {}
     children: dict[str, list[str]] = {}
     for joint in joints:
         for role, link in (("parent", joint.parent), ("child", joint.child)):
-            if link not in known:
-                raise UrdfError(robot, f"{role} {link!r} of joint {joint.name} is no link; {_near(link, links)}")
+            if link not in names:
+                raise UrdfError(robot, f"{role} {link!r} of joint {joint.name} is no link; {suggestion(link, links)}")
         if joint.child in parents:
-            other = parents[joint.child].name
-            raise UrdfError(robot, f"link {joint.child} has two parent joints, {other} and {joint.name}")
+            first = parents[joint.child].name
+            raise UrdfError(robot, f"link {joint.child} has two parent joints, {first} and {joint.name}")
         parents[joint.child] = joint
         children.setdefault(joint.parent, []).append(joint.child)
     return parents, children

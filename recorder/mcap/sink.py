@@ -2,7 +2,7 @@
 
 What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
 after its first record, and at once after a failure and the start or end of the run. Chunks are handed to the operating
-system unbuffered; from there on only the machine itself could lose them.
+system unbuffered; from there on only a failure of the computer could lose them.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ _PACKAGES: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh"
 
 def versions() -> dict[str, str]:
     """Versions of what a recording depends on, the platform and the arguments of the process."""
-    found = {}
+    installed = {}
     for package in _PACKAGES:
         try:
-            found[package] = version(package)
+            installed[package] = version(package)
         except PackageNotFoundError:
-            found[package] = "not installed"
-    return found | {
+            installed[package] = "not installed"
+    return installed | {
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
@@ -111,8 +111,8 @@ class McapSink:
 
     def _begin(self, metadata: Mapping[str, str]) -> None:
         with self._guarded():
-            found = versions()
-            self._writer = McapWriter(self._file, f"pycram {found['pycram']}")
+            software = versions()
+            self._writer = McapWriter(self._file, f"pycram {software['pycram']}")
             messages: dict[str, type[Message]] = {topic: kind for kind, topic in TOPICS.items()}
             messages |= {"/tf": FrameTransforms, "/log": Log}
             for topic, message in messages.items():
@@ -120,11 +120,11 @@ class McapSink:
                 self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
                 if topic not in _PER_WORLD:
                     self._register(topic)
-            self._writer.add_metadata("pycram", found | dict(metadata))
+            self._writer.add_metadata("pycram", software | dict(metadata))
             self._writer.flush()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
-        """Adds a channel; where it names its world, the file's index says which chunks concern that world."""
+        """Adds a channel; where it names its world, the file's index has the chunks of that world."""
         metadata = {"world": world, "life": str(lifetime)} if lifetime else {}
         channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], metadata)
         self._channels[topic, world, lifetime] = channel
@@ -162,7 +162,7 @@ class McapSink:
         return lifetime
 
     def _add_foxglove(self, record: Record) -> None:
-        """Buffers the messages of a record for other people's tools."""
+        """Buffers a record's messages for other tools."""
         for message in self._frames.transforms(record):
             payload = message.SerializeToString()
             self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
@@ -245,13 +245,13 @@ class McapSink:
                         self._flush()
 
     def _check(self) -> None:
-        """Raises if something was lost before."""
+        """Raises the earlier error, if records were lost by one."""
         if self._failed is not None:
             raise RecordingError(self.path, str(self._failed), HINT)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Raises what went wrong with the file, now and at each later use."""
+        """Raises an error of the file as a RecordingError, now and at each later use."""
         self._check()
         try:
             yield
@@ -262,15 +262,15 @@ class McapSink:
 
 def _descriptors(message: type[Message]) -> bytes:
     """A message's definition with all that it imports, which comes first."""
-    found = FileDescriptorSet()
-    seen: set[str] = set()
+    descriptors = FileDescriptorSet()
+    added: set[str] = set()
 
     def add(file: Any) -> None:  # protobuf's two runtimes have two types for it
-        if file.name not in seen:
-            seen.add(file.name)
+        if file.name not in added:
+            added.add(file.name)
             for dependency in file.dependencies:
                 add(dependency)
-            file.CopyToProto(found.file.add())
+            file.CopyToProto(descriptors.file.add())
 
     add(message.DESCRIPTOR.file)
-    return found.SerializeToString()
+    return descriptors.SerializeToString()

@@ -49,12 +49,7 @@ _FOOTER_START: Final = struct.Struct("<BQQQ")  # as far as the summary's CRC cov
 
 
 class McapWriter:
-    """Writes one MCAP file; for one thread at a time.
-
-    Args:
-        file: at its start.
-        library: name of the writing software.
-    """
+    """Writes one MCAP file from its start; for one thread at a time. ``library`` names the writing software."""
 
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file

@@ -63,7 +63,7 @@ def _unreserved(name: str) -> str:
 
 
 class BodyMotion(NamedTuple):
-    """What of a body changed in a simulated step.
+    """State delta of a body in a simulated step.
 
     Attributes:
         sim_step: the simulated step.
@@ -112,8 +112,8 @@ class FrameTree:
 
     def model(self, world: str, body: str) -> Urdf | None:
         """The model of a body that was loaded; None if it is not known."""
-        known = self._bodies.get((world, body))
-        return known.model if known is not None else None
+        loaded = self._bodies.get((world, body))
+        return loaded.model if loaded is not None else None
 
     def motions(self, record: Record) -> list[BodyMotion]:
         """The bodies that a record moved, in the order of simulated time, with their frames that changed."""
@@ -149,27 +149,27 @@ class FrameTree:
 
     def _load(self, world: str, loaded: LoadBody) -> None:
         model = self._models.get(loaded.assets[0].sha256) if loaded.assets else None
-        known = self._bodies.get((world, loaded.body))
-        if known is None or known.model is not model:
+        current = self._bodies.get((world, loaded.body))
+        if current is None or current.model is not model:
             self._bodies[world, loaded.body] = _Body(world, loaded.body, model)
 
     def _motion(self, world: str, sim_step: int, state: BodyState, *, whole: bool) -> BodyMotion:
-        body = state.body
-        known = self._bodies.get((world, body))
-        if known is None:
-            known = self._bodies[world, body] = _Body(world, body, None)
+        name = state.body
+        body = self._bodies.get((world, name))
+        if body is None:
+            body = self._bodies[world, name] = _Body(world, name, None)
         frames = []
         position, joints = state.position[:], state.joints[:]
         if position:
             x, y, z = position
             i, j, k, w = state.orientation[:]
-            frames.append((known.frame, ((x, y, z), (i, j, k, w))))
+            frames.append((body.frame, ((x, y, z), (i, j, k, w))))
         values = dict(zip(joints, state.joint_positions[:], strict=True)) if joints else {}
-        model = known.model
+        model = body.model
         if model is not None and (whole or values):
-            for joint, frame in known.links(model, model.joints if whole else values):
+            for joint, frame in body.links(model, model.joints if whole else values):
                 frames.append((frame, joint.pose(values.get(joint.name, 0.0))))
-        return BodyMotion(sim_step, body, frames, values)
+        return BodyMotion(sim_step, name, frames, values)
 
 
 def _message(sim_step: int, frames: Iterable[tuple[Frame, Pose]]) -> FrameTransforms:

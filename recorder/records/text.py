@@ -1,4 +1,4 @@
-"""One line of text for each record, also for other people's tools (``foxglove.Log`` on /log).
+"""One line of text for each record, also for other tools (``foxglove.Log`` on /log).
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
@@ -35,12 +35,7 @@ class Lines:
         self._moment = self._line.timestamp
 
     def of(self, record: Record, time_ns: int) -> bytes | None:
-        """The line of a record, serialized; None if it has none.
-
-        Args:
-            record: any.
-            time_ns: its time, in ns since the Unix epoch.
-        """
+        """The line of a record, serialized, at a time in ns since the Unix epoch; None if it has none."""
         if not has_line(record):
             return None
         kind, line, moment = type(record), self._line, self._moment

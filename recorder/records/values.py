@@ -32,7 +32,7 @@ def _plain(value: object) -> object:
     exact = _EXACT.get(type(value))
     if exact is not None:
         return exact(value)
-    record = getattr(type(value), "__record__", None)  # of its real type: a lazy result says that it is one
+    record = getattr(type(value), "__record__", None)  # of its real type: a lazy result imitates another
     if record is not None:
         return _plain(record(value))
     for kinds, plain in _PLAIN:
@@ -114,12 +114,7 @@ def format_error(error: BaseException) -> str:
 
 
 def failure(error: BaseException, *, trace: bool = True) -> Failure:
-    """An exception as a record carries it: type, message, data and traceback.
-
-    Args:
-        error: its fields are its ``data`` mapping where it has one.
-        trace: whether with its traceback, which takes the most time.
-    """
+    """An exception as a record carries it: type, message, its ``data`` if any, and traceback, which takes longest."""
     data = getattr(error, "data", None)
     lines: list[str] = []
     if trace:

@@ -204,11 +204,11 @@ class Node:
 
     def same(self, other: Node) -> bool:
         """Whether another node and all below it have the same records."""
-        mine, others = (
+        records, other_records = (
             [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
             for tree in (self, other)
         )
-        return mine == others
+        return records == other_records
 
     def __repr__(self) -> str:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"
@@ -231,10 +231,9 @@ def is_dealt_with(ends: Iterable[Task | None]) -> bool:
 
 
 def decisive(origins: Sequence[_Failing]) -> _Failing | None:
-    """The task whose failure decides a plan: the last that nothing around it dealt with, else the last.
+    """The task whose failure decides a plan, of those in which failures began, in the order of their ends.
 
-    Args:
-        origins: the tasks in which failures began, in the order of their ends.
+    It is the last that nothing around it dealt with, else the last.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 

@@ -16,17 +16,11 @@ from recorder.tasks.node import Node, State, walk
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-_MARKS: Final = {
-    State.SUCCEEDED: "+",
-    State.FAILED: "X",
-    State.CANCELLED: "-",
-    State.RUNNING: "?",
-    State.CREATED: ".",
-}
+_MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
 _MAX_WIDTH: Final = 100  # characters of parameters
 _WITH_PARAMETERS: Final = ("motion", "attempt", "failure-handling")  # whose parameters aren't shown elsewhere
-_WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names say what they are
+_WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,14 +43,7 @@ class Row:
 def rows(
     roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False
 ) -> Iterator[Row]:
-    """All tasks, each before its children; siblings alike that succeeded are folded.
-
-    Args:
-        roots: the outermost tasks.
-        failure_path: from the outermost task down to the failure.
-        depth: number of levels.
-        whole: whether to show siblings that are alike one by one.
-    """
+    """All tasks down to a depth, each before its children; siblings alike are folded unless ``whole``."""
     failing = {node.id for node in failure_path}
     stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_folded(roots, whole=whole))]
     while stack:

@@ -1,7 +1,7 @@
 """The tree of tasks: what was part of what, how each ended, and the path down to the one that failed.
 
 A tree is the fold of task records, and nothing else: a running plan folds its records as they are made, a reader those
-of a log, with this same class. So a plan sees of itself what the log will say.
+of a log, with this same class. So the tree of a running plan is that of its log.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Tree:
 
     Attributes:
         nodes: by id.
-        began: id of the task in which the plan's failure began, where more is known than the tasks say; 0 if it began
+        began: id of the task in which the plan's failure began, where it is known from elsewhere; 0 if it began
             in none; None to go by the tasks.
     """
 
@@ -57,12 +57,7 @@ class Tree:
         return tuple(sorted(self._roots.values(), key=BY_ID))
 
     def apply(self, record: Task, size: int = 0) -> Node:
-        """Adds a record, which is kept, and returns its task.
-
-        Args:
-            record: the next one.
-            size: its bytes, where they are known already.
-        """
+        """Adds the next record, which is kept, and returns its task; ``size`` is its bytes, where they are known."""
         number, phase = record.task, record.phase
         if self._weighs and not size:
             size = record.ByteSize()
@@ -125,12 +120,7 @@ class Tree:
         return list(began.around())[::-1] if began is not None else []
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-        """Lines of text; see :mod:`recorder.tasks.text`.
-
-        Args:
-            depth: number of levels.
-            whole: whether to show siblings that are alike one by one.
-        """
+        """Lines of text; see :func:`recorder.tasks.text.rows`."""
         return text.lines(self.roots, self.failure_path(), depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
@@ -138,11 +128,7 @@ class Tree:
         return "\n".join(self.lines(depth, whole=whole))
 
     def facts(self, depth: int | None = None) -> list[dict[str, object]]:
-        """All tasks as data for JSON, each before its children.
-
-        Args:
-            depth: number of levels.
-        """
+        """All tasks down to a depth as data for JSON, each before its children."""
         return text.facts(self.roots, self.failure_path(), depth)
 
     def to_json(self) -> str:
@@ -154,12 +140,7 @@ class Tree:
         return picture.dot(self.roots, self.failure_path())
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """A picture of the tree with its times, as an SVG document.
-
-        Args:
-            depth: number of levels.
-            whole: whether to show siblings that are alike one by one.
-        """
+        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.text.rows`."""
         return picture.svg(self.roots, self.failure_path(), depth, whole=whole)
 
     def __str__(self) -> str:
@@ -168,8 +149,8 @@ class Tree:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Tree):
             return NotImplemented
-        mine, others = self.roots, other.roots
-        return len(mine) == len(others) and all(a.same(b) for a, b in zip(mine, others, strict=True))
+        roots, other_roots = self.roots, other.roots
+        return len(roots) == len(other_roots) and all(a.same(b) for a, b in zip(roots, other_roots, strict=True))
 
     def __len__(self) -> int:
         return len(self.nodes)

@@ -49,13 +49,15 @@ class AttachmentMarks:
             if body.loaded.robot_description and (world, name) not in self._cameras:
                 self._show_camera(world, name, body, now)
 
-    def _show_attachment(self, world: str, made: Attachment, now: TimePoint) -> None:
-        path = self._columns.path(world, "attachments", made.carrier, made.carrier_link or "base", made.body)
-        self._attached[world, made.carrier, made.body] = path
-        self._columns.set_frame(path, self._scene.frame(world, made.carrier, made.carrier_link))
-        line = [(0.0, 0.0, 0.0), tuple(made.position)]
+    def _show_attachment(self, world: str, attachment: Attachment, now: TimePoint) -> None:
+        path = self._columns.path(
+            world, "attachments", attachment.carrier, attachment.carrier_link or "base", attachment.body
+        )
+        self._attached[world, attachment.carrier, attachment.body] = path
+        self._columns.set_frame(path, self._scene.frame(world, attachment.carrier, attachment.carrier_link))
+        line = [(0.0, 0.0, 0.0), tuple(attachment.position)]
         self._columns.send(
-            path, now, rr.LineStrips3D([line], colors=[YELLOW], radii=[_LINE], labels=[f"holds {made.body}"])
+            path, now, rr.LineStrips3D([line], colors=[YELLOW], radii=[_LINE], labels=[f"holds {attachment.body}"])
         )
 
     def _show_camera(self, world: str, name: str, body: SceneBody, now: TimePoint) -> None:
@@ -78,5 +80,5 @@ def _changes(
     """Attachments that were made, and those of the pairs of carrier and body that ended."""
     if not isinstance(record, Keyframe):
         return record.effect.attached, [(ended.carrier, ended.body) for ended in record.effect.detached]
-    made = {(attachment.carrier, attachment.body) for attachment in record.attachments}
-    return record.attachments, [pair for pair in pairs if pair not in made]
+    carried = {(attachment.carrier, attachment.body) for attachment in record.attachments}
+    return record.attachments, [pair for pair in pairs if pair not in carried]

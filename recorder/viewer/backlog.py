@@ -27,10 +27,6 @@ _OVERHEAD: Final = 200  # bytes of an item in Python, about
 class Backlog:
     """A queue that never makes its writer wait.
 
-    Args:
-        max_items: bound on the number of items.
-        max_bytes: bound on their bytes.
-
     Attributes:
         dropped: number of records that were dropped.
     """
@@ -70,15 +66,7 @@ class Backlog:
             self._changed.notify()
 
     def take(self, max_items: int, max_bytes: int) -> list[Item]:
-        """Waits for items, and removes the oldest ones.
-
-        Args:
-            max_items: bound on their number.
-            max_bytes: no more when they have that many bytes.
-
-        Returns:
-            Items in order; none when the backlog has ended and all have been taken.
-        """
+        """Waits for items, and takes the oldest until they have so many bytes; none when it has ended and is empty."""
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)

@@ -27,12 +27,7 @@ _EYE: Final = (-2.6, -2.6, 2.3)  # m, from a world's centre
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """The layout for a recording.
-
-    Args:
-        worlds: centres of its worlds in m, as far as they are known.
-        front: name of the world whose tab is open; by default the first.
-    """
+    """The layout for a recording, by the centres of its known worlds in m, with the tab of ``front`` open."""
     left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 

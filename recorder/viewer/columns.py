@@ -62,12 +62,7 @@ class Series:
 
 
 class Columns:
-    """Buffers of all entities of a stream; for one thread.
-
-    Args:
-        stream: where rows are sent.
-        root: the entity that all others are below; "" for none.
-    """
+    """Buffers of all entities of a stream, below a root entity if one is named; for one thread."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream

@@ -1,4 +1,4 @@
-"""Who shows a plan while it runs: a viewer that is started, one that somebody else starts, or pages in browsers.
+"""Live viewers: one that is started here, one that is started elsewhere, or pages in browsers.
 
 All speak one protocol: a server at a ``rerun+http`` address, to which records are sent, or from which pages fetch them.
 """
@@ -18,7 +18,7 @@ PORT: Final = 9876  # where viewers listen by default
 PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
 RECORDS_PORT: Final = 9877
 LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
-POLL_PERIOD: Final = 0.2  # s between two looks for a viewer
+POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {
@@ -103,9 +103,9 @@ def answers(url: str) -> bool:
         connection.close()
 
 
-def free_port(wanted: int) -> int:
+def free_port(preferred: int) -> int:
     """The wanted port if nobody listens there on any address of this machine, else one that is free."""
-    for port in (wanted, 0):
+    for port in (preferred, 0):
         try:
             with socket.create_server(("", port)) as server:
                 return int(server.getsockname()[1])

@@ -21,10 +21,7 @@ def draw(
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
     """Draws a link's shapes: one entity for all boxes, one for all cylinders, one for each mesh.
 
-    Args:
-        shapes: of one link.
-        meshes: gives a mesh's content; None if it is not known.
-        color: of the whole body; None for the shapes' own.
+    ``meshes`` gives a mesh's content, None if it is not known; without a color of the body, shapes have their own.
 
     Yields:
         Names, unique within the link, and what is to be shown there.

@@ -39,11 +39,7 @@ _CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
 
 
 def main(arguments: list[str]) -> None:
-    """Serves one recording to its end.
-
-    Args:
-        arguments: the socket's descriptor, the target, the recording's title.
-    """
+    """Serves one recording to its end, given the socket's descriptor, the target and the recording's title."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
@@ -148,7 +144,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
 
 
 class _Display:
-    """Translates batches; skips what can't be shown, and says so once."""
+    """Translates batches; skips what can't be shown, and reports that once."""
 
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
@@ -191,7 +187,7 @@ class _Display:
 
 
 def _deliver(stream: rr.RecordingStream) -> None:
-    """Waits until the viewer has taken what was sent, if it takes an hour.
+    """Waits until the viewer has taken what was sent, however long that takes.
 
     Raises:
         ViewerGone: it never will.

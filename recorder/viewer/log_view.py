@@ -1,4 +1,4 @@
-"""What a recording says in words: log lines, tables, the last query, and tasks as timeline and graph. Needs no scene.
+"""A recording as text and tables: log lines, tables, the last query, and tasks as timeline and graph. Needs no scene.
 
 Log lines have levels, and one entity for each kind of record, so that kinds can be hidden. They begin with the step,
 which is what people type: the viewer's own column of times has room for two digits, and shows another time line when

@@ -1,6 +1,6 @@
 """Marks in the scene, in the frame of the world's root: targets of motions, failures, and what the last query found.
 
-A failure's mark and its line in the log are one entity: whoever selects the line sees the place. A query's marks are
+A failure's mark and its line in the log are one entity: selecting the line shows the position. A query's marks are
 green where its answer is yes (or nothing blocks), red where it is no.
 """
 
@@ -13,15 +13,7 @@ import rerun as rr
 from recorder import geometry
 from recorder.records import Task
 from recorder.records.text import by_name
-from recorder.viewer.scene_lookup import (
-    camera_position,
-    name_of,
-    parsed,
-    position,
-    robot,
-    target_position,
-    vector,
-)
+from recorder.viewer.scene_lookup import camera_position, name_of, parsed, position, robot, target_position, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,7 +42,7 @@ _LINK: Final = 0.015
 _ARROW: Final = 0.35
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # of a failure, above the words of its target
-_ABOVE_ROBOT: Final = 1.8  # where a failure without a place is shown
+_ABOVE_ROBOT: Final = 1.8  # where a failure without a position is shown
 _MAX_LETTERS: Final = 60
 _NO: Final = ("false", "null", "[]", "")
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
@@ -137,13 +129,16 @@ class TaskMarks:
         shapes: list[rr.AsComponents] = [
             rr.TextLog(numbered(f"{record.name}: {kind}: {message}", now), level="ERROR", color=RED)
         ]
-        place = target_position(self._scene, record.world, parsed(record.failure.data)) or target
-        if place is None and (found := robot(self._scene, record.world)) is not None:
-            place = geometry.transform(found[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
-        if place is not None:
-            x, y, z = place
+        position_failed = target_position(self._scene, record.world, parsed(record.failure.data)) or target
+        if position_failed is None and (named_robot := robot(self._scene, record.world)) is not None:
+            position_failed = geometry.transform(named_robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
+        if position_failed is not None:
+            x, y, z = position_failed
             top = (x, y, z + _PIN)
-            shapes += [_points([top], RED, [f"{record.name} failed: {kind}"], _FAILURE), _line([place, top], RED)]
+            shapes += [
+                _points([top], RED, [f"{record.name} failed: {kind}"], _FAILURE),
+                _line([position_failed, top], RED),
+            ]
         self._failures.add(record.world, (FAILURES,), now, *shapes)
 
 
@@ -181,9 +176,9 @@ class QueryMarks:
         for fact, verb in _BLOCKING.items():
             names = evidence.get(fact)
             poses = {name: scene.pose(world, name) for name in names} if isinstance(names, dict) else {}
-            found = {name: pose[0] for name, pose in poses.items() if pose is not None}
-            if found:
-                yield fact, _points(list(found.values()), RED, [f"{name} {verb}" for name in found])
+            positions = {name: pose[0] for name, pose in poses.items() if pose is not None}
+            if positions:
+                yield fact, _points(list(positions.values()), RED, [f"{name} {verb}" for name in positions])
         asked_robot = name_of(values.get("robot"))
         camera = camera_position(scene, world, values["camera"], asked_robot) if "camera" in values else None
         if camera is not None and body is not None:

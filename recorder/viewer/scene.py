@@ -66,12 +66,7 @@ class SceneBody:
 
 
 class Scene:
-    """The bodies of all worlds.
-
-    Args:
-        columns: where rows go.
-        frames: models and frames of the bodies.
-        prefix: before the names of all frames.
+    """The bodies of all worlds; the names of all frames begin with a prefix.
 
     Attributes:
         bodies: by world, then name.
@@ -103,13 +98,13 @@ class Scene:
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
         """Current pose of a body's base or link in the world; None if there is no such thing."""
-        found = self.bodies.get(world, {}).get(body)
-        if found is None or not link:
-            return found.pose if found is not None else None
+        scene_body = self.bodies.get(world, {}).get(body)
+        if scene_body is None or not link:
+            return scene_body.pose if scene_body is not None else None
         model = self._frames.model(world, body)
         if model is None or link not in model.links:
             return None
-        return geometry.multiply(found.pose, model.forward_kinematics(found.joints, link))
+        return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
 
     def centre(self, world: str) -> Vector:
         """Mean position of objects and robots in m; the origin if there are none."""
@@ -119,22 +114,15 @@ class Scene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Positions of the joints that lead to a link, if some of them stood elsewhere.
+        """Points in the world, in m, of the joints from the first of the given ones (rad or m) to a link.
 
-        Args:
-            world: name of the world.
-            body: name of the body.
-            link: name of the link.
-            joints: positions of some joints in rad or m; the others are as they are.
-
-        Returns:
-            Points in the world in m, from the first of these joints out to the link; empty without a model.
+        The other joints are as they are; there are no points without a model.
         """
-        found, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
-        if found is None or model is None or link not in model.links:
+        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        if scene_body is None or model is None or link not in model.links:
             return []
         points: list[Vector] = []
-        pose, values = found.pose, found.joints | joints
+        pose, values = scene_body.pose, scene_body.joints | joints
         for joint in model.chain(model.root, link):
             pose = geometry.multiply(pose, joint.pose(values.get(joint.name, 0.0)))
             if points or joint.name in joints:
@@ -227,8 +215,8 @@ class Scene:
 def _removed(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> list[str]:
     """Names of bodies that are no more, or have another model than before."""
     if isinstance(record, Keyframe):
-        kept = {loaded.body for loaded in record.loaded if _is_same(bodies.get(loaded.body), loaded)}
-        return [name for name in bodies if name not in kept]
+        unchanged = {loaded.body for loaded in record.loaded if _is_same(bodies.get(loaded.body), loaded)}
+        return [name for name in bodies if name not in unchanged]
     command = record.WhichOneof("command")
     if command == "open_world":  # what a world had when it was closed is shown on: there is nothing more to see
         return list(bodies)

@@ -1,4 +1,4 @@
-"""Positions that records speak of (targets, bodies, cameras), from the values that they carry."""
+"""Positions of targets, bodies and cameras, from the values in records."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def position(value: object) -> Vector | None:
     """The position, or that of the pose, that a recorded value is; None if it is neither."""
     if isinstance(value, list) and len(value) == 2:
         value = value[0]
-    found = vector(value, 3)
-    return (found[0], found[1], found[2]) if found is not None else None
+    numbers = vector(value, 3)
+    return (numbers[0], numbers[1], numbers[2]) if numbers is not None else None
 
 
 def camera_of(robot: LoadBody) -> Mapping[str, Any]:
-    """What a robot's description says of its camera; empty if it says nothing."""
+    """The camera in a robot's description; empty if there is none."""
     try:
         camera = tomllib.loads(robot.robot_description).get("camera", {})
     except ValueError:
@@ -54,11 +54,11 @@ def camera_of(robot: LoadBody) -> Mapping[str, Any]:
 
 
 def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
-    """Where values want something: at a position, else where an object is; None if they don't say."""
+    """The target position among values: a position, else that of an object; None if there is neither."""
     for value in values.values():
-        found = position(value)
-        if found is not None:
-            return found
+        point = position(value)
+        if point is not None:
+            return point
     for value in values.values():
         body = scene.bodies.get(world, {}).get(name_of(value))
         if body is not None and not body.loaded.robot_description:
@@ -69,25 +69,18 @@ def target_position(scene: Scene, world: str, values: Values) -> Vector | None:
 def robot(scene: Scene, world: str, name: str = "") -> tuple[str, SceneBody] | None:
     """The robot of that name, else the one that plans control, else any; None if the world has none."""
     bodies = scene.bodies.get(world, {})
-    for wanted in (name, scene.robots.get(world, "")):
-        if wanted in bodies:
-            return wanted, bodies[wanted]
+    for candidate in (name, scene.robots.get(world, "")):
+        if candidate in bodies:
+            return candidate, bodies[candidate]
     return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
 
 
 def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Where a camera is; None if that isn't known.
-
-    Args:
-        scene: whose robot it is on.
-        world: name of the world.
-        camera: a position, a pose, or the name of a frame; by default the robot's camera.
-        robot_name: by default the world's robot.
-    """
-    found = robot(scene, world, robot_name)
-    if isinstance(camera, list) or found is None:
+    """Where a camera is, given as position, pose or frame, by default the robot's own; None if that isn't known."""
+    owner = robot(scene, world, robot_name)
+    if isinstance(camera, list) or owner is None:
         return position(camera)
-    name, body = found
+    name, body = owner
     frame = str(camera or camera_of(body.loaded).get("frame", ""))
     pose = scene.pose(world, name, frame) if frame else None
     return pose[0] if pose is not None else None

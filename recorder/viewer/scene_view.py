@@ -1,4 +1,4 @@
-"""What a recording looks like: the scene with its marks, the curves, and which world is in front."""
+"""A recording as a picture: the scene with its marks, the curves, and the world that is in front."""
 
 from __future__ import annotations
 
@@ -26,11 +26,7 @@ _UNKNOWN: Final = "change"  # of another version
 
 
 class SceneView:
-    """Scene, marks and curves of a recording.
-
-    Args:
-        columns: where rows go.
-        prefix: before the names of all frames.
+    """Scene, marks and curves of a recording; the names of all frames begin with a prefix.
 
     Attributes:
         scene: the bodies.

@@ -51,11 +51,7 @@ _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that deliver 
 
 
 class RerunSink:
-    """A sink that is a viewer.
-
-    Args:
-        live: which viewer: "spawn", "connect", "connect:URL", "serve" or a URL.
-        title: name of the recording.
+    """A sink that is a viewer: "spawn", "connect", "connect:URL", "serve" or a URL.
 
     Raises:
         RecordingError: ``live`` is none of these.
@@ -70,14 +66,14 @@ class RerunSink:
         self._settled = threading.Event()  # nothing is waited for: the viewer has all, is gone or isn't there yet
         self._sending = threading.Lock()
         self._started = time.monotonic()
-        self._connection, theirs = Pipe()
-        with theirs:
-            self._process = _start(theirs, live, title)
+        self._connection, child_end = Pipe()
+        with child_end:
+            self._process = _start(child_end, live, title)
         self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
         self._thread.start()
 
     def final_metadata(self) -> dict[str, str]:
-        """What the file says of the viewer when it ends."""
+        """Metadata about the viewer, for the end of the file."""
         return {"viewer_dropped": str(self._backlog.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -90,7 +86,7 @@ class RerunSink:
         self._backlog.put(asset, transient=False)
 
     def close(self) -> None:
-        """Ends; waits a moment for the viewer, but not for ever."""
+        """Ends; waits for the viewer up to a timeout."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -115,11 +111,11 @@ class RerunSink:
             )
 
     def _hand_over(self) -> bool:
-        """Gives the rest to the process, and frees the thread; whether the process took it."""
-        giving = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
-        giving.start()
-        giving.join(_HAND_OVER_TIMEOUT)
-        if giving.is_alive():  # the process doesn't read any more
+        """Sends the rest to the process, and unblocks the thread; returns whether the process took it."""
+        sender = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
+        sender.start()
+        sender.join(_HAND_OVER_TIMEOUT)
+        if sender.is_alive():  # the process doesn't read any more
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
@@ -136,7 +132,7 @@ class RerunSink:
             self._connection.send([])
 
     def _run(self) -> None:
-        """The thread's: one batch at a time."""
+        """Sends one batch at a time, in a thread of its own."""
         try:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
@@ -154,9 +150,9 @@ class RerunSink:
         """Waits for a batch and sends it, an empty one at the end; returns when it began to send something."""
         with self._sending:  # what is taken out is sent before the rest
             batch = self._backlog.take(_MAX_ITEMS, _MAX_BYTES)
-            begun = time.monotonic()
+            started = time.monotonic()
             self._connection.send(batch)
-        return begun if batch else None
+        return started if batch else None
 
     def wait(self) -> None:
         """Waits while pages can be opened: after the end, until somebody ends their server or interrupts."""
@@ -168,12 +164,12 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
         process.kill()
 
 
-def _start(theirs: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
+def _start(child_end: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
     """Starts the translating process; its standard input is closed when this one ends, however it ends."""
     return subprocess.Popen(  # noqa: S603  our own code
-        [sys.executable, "-c", _CODE, _ROOT, str(theirs.fileno()), live, title],
+        [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
-        pass_fds=[theirs.fileno()],
+        pass_fds=[child_end.fileno()],
         env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # it prints what matters; the viewer was asked for
     )

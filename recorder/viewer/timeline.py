@@ -72,8 +72,8 @@ class Timeline:
             lane.labels[state] = (name + STATUS_MARKS.get(status, ""), status)
             labels, statuses = zip(*lane.labels.values(), strict=True)
             colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
-            looks = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
-            self._columns.send_static(lane.path, looks)
+            configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
+            self._columns.send_static(lane.path, configuration)
         self._columns.add(lane.path, _states, running.since, state)
 
     def _lane(self, running: _Running) -> _Lane:

@@ -21,12 +21,7 @@ _BATCH: Final = 20_000  # records; sending fewer takes more time, and more take 
 
 
 class Translator:
-    """Shows records in a viewer. For one thread.
-
-    Args:
-        stream: where rows are sent.
-        root: the entity that all others are below, and the prefix of all frames; "" for none.
-    """
+    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._columns = Columns(stream, root)

@@ -98,10 +98,10 @@ def _serve_records(stream: rr.RecordingStream, port: int) -> None:
     stream.flush(timeout_sec=_START_TIMEOUT)  # which raises if it hasn't got the port
 
 
-def _on_free_port(wanted: int, serve: Callable[[int], object]) -> int:
+def _on_free_port(preferred: int, serve: Callable[[int], object]) -> int:
     """Serves on the wanted port, or on another one that is free."""
     for _ in range(_MAX_TRIES):
-        port = free_port(wanted)
+        port = free_port(preferred)
         try:
             serve(port)
         except (OSError, RuntimeError):  # the latter is the library's type for all errors
@@ -113,10 +113,7 @@ def _on_free_port(wanted: int, serve: Callable[[int], object]) -> int:
 class Page(ThreadingHTTPServer):
     """Serves the page from threads of its own while this process lives.
 
-    Args:
-        port: to listen on; 0 for any that is free.
-        source: port of the library's server.
-        records: port where the page gets its records from.
+    ``source`` is the port of the library's server, ``records`` the one where the page gets its records from.
 
     Raises:
         OSError: the port isn't free.

@@ -1,5 +1,5 @@
 """The verbs of ``pycram-replay``, one a module.
 
-``add(parser)`` says what the verb takes beside the recording and ``--json``; ``run(log, options)`` prints its results
+``add(parser)`` declares its arguments beside the recording and ``--json``; ``run(log, options)`` prints its results
 and returns the exit code: 0, or 1 if what it checks is not so. :mod:`replay.cli.main` does the rest.
 """

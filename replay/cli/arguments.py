@@ -18,25 +18,13 @@ def add_step(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
 
 
-def add_world(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add the option ``--world``."""
-    parser.add_argument("--world", metavar="NAME", help=text)
-
-
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers.
-
-    Args:
-        text: as "0.5,1,0".
-        expected: the form that is expected, for the error.
-        counts: how many numbers there may be.
-        separator: between them.
-        kind: float, or int for whole numbers.
+    """Parse finite numbers, as "0.5,1,0", of one of the given counts.
 
     Raises:
-        ReplayError: it isn't that.
+        ReplayError: the text isn't that; it says what was ``expected``.
     """
     try:
         values = [kind(part) for part in text.split(separator)]

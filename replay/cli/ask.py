@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, add_world, numbers
-from replay.cli.console import native_output_to_stderr, print_json, print_text
+from replay.cli.arguments import add_step, numbers
+from replay.cli.console import native_output_to_stderr, print_result
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -34,51 +34,47 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="move an object before asking, to a position in m and an orientation; repeatable",
     )
-    add_world(parser, "in this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the answer and its evidence."""
     with native_output_to_stderr():
-        found = log.ask(
+        answer = log.ask(
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
         )
-    if options.json:
-        print_json(_data(found))
-        return 0
-    print_text(f"{found.question}: {_answer(found.answer)}")
-    for line in _lines(found.evidence, "  "):
-        print_text(line)
+    lines = [f"{answer.question}: {_answer(answer.answer)}", *_lines(answer.evidence, "  ")]
+    print_result(lambda: _data(answer), lines, as_json=options.json)
     return 0
 
 
 def _move(text: str) -> Move:
     from replay.restore.ask import Move  # noqa: PLC0415  --help needn't wait for the engine
 
-    body, _, place = text.rpartition("=")
+    body, _, pose = text.rpartition("=")
     expected = "OBJECT=X,Y,Z in m, or these and a quaternion x,y,z,w"
     if not body:
         raise ReplayError(f"{text!r}: expected {expected}")
-    x, y, z, *turn = numbers(place, expected, 3, 7)
+    x, y, z, *turn = numbers(pose, expected, 3, 7)
     return Move(body, (x, y, z), (turn[0], turn[1], turn[2], turn[3]) if turn else None)
 
 
-def _data(found: Answer) -> Plain:
+def _data(answer: Answer) -> Plain:
     moves: list[Plain] = [
         {
             "object": move.body,
             "position": list(move.position),
             "orientation": list(move.orientation) if move.orientation else None,
         }
-        for move in found.moves
+        for move in answer.moves
     ]
     return {
-        "step": found.step,
-        "world": found.world,
-        "question": str(found.question),
+        "step": answer.step,
+        "world": answer.world,
+        "question": str(answer.question),
         "moves": moves,
-        "answer": list(found.answer) if isinstance(found.answer, list) else found.answer,
-        "evidence": dict(found.evidence),
+        "answer": list(answer.answer) if isinstance(answer.answer, list) else answer.answer,
+        "evidence": dict(answer.evidence),
     }
 
 

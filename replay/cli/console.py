@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
 _STDOUT, _STDERR = 1, 2
 #: Control characters except newlines and tabs, and characters that change the direction of text.
@@ -27,8 +27,8 @@ def visible(text: str) -> str:
     return _CONTROL.sub(_escape, text)
 
 
-def _escape(found: re.Match[str]) -> str:
-    code = ord(found[0])
+def _escape(match: re.Match[str]) -> str:
+    code = ord(match[0])
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
@@ -44,6 +44,14 @@ def print_json(value: object, *, flush: bool = False) -> None:
     except ValueError:  # rare: only in recordings that make no sense
         text = json.dumps(_finite(value), allow_nan=False)
     print(text.replace("\x7f", "\\u007f"), flush=flush)
+
+
+def print_result(data: Callable[[], object], lines: Iterable[str], *, as_json: bool) -> None:
+    """Print a result: its data as JSON, or its lines."""
+    if as_json:
+        print_json(data())
+    else:
+        print_text("\n".join(lines))
 
 
 def _finite(value: object) -> object:

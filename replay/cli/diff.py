@@ -7,7 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import print_json, print_message, print_text
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FAILED, FINE, INCOMPLETE
 from replay.errors import ReplayError
 from replay.explain import wording
 from replay.explain.compare import compare
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 
 _MAX_LISTED: Final = 8  # joints and fields that are listed one by one
 _MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
-_FINE, _DIFFERENT, _INCOMPLETE = 0, 1, 3
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -56,40 +56,34 @@ def _tolerance(text: str) -> float:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the difference; of two whole recordings that differ, the exit code is 1."""
     if options.second is not None:
-        found = difference(log.state_at(options.first), log.state_at(options.second))
-        if options.json:
-            print_json(facts(found))
-        else:
-            print_text("\n".join(lines(found, whole=options.all)))
-        return _FINE
+        delta = difference(log.state_at(options.first), log.state_at(options.second))
+        print_result(lambda: facts(delta), lines(delta, whole=options.all), as_json=options.json)
+        return FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
     with open_recording(options.first) as other:
         compared = compare(log, other, options.tolerance)
         problems = other.problems  # it was read to its end
-    if options.json:
-        print_json(_run_facts(compared))
-    else:
-        print_text("\n".join(_run_lines(compared, whole=options.all)))
+    print_result(lambda: _run_facts(compared), _run_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")
     if problems or log.problems:  # lost records may be the difference
-        return _INCOMPLETE
-    return _DIFFERENT if compared.divergence is not None or compared.difference else _FINE
+        return INCOMPLETE
+    return FAILED if compared.divergence is not None or compared.difference else FINE
 
 
 # --- two steps -------------------------------------------------------------------------------------------------------
 
 
-def facts(found: Difference) -> dict[str, object]:
+def facts(delta: Difference) -> dict[str, object]:
     """Return a difference, for machines."""
     return {
-        "opened": found.opened,
-        "closed": found.closed,
-        "came": [{"world": world, "object": body} for world, body in found.added],
-        "went": [{"world": world, "object": body} for world, body in found.removed],
-        "changed": [_change_facts(change) for change in found.changed],
-        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in found.facts.items()],
+        "opened": delta.opened,
+        "closed": delta.closed,
+        "came": [{"world": world, "object": body} for world, body in delta.added],
+        "went": [{"world": world, "object": body} for world, body in delta.removed],
+        "changed": [_change_facts(change) for change in delta.changed],
+        "facts": [{"world": world, "fact": name, "values": pair} for (world, name), pair in delta.facts.items()],
     }
 
 
@@ -110,21 +104,21 @@ def _change_facts(change: BodyChange) -> dict[str, object]:
     }
 
 
-def lines(found: Difference, *, whole: bool = False) -> Iterator[str]:
+def lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
     """Yield a difference as text; ``whole`` includes settling of physics and every joint."""
-    yield from (f"{world} was opened" for world in found.opened)
-    yield from (f"{world} was closed" for world in found.closed)
-    yield from (f"{body} is new" for _, body in found.added)
-    yield from (f"{body} is gone" for _, body in found.removed)
-    for (world, name), (before, after) in found.facts.items():
+    yield from (f"{world} was opened" for world in delta.opened)
+    yield from (f"{world} was closed" for world in delta.closed)
+    yield from (f"{body} is new" for _, body in delta.added)
+    yield from (f"{body} is gone" for _, body in delta.removed)
+    for (world, name), (before, after) in delta.facts.items():
         yield f"{world}: {name} {_plain(before)} -> {_plain(after)}"
-    shown = found.changed if whole else found.notable
+    shown = delta.changed if whole else delta.notable
     for change in shown:
         yield from _change(change, whole=whole)
-    rest = len(found.changed) - len(shown)
+    rest = len(delta.changed) - len(shown)
     if rest:
         yield (f"{rest} more settled by less than 1 mm" if shown else f"{rest} objects settled by less than 1 mm")
-    if not found:
+    if not delta:
         yield "no difference"
 
 
@@ -137,11 +131,8 @@ def _plain(value: object) -> str:
 def _change(change: BodyChange, *, whole: bool) -> Iterator[str]:
     changes = []
     if change.moved or (whole and (change.distance or change.angle)):
-        turned = (
-            f", turned by {wording.degrees(change.angle)}"
-            if change.angle >= (0.0 if whole else _MIN_TURN) and change.angle
-            else ""
-        )
+        is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
+        turned = f", turned by {wording.degrees(change.angle)}" if is_turned else ""
         before, after = wording.vectors(change.before[0], change.after[0])
         changes.append(f"moved by {wording.length(change.distance)}{turned}: {before} -> {after}")
     if change.carrier_changed:
@@ -170,9 +161,7 @@ def _travel(item: tuple[str, tuple[float, float]]) -> float:
 
 
 def _holder(held: Attachment | None) -> str:
-    if held is None:
-        return "nothing"
-    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
+    return "nothing" if held is None else wording.carrier(held)
 
 
 # --- two recordings --------------------------------------------------------------------------------------------------

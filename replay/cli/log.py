@@ -36,11 +36,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the lines; with ``--json`` one object a line."""
-    wanted = Filter(options.kind or (), options.task, options.object, options.world, options.text)
-    search = Search(log, wanted)
+    criteria = Filter(options.kind or (), options.task, options.object, options.world, options.text)
+    search = Search(log, criteria)
     start, stop = log.step(options.start), log.step(options.end) + 1
-    found = follow(log, search, start) if options.follow else search.matches(start, stop)
-    for record, line in found:
+    matches = follow(log, search, start) if options.follow else search.matches(start, stop)
+    for record, line in matches:
         if options.json:
             print_json(record_data(record) | {"text": line}, flush=options.follow)
         else:

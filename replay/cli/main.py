@@ -53,13 +53,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
-    given = _joined(sys.argv[1:] if argv is None else argv)
-    if given == ["--version"]:
+    arguments = _joined(sys.argv[1:] if argv is None else argv)
+    if arguments == ["--version"]:
         print(f"pycram-replay {version('pycram')}")
         return FINE
-    verb = _module(given[0]) if given and given[0] in VERBS else None
+    verb = _module(arguments[0]) if arguments and arguments[0] in VERBS else None
     try:
-        options = _parser(given[:1], verb).parse_args(given)
+        options = _parser(arguments[:1], verb).parse_args(arguments)
     except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
     try:
@@ -75,10 +75,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _joined(given: Sequence[str]) -> list[str]:
+def _joined(arguments: Sequence[str]) -> list[str]:
     """Return the arguments, points that begin with a minus joined to their options: alone they look like options."""
     joined: list[str] = []
-    for text in given:
+    for text in arguments:
         if joined and joined[-1] in _POINT_OPTIONS and _NEGATIVE.match(text):
             joined[-1] += f"={text}"
         else:
@@ -90,7 +90,7 @@ def _module(verb: str) -> ModuleType:
     return importlib.import_module(f"replay.cli.{verb}")
 
 
-def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
+def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="pycram-replay",
         description="Reads recordings of robot plans, explains failures, and restores worlds.",
@@ -101,7 +101,7 @@ def _parser(given: Sequence[str], module: ModuleType | None) -> argparse.Argumen
     for name, text in VERBS.items():
         verb = verbs.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
         verb.add_argument("log", metavar="LOG", help="the recording")
-        if module is not None and name in given:
+        if module is not None and name in arguments:
             module.add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
     return parser

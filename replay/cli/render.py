@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, add_world, numbers
-from replay.cli.console import print_json, print_text
+from replay.cli.arguments import add_step, numbers
+from replay.cli.console import print_result
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", dest="eye", metavar="X,Y,Z", help="viewpoint, m (default: from the side)")
     parser.add_argument("--to", dest="target", metavar="X,Y,Z", help="point to look at, m (default: what can move)")
     parser.add_argument("--size", metavar="WxH", default="640x480", help="in pixels (default: 640x480)")
-    add_world(parser, "of this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="of this world (default: the one opened last)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -45,10 +45,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         picture.save(file)
     except (OSError, ValueError) as error:
         raise ReplayError(f"{file}: can't be written: {error}") from error
-    if options.json:
-        print_json({"step": step, "file": str(file), "width": picture.width, "height": picture.height})
-    else:
-        print_text(str(file))
+    data = {"step": step, "file": str(file), "width": picture.width, "height": picture.height}
+    print_result(lambda: data, [str(file)], as_json=options.json)
     return 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.arguments import add_step, add_world
+from replay.cli.arguments import add_step
 from replay.cli.console import native_output_to_stderr, print_json, print_message, visible
 from replay.cli.main import FINE
 from replay.errors import ReplayError
@@ -36,7 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--exact", action="store_true", help="execute every change again, so that its future is the original's"
     )
-    add_world(parser, "this world (default: the one opened last)")
+    parser.add_argument("--world", metavar="NAME", help="this world (default: the one opened last)")
     parser.add_argument("--log", dest="target", metavar="FILE", help="record what happens there")
 
 

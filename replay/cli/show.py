@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.arguments import add_step
-from replay.cli.console import print_json, print_text
+from replay.cli.console import print_result
 from replay.explain import wording
 from replay.state.json_data import kind_of, record_data
 
@@ -29,14 +29,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the record."""
     record = log[log.step(options.step)]
     fields = record_data(record)
-    if options.json:
-        print_json(fields)
-        return 0
-    print_text(f"step {record.seq}: {kind_of(record)}: {wording.line(record)}")
-    fields.pop("step")
-    fields.pop("kind")
-    for line in _lines(fields, "  "):
-        print_text(line)
+    further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
+    lines = [f"step {record.seq}: {kind_of(record)}: {wording.line(record)}", *_lines(further, "  ")]
+    print_result(lambda: fields, lines, as_json=options.json)
     return 0
 
 
@@ -56,8 +51,8 @@ def _lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
 def _items(values: list[Plain], indent: str) -> Iterator[str]:
     for item in values:
         if isinstance(item, dict):
-            first, *others = _lines(item, indent + "  ")
+            first, *rest = _lines(item, indent + "  ")
             yield f"{indent}- {first.strip()}"
-            yield from others
+            yield from rest
         else:
             yield f"{indent}- {json.dumps(item, ensure_ascii=False)}"

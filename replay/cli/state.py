@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, add_world
-from replay.cli.console import print_json, print_message, print_text
+from replay.cli.arguments import add_step
+from replay.cli.console import print_message, print_result
+from replay.explain import wording
 from replay.state.json_data import state_data
 
 if TYPE_CHECKING:
@@ -13,14 +14,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from replay.recording import Recording
-    from replay.state.state import Body, World
+    from replay.state.state import Body, State, World
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, an object and a world."""
     add_step(parser)
     parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this one, with its joints")
-    add_world(parser, "only this world")
+    parser.add_argument("--world", metavar="NAME", help="only this world")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -32,15 +33,19 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         state.world(options.world)
     if state.uncertainty:
         print_message(state.uncertainty)
-    if options.json:
-        print_json(state_data(state, options.object, options.world))
-        return 0
-    print_text(f"after step {state.step}")
-    for world in state.worlds.values():
-        if options.world in (None, world.name) and (options.object is None or options.object in world.bodies):
-            for line in _world(world, options.object):
-                print_text(line)
+    print_result(
+        lambda: state_data(state, options.object, options.world),
+        _lines(state, options.object, options.world),
+        as_json=options.json,
+    )
     return 0
+
+
+def _lines(state: State, body: str | None, name: str | None) -> Iterator[str]:
+    yield f"after step {state.step}"
+    for world in state.worlds.values():
+        if name in (None, world.name) and (body is None or body in world.bodies):
+            yield from _world(world, body)
 
 
 def _world(world: World, only: str | None) -> Iterator[str]:
@@ -60,7 +65,7 @@ def _body(world: World, body: Body, width: int, *, details: bool) -> Iterator[st
     position = ", ".join(f"{part:8.4f}" for part in body.position)
     turn = ", ".join(f"{part:7.4f}" for part in body.orientation)
     held = world.carrier(body.name)
-    by = f"  held by {held.carrier}" + (f" ({held.carrier_link})" if held.carrier_link else "") if held else ""
+    by = f"  held by {wording.carrier(held)}" if held else ""
     yield f"  {body.name:{width}}  [{position}]  [{turn}]{by}"
     if details:
         yield f"    type {body.type}{', fixed base' if body.fixed_base else ''}"

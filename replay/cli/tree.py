@@ -26,18 +26,18 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the tree."""
-    found = log.tree(options.at)
+    tree = log.tree(options.at)
     if options.json:
-        print_json(found.facts(options.depth))
+        print_json(tree.facts(options.depth))
     elif options.dot:
-        print_text(found.to_dot(), end="")
+        print_text(tree.to_dot(), end="")
     elif options.svg:
         encoding = sys.stdout.encoding or "ascii"  # XML can refer to characters that the encoding lacks
-        picture = found.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
+        picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
-    elif not found.roots:
+    elif not tree.roots:
         print_text("no tasks")
     else:
-        for line in found.lines(options.depth, whole=options.all):
+        for line in tree.lines(options.depth, whole=options.all):
             print_text(line)
     return 0

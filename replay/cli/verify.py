@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.console import native_output_to_stderr, print_json, print_text
+from replay.cli.console import native_output_to_stderr, print_result
 from replay.cli.main import FAILED, FINE
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _PERIOD: Final = 0.2  # s between progress messages
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add nothing."""
+    """Describe the exit codes."""
     parser.epilog = "Exit code 0: it is sound. 1: it isn't. 3: its readable part is, but it is incomplete."
 
 
@@ -35,14 +35,10 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
     start = time.perf_counter()
     with native_output_to_stderr(), _progress(len(log)) as progress:
-        verdict = verify(log, progress)
+        verification = verify(log, progress)
     seconds = time.perf_counter() - start
-    if options.json:
-        print_json(_plain(verdict, seconds))
-    else:
-        for line in _lines(verdict, seconds):
-            print_text(line)
-    return FINE if verdict.sound else FAILED
+    print_result(lambda: _plain(verification, seconds), _lines(verification, seconds), as_json=options.json)
+    return FINE if verification.sound else FAILED
 
 
 @contextmanager
@@ -51,42 +47,43 @@ def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
     if not sys.stderr.isatty():
         yield None
         return
-    said = time.monotonic()
+    printed = time.monotonic()
 
-    def say(step: int) -> None:
-        nonlocal said
-        if time.monotonic() - said > _PERIOD:
-            said = time.monotonic()
+    def report(step: int) -> None:
+        nonlocal printed
+        if time.monotonic() - printed > _PERIOD:
+            printed = time.monotonic()
             print(f"\rstep {step} of {steps}", end="", file=sys.stderr, flush=True)
 
     try:
-        yield say
+        yield report
     finally:
         print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
-def _lines(verdict: Verification, seconds: float) -> Iterator[str]:
-    problem = verdict.problem
+def _lines(verification: Verification, seconds: float) -> Iterator[str]:
+    problem = verification.problem
     if problem is not None:
         yield from _problem(problem)
         return
-    yield f"sound  {_count(verdict.steps, 'step')} without a gap"
-    yield f"       {_count(verdict.tasks, 'task')}, each begun and ended"
-    yield f"       {_count(verdict.keyframes, 'keyframe')} equal to the fold of the records before"
-    yield f"       {_count(verdict.files, 'file')} as attached"
-    made = f"{_count(verdict.changes, 'change')} in {_count(verdict.worlds, 'world')}, made again in {seconds:.1f} s,"
-    if verdict.exact:
-        yield f"exact  {made} had the recorded effects, bit for bit"
+    yield f"sound  {_count(verification.steps, 'step')} without a gap"
+    yield f"       {_count(verification.tasks, 'task')}, each begun and ended"
+    yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
+    yield f"       {_count(verification.files, 'file')} as attached"
+    changes, worlds = _count(verification.changes, "change"), _count(verification.worlds, "world")
+    changes = f"{changes} in {worlds}, made again in {seconds:.1f} s,"
+    if verification.exact:
+        yield f"exact  {changes} had the recorded effects, bit for bit"
     else:
-        largest = f"within {verdict.largest.size:.3g}" if verdict.largest else "bit for bit"
-        yield f"near   {made} had the recorded effects {largest}"
-    if verdict.largest is not None:
-        yield f"       largest deviation: {verdict.largest}"
-    if verdict.environment:
-        same = "" if verdict.largest is None else "; not comparable bit for bit"
-        yield f"note   the environment is a different one: {', '.join(verdict.environment)}{same}"
-    if verdict.late:
-        yield f"note   {', '.join(verdict.late)} began before the recording: physics in it is not compared"
+        largest = f"within {verification.largest.size:.3g}" if verification.largest else "bit for bit"
+        yield f"near   {changes} had the recorded effects {largest}"
+    if verification.largest is not None:
+        yield f"       largest deviation: {verification.largest}"
+    if verification.environment:
+        same = "" if verification.largest is None else "; not comparable bit for bit"
+        yield f"note   the environment is a different one: {', '.join(verification.environment)}{same}"
+    if verification.late:
+        yield f"note   {', '.join(verification.late)} began before the recording: physics in it is not compared"
 
 
 def _problem(problem: Problem) -> Iterator[str]:
@@ -102,11 +99,11 @@ def _count(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
-def _plain(verdict: Verification, seconds: float) -> dict[str, object]:
-    data = asdict(verdict) | {"sound": verdict.sound, "exact": verdict.exact, "seconds": seconds}
-    data["largest"] = _deviation(verdict.largest)
-    if verdict.problem is not None:
-        data["problem"]["deviation"] = _deviation(verdict.problem.deviation)
+def _plain(verification: Verification, seconds: float) -> dict[str, object]:
+    data = asdict(verification) | {"sound": verification.sound, "exact": verification.exact, "seconds": seconds}
+    data["largest"] = _deviation(verification.largest)
+    if verification.problem is not None:
+        data["problem"]["deviation"] = _deviation(verification.problem.deviation)
     return data
 
 

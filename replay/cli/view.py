@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replay.cli.console import native_output_to_stderr, print_json, print_message, print_text
+from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 from replay.recording import open_recording
@@ -40,10 +40,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if options.web:
             return _serve(logs, wants_json=options.json)
         shown = _open(logs, step, options)
-    if options.json:
-        print_json(shown)
-    else:
-        print_text(str(shown["file"]))
+    print_result(lambda: shown, [str(shown["file"])], as_json=options.json)
     return 0
 
 
@@ -62,10 +59,10 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
         names = "_".join(log.path.stem for log in logs)
         file = temporary_file(f"{names}.rrd")
         convert(logs, file, step)
-    shown: dict[str, object] = {"file": str(file)}
+    result: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
-        shown["viewer"] = show(file, step, options.connect)
-    return shown
+        result["viewer"] = show(file, step, options.connect)
+    return result
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.extras import needed
 from recorder.records import format_error
 from replay.cli.console import print_json, print_message, print_text
 from replay.cli.main import FINE, INCOMPLETE, USAGE
@@ -31,29 +30,28 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the explanation."""
-    found = log.why(options.step)
-    code, pictures = _pictures(log, found, options.pictures)
+    why = log.why(options.step)
+    code, pictures = _pictures(log, why, options.pictures)
     if options.json:
-        print_json(facts(found) | {"pictures": pictures})
+        print_json(facts(why) | {"pictures": pictures})
     else:
-        print_text("\n".join(lines(found, str(log.path))))
+        print_text("\n".join(lines(why, str(log.path))))
         if pictures:
             print_text("\n".join(("", "Pictures of that moment", *(f"  {path}" for path in pictures))))
     return code
 
 
-def _pictures(log: Recording, found: Why, folder: str | None) -> tuple[int, list[str]]:
+def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:
     """Write the pictures that were asked for; print a message if that fails."""
     if folder is None:
         return FINE, []
-    if found.failure is None:
+    if why.failure is None:
         print_message("no pictures: nothing failed")
         return FINE, []
     try:
-        with needed("render"):
-            from replay.restore.render import write_pictures  # noqa: PLC0415
+        from replay.restore.render import write_pictures  # noqa: PLC0415
 
-        return FINE, [str(path) for path in write_pictures(log, found, Path(folder))]
+        return FINE, [str(path) for path in write_pictures(log, why, Path(folder))]
     except Exception as error:  # noqa: BLE001  the explanation is worth more than its pictures
         print_message(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

@@ -13,23 +13,23 @@ if TYPE_CHECKING:
     from replay.explain.failed_tasks import TaskExecution
 
 
-def facts(found: Why) -> dict[str, object]:
+def facts(why: Why) -> dict[str, object]:
     """Return the explanation as JSON data; the keys are part of the command's interface."""
     return {
-        "plan": found.run.plan,
-        "outcome": found.run.outcome,
-        "thread": found.thread,
-        "step": found.step,
-        "failure": found.failure and {"type": found.failure.type, "message": found.failure.message},
+        "plan": why.run.plan,
+        "outcome": why.run.outcome,
+        "thread": why.thread,
+        "step": why.step,
+        "failure": why.failure and {"type": why.failure.type, "message": why.failure.message},
         "raised": [
             {"type": error.type, "message": error.message, "lines": [line_facts(line) for line in error.lines]}
-            for error in found.exceptions
+            for error in why.exceptions
         ],
-        "task": found.task and _task_facts(found.task),
-        "around": [_task_facts(task) for task in found.task.around()] if found.task else [],
-        "line": line_facts(found.call_stack[-1]) if found.call_stack else None,
-        "callers": [line_facts(line) for line in found.call_stack[:-1]],
-        "world": found.world and found.world.name,
+        "task": why.task and _task_facts(why.task),
+        "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
+        "line": line_facts(why.call_stack[-1]) if why.call_stack else None,
+        "callers": [line_facts(line) for line in why.call_stack[:-1]],
+        "world": why.world and why.world.name,
         "things": [
             {
                 "object": involved.body.name,
@@ -40,25 +40,25 @@ def facts(found: Why) -> dict[str, object]:
                 "distance": involved.distance,
                 "bearing": involved.bearing,
             }
-            for involved in found.bodies
+            for involved in why.bodies
         ],
-        "absent": found.removed,
+        "absent": why.removed,
         "tries": [
             _task_facts(attempt.task.motion)
             | {"error": attempt.task.error, "robot": attempt.robot and attempt.robot.pose}
-            for attempt in found.attempts
+            for attempt in why.attempts
         ],
-        "others": found.other_failures,
-        "threads": [record_data(record) for record in found.failed_threads],
+        "others": why.other_failures,
+        "threads": [record_data(record) for record in why.failed_threads],
         "asked": [
             record_data(relevant.query)
             | {"moved_since": relevant.moved, "removed_since": relevant.removed, "other_world": relevant.world}
-            for relevant in found.queries
+            for relevant in why.queries
         ],
-        "earlier": found.earlier_queries,
-        "same": found.since_same_success and _since_facts(found.since_same_success),
-        "last": found.since_last_success and _since_facts(found.since_last_success),
-        "running": [_task_facts(task) for task in found.unfinished],
+        "earlier": why.earlier_queries,
+        "same": why.since_same_success and _since_facts(why.since_same_success),
+        "last": why.since_last_success and _since_facts(why.since_last_success),
+        "running": [_task_facts(task) for task in why.unfinished],
     }
 
 

@@ -85,13 +85,9 @@ class Blame:
 
 
 def blame(log: Log, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return what last changed a body or a joint.
+    """Return what last changed a body, or as ``BODY.JOINT`` a joint, until a step.
 
-    Args:
-        log: the recording.
-        target: name of a body, or ``BODY.JOINT``.
-        at: the step until which to look; by default the last one before worlds were closed.
-        world: name of the world; by default, of those that have the body, the one that was opened last.
+    By default that is the last one before worlds were closed, in the world opened last of those that have the body.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -117,27 +113,27 @@ def blame(log: Log, target: str, at: int | None = None, world: str | None = None
             causes=causes(log, removal),
             earlier=earlier,
         )
-    others = tuple(other.name for other in state.worlds.values() if other is not owner and body in other.bodies)
+    others = tuple(each.name for each in state.worlds.values() if each is not owner and body in each.bodies)
     subject = _Subject(owner.name, others, _default_world(state, owner.name, world), body, joint)
     return _Search(log, subject).run(step)
 
 
-def _default_world(state: State, found: str, named: str | None) -> str:
+def _default_world(state: State, world: str, requested: str | None) -> str:
     """Return the world that is meant where none is named, if it isn't the one that was found."""
     default = state.world().name
-    return default if named is None and default != found else ""
+    return default if requested is None and default != world else ""
 
 
 def _removal(log: Log, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
     """Return the record that removed a body, or the one with that joint, from a world that is still open.
 
     Raises:
-        NoSuchName: there is none; it says so if the body was in a world that had been closed by then.
+        NoSuchName: there is none; with a hint if the body was in a world that had been closed by then.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error says so itself
-    found: list[Mutation] = []
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # where none is open, the error has that hint
+    removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _bodies(target) if candidates or some_closed else ():
         for record in log.backwards(state.step, Mutation, naming=body):
@@ -145,15 +141,15 @@ def _removal(log: Log, state: State, target: str, world: str | None, error: NoSu
             if lifetime is None:
                 continue
             if body in record.effect.removed and lifetime == candidates.get(record.world):
-                found.append(record)
+                removals.append(record)
                 break
             in_closed = some_closed and closed is None and lifetime != opened.get(record.world)
             if in_closed and any(changed.body == body for changed in record.effect.bodies[:]):
                 hint = f"it was in {lifetime.title}, which was closed later: --at {record.seq}, or an earlier step"
                 closed = NoSuchName("object", body, error.known, hint)
-    if not found:
+    if not removals:
         raise (closed or error) from None
-    return max(found, key=lambda record: record.seq)
+    return max(removals, key=lambda record: record.seq)
 
 
 def _bodies(target: str) -> list[str]:
@@ -187,26 +183,23 @@ class _Search:
     """A search backwards through a world's changes."""
 
     def __init__(self, log: Log, subject: _Subject) -> None:
-        self._log = log
-        self._subject = subject
-        self._world = subject.world
-        self._body = subject.body
-        self._joint = subject.joint
+        self._log, self._subject = log, subject
+        self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
         """Return the last change; and if that was physics, what happened to it before."""
         records = self._changes(step)
         for last in records:
-            found = self._explained(last)
-            if found.how != "command" and found.distance < _ROUNDING[0] and found.angle < _ROUNDING[1]:
+            change = self._explained(last)
+            if change.how != "command" and change.distance < _ROUNDING[0] and change.angle < _ROUNDING[1]:
                 continue
-            if found.how != "physics":
-                return found
-            return replace(found, earlier=self._explained(self._before(last, records)))
+            if change.how != "physics":
+                return change
+            return replace(change, earlier=self._explained(self._before(last, records)))
         raise Damaged(self._log.path, f"what moved {self._body}", "it was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record that did more than let it settle; found without folding states."""
+        """Return the last earlier record of more than settling, without folding states."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -225,7 +218,7 @@ class _Search:
         return _is_far(part, after, before, _SETTLING if _is_physics(record) else _ROUNDING)
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """Return what a record says of it: position and orientation, or the joint's value."""
+        """Return its values in a record: position and orientation, or the joint's value."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -278,8 +271,8 @@ class _Search:
             before = self._value(state)
             how, chain = _how(record, state.world(self._world), self._body)
         carried = tuple(self._carried(held, record.seq) for held in chain)
-        found = causes(self._log, record)
-        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, found)
+        because = causes(self._log, record)
+        return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, because)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)
@@ -331,13 +324,13 @@ def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachmen
     if cause == body:
         return "command", []
     chain: list[Attachment] = []
-    seen = {body}
-    at = body
-    while at != cause:
-        held = world.carrier(at)
-        if held is None or held.carrier in seen:
+    visited = {body}
+    current = body
+    while current != cause:
+        held = world.carrier(current)
+        if held is None or held.carrier in visited:
             return "along", []
         chain.append(held)
-        seen.add(held.carrier)
-        at = held.carrier
+        visited.add(held.carrier)
+        current = held.carrier
     return "carried", chain

@@ -82,12 +82,12 @@ class Causes:
 def causes(log: Log, record: Record) -> Causes:
     """Return the causes of a record; a task's record is part of that task."""
     source = Source(log)
-    found = []
-    wanted = record.task
-    for started in log.backwards(record.seq, Task) if wanted else ():
-        if started.phase == Task.STARTED and started.task == wanted:  # whatever a task is part of started before it
-            found.append(Cause.of(started, source))
-            wanted = started.parent
-            if not wanted:
+    tasks = []
+    task = record.task
+    for started in log.backwards(record.seq, Task) if task else ():
+        if started.phase == Task.STARTED and started.task == task:  # whatever a task is part of started before it
+            tasks.append(Cause.of(started, source))
+            task = started.parent
+            if not task:
                 break
-    return Causes(tuple(found), source.call_stack(record) if isinstance(record, Mutation) else ())
+    return Causes(tuple(tasks), source.call_stack(record) if isinstance(record, Mutation) else ())

@@ -86,11 +86,11 @@ def _divergence(first: Log, second: Log, tolerance: float) -> tuple[int, Diverge
             if item is None:
                 continue
             key, record = item
-            other = waiting[1 - side].pop(key, None)
-            if other is None:
+            match = waiting[1 - side].pop(key, None)
+            if match is None:
                 waiting[side][key] = record
             elif diverged is None:
-                a, b = (other, record) if side else (record, other)
+                a, b = (match, record) if side else (record, match)
                 fields = differing(a, b, tolerance)
                 if fields:
                     diverged = a, b, fields
@@ -99,10 +99,10 @@ def _divergence(first: Log, second: Log, tolerance: float) -> tuple[int, Diverge
         since += diverged is not None
         if since > _WINDOW:
             break
-    found = _earliest(diverged, waiting)
-    if found is None:
+    first_difference = _earliest(diverged, waiting)
+    if first_difference is None:
         return equal, None
-    a_record, b_record, fields = found
+    a_record, b_record, fields = first_difference
     path = _path(second, b_record) if a_record is None and b_record is not None else _path(first, a_record)
     return equal, Divergence(a_record, b_record, path, fields)
 
@@ -112,14 +112,14 @@ def _earliest(
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
 ) -> _Diverged | None:
     """Return what comes first: a pair that differs, or a record that only one run has."""
-    found: list[tuple[int, _Diverged]] = []
+    candidates: list[tuple[int, _Diverged]] = []
     if diverged is not None:
-        found.append((min(diverged[0].seq, diverged[1].seq), diverged))
+        candidates.append((min(diverged[0].seq, diverged[1].seq), diverged))
     for side, unmatched in enumerate(waiting):
         record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
         if record is not None:
-            found.append((record.seq, (None, record, {}) if side else (record, None, {})))
-    return min(found, key=lambda each: each[0])[1] if found else None
+            candidates.append((record.seq, (None, record, {}) if side else (record, None, {})))
+    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
 def _path(log: Log, record: Record | None) -> str:

@@ -62,36 +62,33 @@ class TaskExecution:
     @property
     def outermost(self) -> TaskExecution:
         """The outermost task around it that failed too."""
-        found = self
-        while found.outer is not None and found.outer.failure is not None:
-            found = found.outer
-        return found
+        task = self
+        while task.outer is not None and task.outer.failure is not None:
+            task = task.outer
+        return task
 
     @property
     def origin(self) -> TaskExecution:
         """The part in which its failure began: down the parts with the same error, else the last that failed."""
-        found = self
+        task = self
         while True:
-            failed = [part for part in found.parts if part.failure is not None]
-            same = [part for part in failed if part.error == found.error]
+            failed = [part for part in task.parts if part.failure is not None]
+            same = [part for part in failed if part.error == task.error]
             if not failed:
-                return found
-            found = (same or failed)[-1]
+                return task
+            task = (same or failed)[-1]
 
     @property
     def motion(self) -> TaskExecution:
         """The motion that it is part of, or is; itself if there is none."""
-        for task in self.around():
-            if task.started.kind == "motion":
-                return task
-        return self
+        return next((task for task in self.around() if task.started.kind == "motion"), self)
 
     def around(self) -> Iterator[TaskExecution]:
         """Yield the task itself and those that it is part of, outwards."""
-        found: TaskExecution | None = self
-        while found is not None:
-            yield found
-            found = found.outer
+        task: TaskExecution | None = self
+        while task is not None:
+            yield task
+            task = task.outer
 
 
 @dataclass(frozen=True, slots=True)

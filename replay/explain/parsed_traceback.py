@@ -34,7 +34,7 @@ class ParsedException:
 
     Attributes:
         type: its type's name.
-        message: what it says.
+        message: its message.
         lines: the plan's own lines that led to it, outermost first.
     """
 
@@ -66,16 +66,16 @@ def _parse(part: str, source: Source, roots: tuple[str, ...]) -> ParsedException
 
 
 def _lines(texts: list[str], source: Source, roots: tuple[str, ...]) -> list[Line]:
-    found = []
+    lines = []
     for at, text in enumerate(texts):
         frame = _FRAME.match(text)
         if frame is None or not _is_plan(frame["file"], source, roots):
             continue
         printed = texts[at + 1].strip() if at + 1 < len(texts) and not _FRAME.match(texts[at + 1]) else ""
-        known = source.line(frame["file"], int(frame["line"]))
-        function = (known and known.function) or frame["function"].strip()
-        found.append(Line(frame["file"], int(frame["line"]), function, (known and known.text) or printed))
-    return found
+        attached = source.line(frame["file"], int(frame["line"]))
+        function = (attached and attached.function) or frame["function"].strip()
+        lines.append(Line(frame["file"], int(frame["line"]), function, (attached and attached.text) or printed))
+    return lines
 
 
 def _is_plan(file: str, source: Source, roots: tuple[str, ...]) -> bool:

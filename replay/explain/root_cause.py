@@ -45,9 +45,9 @@ class RootCause:
     exceptions: tuple[ParsedException, ...] = ()
 
 
-def root_cause(log: Log, found: Failures | None = None) -> RootCause | None:
+def root_cause(log: Log, failed: Failures | None = None) -> RootCause | None:
     """Return where a recording's plan broke; None if nothing failed."""
-    failed = found if found is not None else failures(log)
+    failed = failed if failed is not None else failures(log)
     end = uncaught_failure(log)
     if end is None:
         task = decisive(failed.origins)

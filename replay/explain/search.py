@@ -38,15 +38,15 @@ class Filter:
 class Search:
     """A search through a recording from front to end, which can go on when the recording has grown."""
 
-    def __init__(self, log: Log, wanted: Filter) -> None:
+    def __init__(self, log: Log, criteria: Filter) -> None:
         self._log = log
-        self._wanted = wanted
+        self._criteria = criteria
         self._tasks: set[int] = set()
         self._known = 0  # tasks are known up to this step
 
     def matches(self, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""
-        if self._wanted.task is not None:
+        if self._criteria.task is not None:
             self._learn_tasks(stop)
         for record in self._log.records(start=start, stop=stop):
             line = self._line(record)
@@ -60,20 +60,20 @@ class Search:
         self._known = stop
 
     def _is_of_task(self, task: Task) -> bool:
-        wanted = self._wanted.task or ""
-        if wanted.isdecimal():
-            return task.task == int(wanted) or task.parent in self._tasks
-        return wanted.casefold() in task.name.casefold() or task.parent in self._tasks
+        pattern = self._criteria.task or ""
+        if pattern.isdecimal():
+            return task.task == int(pattern) or task.parent in self._tasks
+        return pattern.casefold() in task.name.casefold() or task.parent in self._tasks
 
     def _line(self, record: Record) -> str | None:
-        wanted = self._wanted
-        if wanted.kinds and kind_of(record) not in wanted.kinds:
+        criteria = self._criteria
+        if criteria.kinds and kind_of(record) not in criteria.kinds:
             return None
-        if wanted.world is not None and record.world != wanted.world:
+        if criteria.world is not None and record.world != criteria.world:
             return None
-        if wanted.task is not None and record.task not in self._tasks:
+        if criteria.task is not None and record.task not in self._tasks:
             return None
-        if wanted.body is not None and not mentions(record, wanted.body):
+        if criteria.body is not None and not mentions(record, criteria.body):
             return None
         line = wording.line(record)
-        return line if wanted.text is None or wanted.text.casefold() in line.casefold() else None
+        return line if criteria.text is None or criteria.text.casefold() in line.casefold() else None

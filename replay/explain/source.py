@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from recorder.records import Mutation, Task
     from replay.file.log import Log
 
@@ -69,7 +67,7 @@ class Source:
         return tuple(line for line in lines if line is not None)
 
     def text(self, file: str) -> str:
-        """Return what a file said; "" if it is not attached, or damaged."""
+        """Return the text of a file; "" if it is not attached, or damaged."""
         key = self._keys.get(name_of(file))
         if key is None:
             return ""
@@ -97,18 +95,11 @@ def _functions(text: str) -> tuple[tuple[int, int, str], ...]:
         tree = ast.parse(text)
     except (SyntaxError, ValueError, RecursionError):
         return ()
-    return tuple(_spans(tree))
-
-
-def _spans(tree: ast.AST) -> Iterator[tuple[int, int, str]]:
-    for node in ast.walk(tree):  # outer ones come first
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            yield node.lineno, node.end_lineno or node.lineno, node.name
+    nodes = ast.walk(tree)  # outer ones come first
+    functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    return tuple((node.lineno, node.end_lineno or node.lineno, node.name) for node in functions)
 
 
 def _function(text: str, number: int) -> str:
-    name = "<module>"
-    for first, last, function in _functions(text):
-        if first <= number <= last:
-            name = function
-    return name
+    names = [name for first, last, name in _functions(text) if first <= number <= last]
+    return names[-1] if names else "<module>"

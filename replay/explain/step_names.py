@@ -24,11 +24,9 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 def step_of(log: Log, name: int | str) -> int:
     """Return the number of a step.
 
-    Args:
-        log: the recording.
-        name: a number (negative ones count from the end), ``last``, ``failure`` (the moment that ``why``
-            explains), simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the
-            first world that gets so far), or a task, see :func:`task_step`.
+    Names are numbers (negative ones count from the end), ``last``, ``failure`` (the moment that ``why`` explains),
+    simulated seconds with an ``s`` (the last step before the clock of a world passes them, of the first world that gets
+    so far), and tasks, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -37,7 +35,10 @@ def step_of(log: Log, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
-        return _failure(log)
+        cause = root_cause(log)
+        if cause is None:
+            raise NoSuchStep("failure", len(log), "nothing failed")
+        return cause.step
     if text.startswith("task:"):
         return task_step(log, text)
     try:
@@ -52,59 +53,49 @@ def step_of(log: Log, name: int | str) -> int:
     return step
 
 
-def _failure(log: Log) -> int:
-    cause = root_cause(log)
-    if cause is None:
-        raise NoSuchStep("failure", len(log), "nothing failed")
-    return cause.step
-
-
 def task_step(log: Log, text: str) -> int:
-    """Return the start or the end of a task.
+    """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
-    Args:
-        log: the recording.
-        text: ``task:PATH@start`` or ``task:PATH@end``. A path is names from the outside in, such as ``par/moving`` or
-            just ``pick-up``, or the task's id; it may leave out outer tasks. Of several that fit it is the first;
-            ``task:pick-up#2@end`` is the second, ``#-1`` the last.
+    A path is names from the outside in, such as ``par/moving`` or just ``pick-up``, or the task's id; it may leave out
+    outer tasks. Of several that fit it is the first; ``task:pick-up#2@end`` is the second, ``#-1`` the last.
 
     Raises:
         NoSuchStep: there is no such task, or it has not ended.
     """
-    asked = _TASK.fullmatch(text)
-    if asked is None:
+    match = _TASK.fullmatch(text)
+    if match is None:
         raise NoSuchStep(repr(text), len(log), "a task's step is task:PATH@start or task:PATH@end")
-    which = int(asked["which"] or 1)
-    found = _tasks(log, asked["path"], which)
-    if not which or len(found) < abs(which):
-        raise NoSuchStep(repr(text), len(log), _no_task_hint(log, asked["path"], len(found)))
-    step = found[which - 1 if which > 0 else which][asked["end"] == "end"]
+    number = int(match["which"] or 1)
+    executions = _tasks(log, match["path"], number)
+    if not number or len(executions) < abs(number):
+        raise NoSuchStep(repr(text), len(log), _no_task_hint(log, match["path"], len(executions)))
+    step = executions[number - 1 if number > 0 else number][match["end"] == "end"]
     if step is None:
         raise NoSuchStep(repr(text), len(log), "the recording ends before this task does")
     return step
 
 
-def _tasks(log: Log, path: str, which: int) -> list[list[int | None]]:
-    """Return start and end of the tasks that fit a path, up to the wanted one."""
-    wanted = path.strip("/").casefold().split("/")
+def _tasks(log: Log, path: str, number: int) -> list[list[int | None]]:
+    """Return start and end of the tasks that fit a path, up to that number."""
+    searched = tuple(path.strip("/").casefold().split("/"))
     paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
-    found: list[list[int | None]] = []
+    executions: list[list[int | None]] = []
     running: dict[int, list[int | None]] = {}
     for record in log.records(Task):
         if record.phase == Task.STARTED:
-            names = (*paths.get(record.parent, ()), record.name.casefold())
-            paths[record.task] = names[-len(wanted) :]
-            if list(names[-len(wanted) :]) == wanted or path == str(record.task):
+            names = (*paths.get(record.parent, ()), record.name.casefold())[-len(searched) :]
+            paths[record.task] = names
+            if names == searched or path == str(record.task):
                 running[record.task] = [record.seq, None]
-                found.append(running[record.task])
+                executions.append(running[record.task])
         else:
             paths.pop(record.task, None)
             ended = running.pop(record.task, None)
             if ended is not None:
                 ended[1] = record.seq
-            if len(found) == which > 0 and found[-1][1] is not None:
+            if len(executions) == number > 0 and executions[-1][1] is not None:
                 break
-    return found
+    return executions
 
 
 def _no_task_hint(log: Log, path: str, count: int) -> str:

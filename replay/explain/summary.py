@@ -84,9 +84,8 @@ def summary(log: Log) -> Summary:
     problems = log.check() if checked else log.problems
     first, last = next(log.records()), next(log.backwards())
     end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
-    outcome = "running" if log.live else "cut off"
-    if end is not None:
-        outcome = "succeeded" if end.succeeded else "failed"
+    unfinished = "running" if log.live else "cut off"
+    outcome = unfinished if end is None else "succeeded" if end.succeeded else "failed"
     return Summary(
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),

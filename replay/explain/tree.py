@@ -5,21 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from recorder.records import Task
-from recorder.tasks import Node, State, Tree
+from recorder.tasks import Tree
 from replay.explain.root_cause import root_cause, uncaught_failure
 
 if TYPE_CHECKING:
     from replay.file.log import Log
 
-__all__ = ["Node", "State", "Tree", "tree"]
-
 
 def tree(log: Log, stop: int | None = None) -> Tree:
     """Return the task tree of a recording, as it was before a step if one is given."""
-    found = Tree()
+    folded = Tree()
     for record in log.records(Task, stop=stop):
-        found.apply(record)
+        folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
         cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks
-        found.began = cause.task.started.task if cause is not None and cause.task is not None else 0
-    return found
+        folded.began = cause.task.started.task if cause is not None and cause.task is not None else 0
+    return folded

@@ -14,7 +14,7 @@ from recorder.records import Query
 from replay.errors import NoSuchStep
 from replay.explain.explanation import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.explain.failed_tasks import failures
-from replay.explain.root_cause import root_cause
+from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.source import Source
 from replay.explain.summary import failed_threads, final_step, summary
 from replay.state.diff import difference
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from replay.explain.failed_tasks import Failures, TaskExecution
-    from replay.explain.root_cause import RootCause
     from replay.explain.summary import Summary
     from replay.file.log import Log
     from replay.state.json_data import Plain
@@ -37,37 +36,33 @@ _MOVED: Final = 0.001  # m from which on a body counts as moved since a query
 
 
 def why(log: Log, step: int | None = None) -> Why:
-    """Explain a failure.
-
-    Args:
-        log: the recording.
-        step: one of a task that failed, or the first after it did; by default that of
-            :func:`replay.explain.root_cause.root_cause`.
+    """Explain the failed task that a step is part of, or the last before it; by default the root cause.
 
     Raises:
         NoSuchStep: there is no such step, or nothing failed until then.
     """
-    found = failures(log)
+    failed = failures(log)
     run = summary(log)
     if step is not None:
-        return _task_failure(log, run, _failed_at(log, found, step))
-    cause = root_cause(log, found)
-    unfinished = tuple(task for task in found.running if not any(part in found.running for part in task.parts))
+        task = _failed_at(log, failed, step)
+        return _task_failure(log, run, task, RootCause(task.end, task))
+    cause = root_cause(log, failed)
+    unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.parts))
     if cause is None:
         return Why(run, final_step(log), None, unfinished=unfinished)
     if cause.task is None:
-        explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else found, cause)
+        explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
     else:
         explained = _task_failure(log, run, cause.task, cause, unfinished)
-    others = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
-    return replace(explained, failed_threads=others)
+    threads = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
+    return replace(explained, failed_threads=threads)
 
 
-def _failed_at(log: Log, found: Failures, step: int) -> TaskExecution:
+def _failed_at(log: Log, failed: Failures, step: int) -> TaskExecution:
     """Return the failed task that a step is part of, or that ended last until then."""
     record = log[step]
-    until = [task for task in found.origins if task.finished is not None and task.finished.seq <= step]
-    of_step = [task for task in found.origins if any(outer.started.task == record.task for outer in task.around())]
+    until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
+    of_step = [task for task in failed.origins if any(outer.started.task == record.task for outer in task.around())]
     if record.task and of_step:
         return of_step[-1]
     if not until:
@@ -76,40 +71,35 @@ def _failed_at(log: Log, found: Failures, step: int) -> TaskExecution:
 
 
 def _task_failure(
-    log: Log,
-    run: Summary,
-    task: TaskExecution,
-    cause: RootCause | None = None,
-    unfinished: tuple[TaskExecution, ...] = (),
+    log: Log, run: Summary, task: TaskExecution, cause: RootCause, unfinished: tuple[TaskExecution, ...] = ()
 ) -> Why:
     source, motion = Source(log), task.motion
     start, end = motion.started.seq, task.end
     before = failures(log, end + 1)
     objects = _objects(motion.parameters)
-    alike = [other for other in before.origins if _is_alike(log, other.motion, motion, objects)]
-    previous = next(
-        (other for other in reversed(alike) if other.motion is not motion and other.motion.started.seq < start), None
-    )
+    alike = [attempt for attempt in before.origins if _is_alike(log, attempt.motion, motion, objects)]
+    before_it = [attempt for attempt in alike if attempt.motion is not motion and attempt.motion.started.seq < start]
+    previous = before_it[-1] if before_it else None
     same = before.successes.get((motion.started.kind, motion.started.name))
-    window = max((each.end for each in (previous, same) if each is not None), default=0)
-    queries, earlier = _queries(log, window, end, objects, {each.started.task for each in task.around()})
+    window = max((execution.end for execution in (previous, same) if execution is not None), default=0)
+    queries, earlier = _queries(log, window, end, objects, {execution.started.task for execution in task.around()})
     state = state_at(log, end)
     world = _world(state, objects, queries)
     names = _of_world(objects, world)
     return Why(
         run,
         end,
-        (cause.failure if cause is not None else None) or task.failure,
-        thread=cause.thread if cause is not None else "",
-        exceptions=cause.exceptions if cause is not None else (),
+        cause.failure or task.failure,
+        thread=cause.thread,
+        exceptions=cause.exceptions,
         task=task,
-        call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
+        call_stack=next(filter(None, (source.call_stack(execution.started) for execution in task.around())), ()),
         world=world,
         is_default=world is None or world is state.world(),
         bodies=tuple(_bodies(world, [*names, *_failure_bodies(world, task)])),
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
-        other_failures=sum(1 for other in before.origins if other not in alike),
+        other_failures=sum(1 for attempt in before.origins if attempt not in alike),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_same_success=_since(log, same, state),
@@ -118,13 +108,13 @@ def _task_failure(
     )
 
 
-def _plan_failure(log: Log, run: Summary, found: Failures, cause: RootCause) -> Why:
+def _plan_failure(log: Log, run: Summary, failed: Failures, cause: RootCause) -> Why:
     """Explain a failure that the plan's own code raised, not a task."""
     state = state_at(log, cause.step)
-    last = found.last_success
+    last = failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
-    objects = list(dict.fromkeys(each for query in queries for each in _objects(arguments_data(query.arguments))))
+    objects = list(dict.fromkeys(body for query in queries for body in _objects(arguments_data(query.arguments))))
     world = _world(state, objects, queries)
     return Why(
         run,
@@ -135,7 +125,7 @@ def _plan_failure(log: Log, run: Summary, found: Failures, cause: RootCause) -> 
         world=world,
         is_default=world is None or world is state.world(),
         bodies=tuple(_bodies(world, _of_world(objects, world))),
-        other_failures=len(found.origins),
+        other_failures=len(failed.origins),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_last_success=_since(log, last, state),
@@ -145,12 +135,12 @@ def _plan_failure(log: Log, run: Summary, found: Failures, cause: RootCause) -> 
 # --- attempts --------------------------------------------------------------------------------------------------------
 
 
-def _is_alike(log: Log, task: TaskExecution, wanted: TaskExecution, objects: Iterable[tuple[str, str]]) -> bool:
+def _is_alike(log: Log, task: TaskExecution, failed: TaskExecution, objects: Iterable[tuple[str, str]]) -> bool:
     """Return whether a task is the same with one of the same bodies; bodies of a later world are others."""
-    if (task.started.kind, task.started.name) != (wanted.started.kind, wanted.started.name):
+    if (task.started.kind, task.started.name) != (failed.started.kind, failed.started.name):
         return False
     own = set(_objects(task.parameters))
-    now, then = wanted.started.seq, task.started.seq
+    now, then = failed.started.seq, task.started.seq
     common = own.intersection(objects)
     return (
         not objects
@@ -174,7 +164,7 @@ def _objects(parameters: Plain) -> list[tuple[str, str]]:
         if set(parameters) == {"object", "world"}:
             return [(str(parameters["object"]), str(parameters["world"]))]
         parameters = list(parameters.values())
-    return [found for value in parameters for found in _objects(value)] if isinstance(parameters, list) else []
+    return [body for value in parameters for body in _objects(value)] if isinstance(parameters, list) else []
 
 
 # --- queries ---------------------------------------------------------------------------------------------------------
@@ -191,8 +181,8 @@ def _queries(
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
             latest.pop(question, None)
             latest[question] = query
-    found = list(latest.values())
-    return found[-_MAX_QUERIES:], max(len(found) - _MAX_QUERIES, 0)
+    queries = list(latest.values())
+    return queries[-_MAX_QUERIES:], max(len(queries) - _MAX_QUERIES, 0)
 
 
 def _with_changes(log: Log, query: Query, world: World | None) -> RelevantQuery:

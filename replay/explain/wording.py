@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.explain.source import Line
     from replay.state.json_data import Plain
+    from replay.state.state import Attachment
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
@@ -56,9 +57,8 @@ def one_line(text: str) -> str:
 
 def number(amount: float) -> str:
     """Return a number with three decimals, without trailing zeros."""
-    return (
-        f"{amount:.3f}".rstrip("0").rstrip(".").replace("-0", "0") if abs(amount) < 5e-4 else _trimmed(f"{amount:.3f}")
-    )
+    text = f"{amount:.3f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
 
 
 def apart(before: float, after: float) -> tuple[str, str]:
@@ -75,10 +75,6 @@ def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
 
 
-def _trimmed(text: str) -> str:
-    return text.rstrip("0").rstrip(".")
-
-
 def vector(values: Sequence[float]) -> str:
     """Return a position or the like."""
     return "[" + ", ".join(number(part) for part in values) + "]"
@@ -86,8 +82,8 @@ def vector(values: Sequence[float]) -> str:
 
 def call(name: str, parameters: Mapping[str, Plain]) -> str:
     """Return a task or query with what it was given."""
-    given = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
-    return f"{name}({given})" if given else name
+    arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
+    return f"{name}({arguments})" if arguments else name
 
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
@@ -129,10 +125,15 @@ def path(file: str) -> str:
     return file
 
 
-def place(line: Line) -> str:
-    """Return a line of the plan: where it is and what it says."""
+def location(line: Line) -> str:
+    """Return a line of the plan: its location and its text."""
     function = f" in {line.function}" if line.function else ""
     return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def carrier(held: Attachment) -> str:
+    """Return a carrier, with the link that holds a body."""
+    return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
 def line(record: Record) -> str:
@@ -160,107 +161,92 @@ def answer(query: Query) -> str:
     """Return its answer: yes, no, the objects found, or how it failed."""
     if query.HasField("failure"):
         return format_failure(query.failure)
-    found = to_plain(query.answer_json)
-    if isinstance(found, bool):
-        return "yes" if found else "no"
-    if isinstance(found, list):
-        return names([value(item) for item in found])
-    return value(found)
+    result = to_plain(query.answer_json)
+    if isinstance(result, bool):
+        return "yes" if result else "no"
+    if isinstance(result, list):
+        return names([value(item) for item in result])
+    return value(result)
 
 
 def reasons(query: Query) -> str:
     """Return what its answer rests on."""
     evidence = arguments_data(query.evidence)
-    found: list[str] = []
+    phrases: list[str] = []
     for key, item in evidence.items():
         if key in _PHRASES:
-            found += _PHRASES[key](item, evidence)
-        elif isinstance(item, bool | int | float | str):
-            found.append(f"{key.replace('_', ' ')} {value(item)}")
-    return ", ".join(found)
+            phrases += _PHRASES[key](item, evidence)
+        elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
+            phrases.append(f"{key.replace('_', ' ')} {value(item)}")
+    return ", ".join(phrases)
 
 
-def _share(found: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, int | float):
-        seen, alone = evidence.get("pixels_seen"), evidence.get("pixels_alone")
-        how_much = "all" if found >= 1 else "nothing" if not found else f"{found:.0%}"
-        yield f"{how_much} of it is seen" + (f" ({seen} of {alone} pixels)" if alone else "")
+def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(share, int | float):
+        visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
+        how_much = "all" if share >= 1 else "nothing" if not share else f"{share:.0%}"
+        yield f"{how_much} of it is seen" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
 
 
-def _hidden(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, dict):
-        for name, share in found.items():
+def _hidden(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(bodies, dict):
+        for name, share in bodies.items():
             yield f"{name} hides {share:.0%}" if isinstance(share, int | float) else f"{name} hides it"
 
 
-def _distance(found: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
-    if not isinstance(found, int | float):
+def _distance(distance: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
+    if not isinstance(distance, int | float):
         return
     if "joints" not in evidence:
-        yield f"{number(found * 1e3)} mm apart" if found >= 0 else f"{number(-found * 1e3)} mm deep"
+        yield f"{number(distance * 1e3)} mm apart" if distance >= 0 else f"{number(-distance * 1e3)} mm deep"
         return
     turn = evidence.get("turn")
     turned = isinstance(turn, int | float) and turn >= math.radians(1)
-    if found >= 1e-3 or turned:
-        yield f"the nearest posture stays {found:.3f} m away" + (
+    if distance >= 1e-3 or turned:
+        yield f"the nearest posture stays {distance:.3f} m away" + (
             f" and is turned by {math.degrees(turn):.0f} degrees" if isinstance(turn, int | float) and turned else ""
         )
     else:
         yield "there is a posture for it"
 
 
-def _obstacles(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, dict) and found:
-        yield f"the arm would touch {names(list(found))}"
+def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(bodies, dict) and bodies:
+        yield f"the arm would touch {names(list(bodies))}"
 
 
-def _angle(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(found, int | float):
-            yield f"{word} {math.degrees(found):.1f} degrees"
-
-    return phrase
-
-
-def _length(word: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
-    def phrase(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-        if isinstance(found, int | float):
-            yield f"{word} {found * 1e3:.1f} mm"
+def _measure(verb: str, factor: float, unit: str) -> Callable[[Plain, Mapping[str, Plain]], Iterator[str]]:
+    def phrase(amount: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+        if isinstance(amount, int | float):
+            yield f"{verb} {amount * factor:.1f} {unit}"
 
     return phrase
 
 
-def _links(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, list) and found:
+def _links(links: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(links, list) and links:
         pairs = [
             " and ".join(str(part) or "base" for part in item) if isinstance(item, list) else str(item) or "base"
-            for item in found
+            for item in links
         ]
         yield f"at {names(pairs)}"
 
 
-def _simulated(found: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(found, int):
-        yield f"in {found / STEPS_PER_SECOND:.2f} s of simulation"
-
-
-def _nothing(_: Plain, __: Mapping[str, Plain]) -> Iterator[str]:
-    yield from ()
+def _simulated(steps: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
+    if isinstance(steps, int):
+        yield f"in {steps / STEPS_PER_SECOND:.2f} s of simulation"
 
 
 #: Phrases for parts of queries' evidence; single values that are not here are printed with their names.
 _PHRASES: Final[Mapping[str, Callable[[Plain, Mapping[str, Plain]], Iterator[str]]]] = {
     "share": _share,
-    "pixels_seen": _nothing,
-    "pixels_alone": _nothing,
     "hidden_by": _hidden,
-    "reached": _nothing,
     "distance": _distance,
-    "turn": _nothing,
     "obstacles": _obstacles,
-    "moved": _length("it moved"),
-    "turned": _angle("turned"),
+    "moved": _measure("it moved", 1e3, "mm"),
+    "turned": _measure("turned", math.degrees(1), "degrees"),
     "links": _links,
     "simulated_steps": _simulated,
-    "moved_after_steps": _nothing,
 }
+#: Parts that the phrases of others include.
+_INCLUDED: Final = frozenset({"pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

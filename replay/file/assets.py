@@ -64,10 +64,7 @@ class Assets(Mapping[str, bytes]):
         return len(self._index.attachments)
 
     def urdf(self, name: str) -> Urdf:
-        """Return an attached model, parsed; once for all who ask.
-
-        Args:
-            name: ``<sha256>/<file name>``.
+        """Return an attached model, ``<sha256>/<file name>``, parsed; once for all who ask.
 
         Raises:
             NoSuchName: the recording doesn't have it.

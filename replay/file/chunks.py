@@ -64,9 +64,9 @@ class Chunks:
 
     def refresh(self, number: int) -> None:
         """Forget what was read of a chunk and those behind it."""
-        for known in (self._cache, self._spans, self.damaged):
-            for stale in [cached for cached in known if cached >= number]:
-                del known[stale]
+        for cache in (self._cache, self._spans, self.damaged):
+            for key in [cached for cached in cache if cached >= number]:
+                del cache[key]
         self._kinds = kinds_of(self._index)
         metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
         self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
@@ -75,11 +75,7 @@ class Chunks:
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """Return the types of record in a chunk, and their worlds, by its channels.
-
-        Returns:
-            Type of record, and the world that the channel is for; None if it doesn't name exactly one.
-        """
+        """Return for each channel of a chunk its type of record and its world; None if it doesn't name exactly one."""
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
@@ -93,24 +89,19 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """Yield the records of a chunk; nothing but what is asked for is decoded.
+        """Yield the records of a chunk, of some types, of a world, that have a text in one of their fields.
 
-        Args:
-            number: of the chunk.
-            kinds: only those of this type, or of one of these.
-            world: only those of this world.
-            backwards: the last one first.
-            naming: only those that have this text in one of their fields.
+        Nothing but what is asked for is decoded.
         """
-        wanted = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
-        if wanted is not None and not any(kind in wanted for kind, _ in self.channels(number)):
+        types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
+        if types is not None and not any(kind in types for kind, _ in self.channels(number)):
             return
         text = naming.encode(errors="replace")
         entries = self._load(number, text)
         indices = range(len(entries.channels))
         for at in reversed(indices) if backwards else indices:
             channel = entries.channels[at]
-            if wanted is not None and self._kinds[channel] not in wanted:
+            if types is not None and self._kinds[channel] not in types:
                 continue
             if world is not None and self._worlds[channel] not in (None, world):
                 continue
@@ -139,11 +130,6 @@ class Chunks:
                 record = self._decode(number, entries, at)
                 if record is not None:
                     yield record, self._owners[channel]
-
-    def check(self, number: int) -> None:
-        """Read and decodes a whole chunk, and notes in ``damaged`` what is wrong with it."""
-        for _ in self.records(number):
-            pass
 
     # --- search for a step -------------------------------------------------------------------------------------------
 
@@ -224,12 +210,12 @@ class Chunks:
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
     """Return the types of record by the channels of a file that are ours."""
-    found = {}
+    kinds = {}
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
         if kind is not None and index.schemas.get(channel.schema_id) == kind.DESCRIPTOR.full_name:
-            found[number] = kind
-    return found
+            kinds[number] = kind
+    return kinds
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:

@@ -60,11 +60,11 @@ def _check_start(path: Path, file: BinaryIO) -> None:
 
 
 def check_ours(path: Path, index: Index) -> None:
-    """Say what a file without any channel that we know is.
+    """Raise the error for a file that has no channel of a recording.
 
     Raises:
         NotALog: it is another program's.
-        Unreadable: it is of another release, or too damaged to say.
+        Unreadable: it is of another release, or too damaged to be recognised.
     """
     if kinds_of(index):
         return

@@ -13,16 +13,7 @@ from typing import BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    AttachmentIndex,
-    Channel,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
+from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
 
 from replay.errors import LogClosed
 from replay.file.layout import (
@@ -87,8 +78,8 @@ class Index:
 
     def _clear(self) -> None:
         self.chunks.clear()
-        for found in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
-            found.clear()
+        for table in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
+            table.clear()
 
     def read(self, extent: Extent | ChunkExtent) -> bytes:
         """Return the content of a record, less if the file ends in it.
@@ -127,11 +118,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the one that it was closed with"]
 
     def refresh(self) -> bool:
-        """Look for what was written since.
-
-        Returns:
-            Whether there is anything new; never of a file that was closed.
-        """
+        """Look for what was written since; return whether there is anything new: never in a file that was closed."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:

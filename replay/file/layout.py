@@ -39,11 +39,16 @@ class Extent(NamedTuple):
     offset: int
     length: int
 
+    @property
+    def stop(self) -> int:
+        """The offset behind it."""
+        return self.offset + self.length
+
 
 class ChunkExtent(NamedTuple):
     """The extent of a chunk's content, and the channels that have messages in it.
 
-    ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where nothing says it.
+    ``channels`` has 10 bytes for each channel, as MCAP's chunk index has them; None where it is not known.
     """
 
     offset: int

@@ -52,7 +52,7 @@ class Lifetime:
 
 
 def title(world: str, number: int) -> str:
-    """Return what people call a world: its name, and which of that name it is if it isn't the first."""
+    """Return the title of a world: its name, and its number among those of that name if it isn't the first."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -61,46 +61,46 @@ def title(world: str, number: int) -> str:
 
 def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
     """Return the lifetimes of all worlds, in the order of their opening."""
-    found = _found(chunks)
-    starts = _starts(chunks, found)
+    chunks_of = _chunks_by_lifetime(chunks)
+    starts = _starts(chunks, chunks_of)
     lifetimes = []
-    for owner, (changes, keyframes) in sorted(found.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
+    for owner, (changes, keyframes) in sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
         world, number = owner
         stop = starts.get((world, number + 1))
         lifetimes.append(Lifetime(world, number, starts[owner] if number > 1 else 0, stop, changes, keyframes))
     return tuple(lifetimes)
 
 
-def _found(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
+def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, tuple[list[int], list[int]]]:
     """Return the numbers of the chunks that have changes of each lifetime, and of those with keyframes."""
-    found: dict[Owner, tuple[list[int], list[int]]] = {}
-    latest: dict[str, int] = {}  # number of the latest lifetime by name of the world
-    alike: dict[bytes, list[list[int]]] = {}  # the lists to which a chunk belongs, by the ids of its channels
+    chunks_of: dict[Owner, tuple[list[int], list[int]]] = {}
+    last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
+    lists_by_channels: dict[bytes, list[list[int]]] = {}  # that a chunk belongs to, by ids of its channels
     for number, channels in enumerate(chunks.channel_maps()):
         ids = b"" if channels is None else channels[::10] + channels[1::10]  # low bytes, then high bytes
-        belongs = alike.get(ids)
-        if belongs is None:
+        lists = lists_by_channels.get(ids)
+        if lists is None:
             kinds = [(kind, owner) for kind, owner in chunks.channels(number) if kind in (Mutation, Keyframe)]
             marks: list[_Mark] = [(kind, owner) for kind, owner in kinds if owner is not None]
             exact = bool(ids) and len(marks) == len(kinds)
             if not exact:
-                marks = [(type(record), _owner(record, owner, latest)) for record, owner in chunks.changes(number)]
+                marks = [(type(record), _owner(record, owner, last_number)) for record, owner in chunks.changes(number)]
             for _, (world, lifetime) in marks:
-                latest[world] = max(lifetime, latest.get(world, 0))
-            belongs = _where(found, marks)
+                last_number[world] = max(lifetime, last_number.get(world, 0))
+            lists = _lists(chunks_of, marks)
             if exact:
-                alike[ids] = belongs
-        for numbers in belongs:
+                lists_by_channels[ids] = lists
+        for numbers in lists:
             numbers.append(number)
-    return found
+    return chunks_of
 
 
-def _owner(record: Record, known: Owner | None, latest: dict[str, int]) -> Owner:
+def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
     """Return the world of a record: the one of its channel if that is known, else by counting."""
-    lifetime = known[1] if known is not None else latest.get(record.world, 0)
-    if not lifetime or (known is None and _opens(record)):
+    lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
+    if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
-    latest[record.world] = lifetime
+    last_number[record.world] = lifetime
     return record.world, lifetime
 
 
@@ -108,33 +108,33 @@ def _opens(record: Record) -> bool:
     return isinstance(record, Mutation) and record.HasField("open_world")
 
 
-def _where(found: dict[Owner, tuple[list[int], list[int]]], marks: Iterable[_Mark]) -> list[list[int]]:
+def _lists(chunks_of: dict[Owner, tuple[list[int], list[int]]], marks: Iterable[_Mark]) -> list[list[int]]:
     """Return the lists that a chunk belongs to, by what it has."""
-    belongs = []
+    lists = []
     kinds: defaultdict[Owner, set[type[Record]]] = defaultdict(set)
     for kind, owner in marks:
         kinds[owner].add(kind)
     for owner, present in kinds.items():
-        changes, keyframes = found.setdefault(owner, ([], []))
-        belongs.append(changes)
+        changes, keyframes = chunks_of.setdefault(owner, ([], []))
+        lists.append(changes)
         if Keyframe in present:
-            belongs.append(keyframes)
-    return belongs
+            lists.append(keyframes)
+    return lists
 
 
-def _starts(chunks: Chunks, found: dict[Owner, tuple[list[int], list[int]]]) -> dict[Owner, int]:
+def _starts(chunks: Chunks, chunks_of: dict[Owner, tuple[list[int], list[int]]]) -> dict[Owner, int]:
     """Return the first steps of lifetimes; 0 where nothing depends on it, to avoid reading."""
-    begun: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
-    for owner, (changes, _) in found.items():
-        begun[changes[0]].append(owner)
-    starts = dict.fromkeys(found, 0)
-    for number, owners in begun.items():
+    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # by chunk
+    for owner, (changes, _) in chunks_of.items():
+        beginning[changes[0]].append(owner)
+    starts = dict.fromkeys(chunks_of, 0)
+    for number, owners in beginning.items():
         if len(owners) > 1 or owners[0][1] > 1:
-            starts |= dict.fromkeys(owners, chunks.span(number)[0]) | dict(_begun(chunks, number, owners))
+            starts |= dict.fromkeys(owners, chunks.span(number)[0]) | dict(_first_steps(chunks, number, owners))
     return starts
 
 
-def _begun(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
+def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
     """Yield the first steps of the lifetimes that begin in a chunk, as far as it can be read."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):

@@ -109,20 +109,20 @@ class Log:
     @property
     def problems(self) -> str:
         """What is known to be missing or damaged, in words; empty if nothing is."""
-        found = []
+        problems = []
         if not self.closed:
             writer = "it is still being written" if self.live else "its process was killed"
             cut = self._index.incomplete_bytes
             tail = f", its last {cut} bytes are incomplete" if cut else ""
-            found.append(f"it was not closed ({writer}){tail}")
+            problems.append(f"it was not closed ({writer}){tail}")
         elif not self._index.whole:
-            found.append("the index at its end is damaged")
-        found += self._index.damage
-        found += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
-        found += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
+            problems.append("the index at its end is damaged")
+        problems += self._index.damage
+        problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
+        problems += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
         if self._lost and not self._chunks.damaged:
-            found.append(f"{self._lost} records are lost")
-        return "; ".join(found)
+            problems.append(f"{self._lost} records are lost")
+        return "; ".join(problems)
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
@@ -131,13 +131,13 @@ class Log:
 
     def counts(self) -> dict[str, int]:
         """Return the number of records of each kind, from the file's own index; nothing is decoded."""
-        found: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
             if count:
                 name = TOPICS[kind].removeprefix("/")
-                found[name] = found.get(name, 0) + count
-        return found
+                counts[name] = counts.get(name, 0) + count
+        return counts
 
     # --- records ---------------------------------------------------------------------------------------------------
 
@@ -151,13 +151,13 @@ class Log:
             NoSuchStep: there is none.
             Damaged: there was one, but it is lost.
         """
-        wanted = step + self._steps if step < 0 else step
-        if not 0 <= wanted < self._steps:
+        number = step + self._steps if step < 0 else step
+        if not 0 <= number < self._steps:
             raise NoSuchStep(step, self._steps)
-        for record in self._chunks.records(self.chunk_of(wanted)):
-            if record.seq == wanted:
+        for record in self._chunks.records(self.chunk_of(number)):
+            if record.seq == number:
                 return record
-        raise Damaged(self.path, f"step {wanted}", "it was lost")
+        raise Damaged(self.path, f"step {number}", "it was lost")
 
     def __iter__(self) -> Iterator[Record]:
         return self.records()
@@ -167,13 +167,7 @@ class Log:
     @overload
     def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream records; nothing but what is asked for is decoded.
-
-        Args:
-            kind: only those of this type, or of one of these.
-            start: the first step, from 0.
-            stop: the step before which to end; the end by default.
-        """
+        """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded."""
         end = self._steps if stop is None else min(stop, self._steps)
         if start >= end:
             return
@@ -187,12 +181,9 @@ class Log:
     @overload
     def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
-        """Stream records from a step down to the first.
+        """Stream records from a step (negative ones count from the end) down to the first.
 
-        Args:
-            start: the step to begin with; negative ones count from the end.
-            kind: only those of this type, or of one of these.
-            naming: only those that have this text in one of their fields; the others are not decoded.
+        Only those of one or several types, that have a text in one of their fields, are decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -231,7 +222,8 @@ class Log:
     def check(self) -> str:
         """Read everything once, and return :attr:`problems`."""
         for number in range(len(self._chunks)):
-            self._chunks.check(number)
+            for _ in self._chunks.records(number):
+                pass  # what is damaged is noted on the way
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]
@@ -244,13 +236,13 @@ class Log:
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        found = []
+        gaps = []
         expected = 0
         for record in self.records():
             if record.seq > expected:
-                found.append(range(expected, record.seq))
+                gaps.append(range(expected, record.seq))
             expected = max(expected, record.seq + 1)
-        return found
+        return gaps
 
     def refresh(self) -> bool:
         """Look for records that were written since, if the file was not closed; return whether there are any."""

@@ -6,6 +6,7 @@ This is how recordings are read whose process was killed or is still running, an
 from __future__ import annotations
 
 import io
+import re
 import zlib
 from collections import defaultdict
 from typing import TYPE_CHECKING, BinaryIO, Final
@@ -29,14 +30,14 @@ from replay.file.layout import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container
 
     from replay.file.index import Index
 
 _MAX_LENGTH: Final = 1 << 32  # bytes; what claims to be longer is damaged
 _BLOCK: Final = 1 << 20
 #: Part of the head of each compressed chunk, by which the next one is found after damage.
-_MARKS: Final = (b"\x04\0\0\0zstd", b"\x03\0\0\0lz4")
+_MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 
 
 class Scan:
@@ -56,22 +57,20 @@ class Scan:
         size = self._file.seek(0, io.SEEK_END)
         at = self._next
         while at + HEADER <= size:
-            self._file.seek(at)
-            opcode, length = LENGTH.unpack(self._file.read(HEADER))
-            extent = Extent(at + HEADER, length)
-            if opcode == Opcode.DATA_END and length == 4:
-                self._define_from_summary(extent.offset + extent.length, size)
+            opcode, extent = self._head(at)
+            if opcode == Opcode.DATA_END and extent.length == 4:
+                self._define_from_summary(extent.stop, size)
                 index.closed = self._has_end(size)
                 if index.closed:
                     index.data_end = at
                     index.whole = self._is_summary_intact(at, size)
                     at = size
                 break
-            beyond = extent.offset + length > size
+            beyond = extent.stop > size
             if beyond and not self._is_damaged(opcode, extent, size):
                 break  # incomplete, or being written
             if not beyond and self._read(opcode, extent):
-                at = extent.offset + length
+                at = extent.stop
                 continue
             following = self._next_chunk(at + 1, size)
             if following is None:
@@ -104,21 +103,22 @@ class Scan:
     def _define_from_summary(self, at: int, size: int) -> None:
         """Read the definitions of channels from the summary, in case the data's are lost; its offsets may be wrong."""
         while at + HEADER <= size:
-            self._file.seek(at)
-            opcode, length = LENGTH.unpack(self._file.read(HEADER))
-            extent = Extent(at + HEADER, length)
-            at = extent.offset + length
+            opcode, extent = self._head(at)
+            at = extent.stop
             if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL) or at > size:
                 return
             try:
-                definition = (Schema if opcode == Opcode.SCHEMA else Channel).read(
-                    ReadDataStream(io.BytesIO(self._index.read(extent)))
-                )
+                definition = self._definition(opcode, extent)
             except DAMAGE:
                 return
-            known: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
-            if definition.id not in known:
+            defined: Container[int] = self._index.schemas if isinstance(definition, Schema) else self._index.channels
+            if definition.id not in defined:
                 self._index.define(definition)
+
+    def _definition(self, opcode: int, extent: Extent) -> Schema | Channel:
+        kind = Schema if opcode == Opcode.SCHEMA else Channel
+        definition: Schema | Channel = kind.read(ReadDataStream(io.BytesIO(self._index.read(extent))))
+        return definition
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
         """Return whether a record that reaches beyond the end is damaged, rather than cut off."""
@@ -155,8 +155,7 @@ class Scan:
             elif opcode == Opcode.METADATA:
                 self._index.read_metadata(extent)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                kind = Schema if opcode == Opcode.SCHEMA else Channel
-                self._index.define(kind.read(ReadDataStream(io.BytesIO(self._index.read(extent)))))
+                self._index.define(self._definition(opcode, extent))
         except DAMAGE:
             return False
         return Opcode.HEADER <= opcode <= Opcode.DATA_END
@@ -216,28 +215,24 @@ class Scan:
         self._decoded = number
 
     def _next_chunk(self, start: int, size: int) -> int | None:
-        """Return offset of the first chunk at or behind a byte that is whole; None if there is none."""
+        """Return the offset of the first intact chunk at or behind a byte; None if there is none."""
         at = start
         while at < size:
             self._file.seek(at)
             block = self._file.read(_BLOCK + 64)
-            found = sorted(i for mark in _MARKS for i in _all(block, mark))
-            for i in found:
-                offset = at + i - CHUNK_HEAD.size + 4 - HEADER
+            for mark in _MARK.finditer(block):
+                offset = at + mark.start() - CHUNK_HEAD.size + 4 - HEADER
                 if offset >= start and self._chunk_at(offset, size):
                     return offset
             at += _BLOCK
         return None
 
     def _chunk_at(self, offset: int, size: int) -> bool:
+        opcode, extent = self._head(offset)
+        return opcode == Opcode.CHUNK and extent.stop <= size and self._is_chunk(extent)
+
+    def _head(self, offset: int) -> tuple[int, Extent]:
+        """Return the opcode of the record at an offset, and the extent of its content."""
         self._file.seek(offset)
         opcode, length = LENGTH.unpack(self._file.read(HEADER))
-        extent = Extent(offset + HEADER, length)
-        return opcode == Opcode.CHUNK and extent.offset + length <= size and self._is_chunk(extent)
-
-
-def _all(block: bytes, mark: bytes) -> Iterator[int]:
-    at = block.find(mark)
-    while at >= 0:
-        yield at
-        at = block.find(mark, at + 1)
+        return opcode, Extent(offset + HEADER, length)

@@ -75,22 +75,13 @@ class Answer:
 
 
 def ask(
-    log: Log,
-    step: int,
-    question: str | Question | None = None,
-    *,
-    world: str | None = None,
-    moves: Sequence[Move] = (),
+    log: Log, step: int, question: str | Question | None = None, *, world: str | None = None, moves: Sequence[Move] = ()
 ) -> Answer:
-    """Ask a query at a past step; no recording mentions it.
+    """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
 
-    Args:
-        log: the recording.
-        step: from 0.
-        question: as ``visible(milk, wide_stereo_optical_frame)``; all of :data:`QUERIES`, with the arguments of
-            :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again.
-        world: its name; by default the open one that was opened last.
-        moves: what is moved before, with all that it carries.
+    Questions are as ``visible(milk, wide_stereo_optical_frame)``: any of :data:`QUERIES`, with the arguments of
+    :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again, in its
+    world. By default the world is the open one that was opened last.
 
     Raises:
         BadQuestion: it can't be read, that world has no answer to it, or the step's record is no query.
@@ -101,24 +92,24 @@ def ask(
         if not isinstance(record, Query):
             raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
         question, world = question_of(record), record.world
-    asked = parse(question) if isinstance(question, str) else question
-    if asked.query not in QUERIES:
-        raise NoSuchName("query", asked.query, QUERIES)
+    call = parse(question) if isinstance(question, str) else question
+    if call.query not in QUERIES:
+        raise NoSuchName("query", call.query, QUERIES)
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
     with unrecorded(log, step, name) as restored:
         try:
             for move in moves:
                 _apply(restored, move)
-            found = _call(restored, asked)
+            result = _call(restored, call)
         except NoSuchName as error:  # of an object, which another world may have
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
-            raise BadQuestion(str(asked), str(error)) from error
-        answer = [_item(item) for item in found] if isinstance(found, list) else bool(found)
-        evidence: dict[str, Plain] = json.loads(to_json(found.evidence))
+            raise BadQuestion(str(call), str(error)) from error
+        answer = [_item(item) for item in result] if isinstance(result, list) else bool(result)
+        evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
-    return Answer(step, title, asked, answer, evidence, tuple(moves))
+    return Answer(step, title, call, answer, evidence, tuple(moves))
 
 
 def _apply(world: BulletWorld, move: Move) -> None:
@@ -157,9 +148,9 @@ def _value(world: BulletWorld, parameter: str, term: object) -> object:
 
 
 def _object(world: BulletWorld, name: str) -> Object:
-    found = world.get_objects_by_name(name)
-    if found:
-        return found[0]
+    objects = world.get_objects_by_name(name)
+    if objects:
+        return objects[0]
     if name == "robot" and world.robot is not None:
         return world.robot
     raise NoSuchName("object", name, (body.name for body in world.objects))

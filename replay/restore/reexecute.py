@@ -7,7 +7,7 @@ original, but not the same to the last bit once time runs.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Keyframe, Mutation
 from recorder.tracing.journal import Journal, unrecorded
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.world.world import BulletWorld
-    from recorder.records import Record
+    from recorder.records import AttachBody, DetachBody, MoveBody, MoveJoints, Record
     from recorder.records.asset import AssetFile
     from replay.file.log import Log
 
@@ -45,12 +45,7 @@ class _LastMutation:
 
 
 class Reexecution:
-    """Worlds in which recorded changes are made again; a context manager that closes them.
-
-    Args:
-        log: the recording.
-        suffix: follows the worlds' names and "@".
-        mode: "DIRECT" or "GUI".
+    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again; a context manager that closes them.
 
     Attributes:
         worlds: those that are open, by their recorded names.
@@ -85,10 +80,9 @@ class Reexecution:
             self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
-        """Make a recorded change again.
+        """Make a recorded change again, and return the new mutation in the old one's envelope.
 
-        Returns:
-            The new mutation in the old one's envelope; None if it isn't observed, or no change that this release knows.
+        It is None if the change isn't observed, or unknown to this release.
 
         Raises:
             PycramError: it can't be made.
@@ -107,28 +101,22 @@ class Reexecution:
             elif command == "load_body":
                 load_body(self._log, record.load_body, self.worlds[record.world])
             elif command in _COMMANDS:
-                _COMMANDS[command](self.worlds[record.world], record)
+                _COMMANDS[command](self.worlds[record.world], getattr(record, command))
             if command == "close_world":
                 del self.worlds[record.world]
-        now = self._last.record
-        if now is not None:
-            now.seq, now.wall_time_ns, now.thread = record.seq, record.wall_time_ns, record.thread
-            now.world, now.task = record.world, record.task
-            now.source_file, now.source_line = record.source_file, record.source_line
-            now.callers.extend(record.callers)
+        repeated = self._last.record
+        if repeated is not None:
+            repeated.seq, repeated.wall_time_ns, repeated.thread = record.seq, record.wall_time_ns, record.thread
+            repeated.world, repeated.task = record.world, record.task
+            repeated.source_file, repeated.source_line = record.source_file, record.source_line
+            repeated.callers.extend(record.callers)
             if command == "open_world":
-                now.open_world.mode = record.open_world.mode  # a window changes nothing
-        return now
+                repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+        return repeated
 
 
 def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a world as it was after a step, with all that the engine knew: its future is the original's, bit for bit.
-
-    Args:
-        log: the recording.
-        step: from 0.
-        name: of the world, which is open after that step.
-        mode: "DIRECT" or "GUI".
+    """Return a world that is open after a step, with all that the engine knew: its future is the original's.
 
     Raises:
         NotRestored: the world began before the recording.
@@ -151,42 +139,33 @@ def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> Bull
         return reexecution.worlds.pop(name)
 
 
-def _move_body(world: BulletWorld, record: Mutation) -> None:
-    command = record.move_body
+def _move_body(world: BulletWorld, command: MoveBody) -> None:
     world.get_object(command.body).set_position_and_orientation(command.position, command.orientation)
 
 
-def _move_joints(world: BulletWorld, record: Mutation) -> None:
-    command = record.move_joints
+def _move_joints(world: BulletWorld, command: MoveJoints) -> None:
     world.get_object(command.body).set_joint_positions(dict(zip(command.joints, command.positions, strict=True)))
 
 
-def _attach(world: BulletWorld, record: Mutation) -> None:
-    command = record.attach_body
+def _attach(world: BulletWorld, command: AttachBody) -> None:
     carrier, body = world.get_object(command.carrier), world.get_object(command.body)
     carrier.attach(body, command.carrier_link or None, command.body_link or None)
 
 
-def _detach(world: BulletWorld, record: Mutation) -> None:
-    command = record.detach_body
+def _detach(world: BulletWorld, command: DetachBody) -> None:
     world.get_object(command.carrier).detach(world.get_object(command.body))
 
 
-def _set_robot(world: BulletWorld, record: Mutation) -> None:
-    name = record.set_robot.body
-    world.set_robot(world.get_object(name) if name else None)
-
-
-_COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Mutation], None]]] = {
-    "remove_body": lambda world, record: world.get_object(record.remove_body.body).remove(),
+_COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
+    "remove_body": lambda world, command: world.get_object(command.body).remove(),
     "move_body": _move_body,
     "move_joints": _move_joints,
     "attach_body": _attach,
     "detach_body": _detach,
-    "set_gravity": lambda world, record: world.set_gravity(record.set_gravity.gravity),
-    "set_color": lambda world, record: world.get_object(record.set_color.body).set_color(record.set_color.color),
-    "set_robot": _set_robot,
-    "simulate": lambda world, record: world.simulate_steps(record.simulate.steps),
+    "set_gravity": lambda world, command: world.set_gravity(command.gravity),
+    "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),
+    "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),
+    "simulate": lambda world, command: world.simulate_steps(command.steps),
     "reset": lambda world, _: world.reset(),
     "close_world": lambda world, _: world.exit(),
 }

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
     from replay.file.log import Log
     from replay.state.state import Body
 
-with needed():
+with needed("render"):
     from PIL import Image
 
     from pycram.models.visual import shapes_of
     from pycram.vision.camera import Camera, Drawable
     from replay.restore.recorded import description_of, model_of, world_state
 
-_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, where no camera says another
+_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
 _SIDE: Final = (-0.55, -0.65, 0.55)  # default direction from the middle to the viewpoint, in the robot's frame
 _PADDING: Final = 0.004  # m around collision shapes, as the physics engine has it
@@ -103,10 +103,10 @@ class Scene:
             return self._draw(self._robot_camera(camera, size), size)
         low, high = self._bounds()
         aim = _vector((low + high) / 2) if target is None else _point("target", target)
-        place = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
-        if math.dist(place, aim) < 1e-6:
-            raise ReplayError(f"a picture from {list(place)} to the same point has no direction")
-        return self._draw(_pinhole((place, geometry.look_at(place, aim)), _FIELD_OF_VIEW, size), size)
+        viewpoint = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
+        if math.dist(viewpoint, aim) < 1e-6:
+            raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
+        return self._draw(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size), size)
 
     def _draw(self, camera: Camera, size: tuple[int, int]) -> Image.Image:
         up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
@@ -135,7 +135,7 @@ class Scene:
         return np.min([drawn.low for drawn in chosen], axis=0), np.max([drawn.high for drawn in chosen], axis=0)
 
     def _viewpoint(self, aim: Vector, low: NDArray[np.float64], high: NDArray[np.float64]) -> Vector:
-        """Return a place over the robot's shoulder from which a box is seen whole."""
+        """Return a viewpoint over the robot's shoulder from which a box is seen whole."""
         distance = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
         heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
         direction = np.array(geometry.rotate(heading, _SIDE))
@@ -166,9 +166,9 @@ def write_pictures(log: Log, why: Why, folder: Path) -> list[Path]:
 
 def _middle(why: Why) -> Vector:
     """Return a point between robot and objects, at the height of the objects."""
-    places = [involved.body.position for involved in why.bodies]
-    x, y = (sum(place[axis] for place in places) / len(places) for axis in (0, 1))
-    return x, y, max(place[2] for place in places)
+    positions = [involved.body.position for involved in why.bodies]
+    x, y = (sum(position[axis] for position in positions) / len(positions) for axis in (0, 1))
+    return x, y, max(position[2] for position in positions)
 
 
 def _drawn(log: Log, body: Body) -> _Drawn:

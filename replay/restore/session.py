@@ -31,19 +31,12 @@ def variables_of(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
     Beside them ``world``, ``robot``, ``objects`` (by name), ``log``, ``step`` and ``btr`` (the reasoning queries).
     """
     objects = {body.name: body for body in world.objects}
-    found: dict[str, object] = {}
+    variables: dict[str, object] = {}
     for name, body in objects.items():
         identifier = re.sub(r"\W", "_", name)
         if identifier.isidentifier() and not keyword.iskeyword(identifier):
-            found.setdefault(identifier, body)
-    return found | {
-        "world": world,
-        "robot": world.robot,
-        "objects": objects,
-        "log": log,
-        "step": step,
-        "btr": btr,
-    }
+            variables.setdefault(identifier, body)
+    return variables | {"world": world, "robot": world.robot, "objects": objects, "log": log, "step": step, "btr": btr}
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:

@@ -5,7 +5,7 @@ last bit: every pose, joint, velocity, attachment and simulated sample. That hol
 on one kind of computer; elsewhere the last bits may differ, which contacts amplify. Then the result says how near it
 is. In a world that began before its recording, changes without physics are compared to a micrometre.
 
-What a recording says to other tools (``/tf``, ``/log``) follows from its records and is not compared.
+Messages for other tools (``/tf``, ``/log``) follow from the records and are not compared.
 """
 
 from __future__ import annotations
@@ -137,17 +137,17 @@ class _Verifier:
         return None
 
     def _repeat(self, record: Mutation) -> Problem | None:
-        now = self._reexecution.repeat(record)
+        repeated = self._reexecution.repeat(record)
         self._changes += 1
         if record.HasField("open_world"):
             self._worlds.add((record.world, record.seq))
-        if now is None:
+        if repeated is None:
             return self._problem(record, "it is no change that this release knows")
         if record.world in self._reexecution.late:
             return self._compare_late(record)
-        if now.SerializeToString() == record.SerializeToString():
+        if repeated.SerializeToString() == record.SerializeToString():
             return None
-        deviation = first_deviation(record_data(record), record_data(now))
+        deviation = first_deviation(record_data(record), record_data(repeated))
         if deviation is None:
             deviation = Deviation("a last bit", "another", "another")
         if self._environment:
@@ -200,17 +200,17 @@ def _worst(world: BulletWorld, state: World) -> Deviation | None:
 
 def _deviations(world: BulletWorld, state: World) -> Iterator[Deviation]:
     for body in world.objects:
-        wanted, now = state.body(body.name), take_snapshot(body)
-        for field, recorded, found in (
-            ("position", wanted.position, now.pose[0]),
-            ("orientation", wanted.orientation, now.pose[1]),
+        expected, actual = state.body(body.name), take_snapshot(body)
+        for field, recorded, values in (
+            ("position", expected.position, actual.pose[0]),
+            ("orientation", expected.orientation, actual.pose[1]),
         ):
-            for index, (a, b) in enumerate(zip(recorded, found, strict=True)):
+            for index, (a, b) in enumerate(zip(recorded, values, strict=True)):
                 if a != b:
                     yield Deviation(f"{body.name}.{field}[{index}]", a, b)
-        for name, value in zip(body.joints, now.positions, strict=True):
-            if wanted.joint(name) != value:
-                yield Deviation(f"{body.name}.{name}", wanted.joint(name), value)
+        for name, value in zip(body.joints, actual.positions, strict=True):
+            if expected.joint(name) != value:
+                yield Deviation(f"{body.name}.{name}", expected.joint(name), value)
 
 
 def _environment(log: Log) -> tuple[str, ...]:

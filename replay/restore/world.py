@@ -1,6 +1,6 @@
 """Live worlds as they were after any step, from the recording alone.
 
-There are two ways back. From the *state*: bodies are loaded from the recorded models and put where they were. Poses,
+There are two methods. From the *state*: bodies are loaded from the recorded models and put where they were. Poses,
 joints, velocities, attachments, gravity, colours and the robot are exact at once; the solver's contacts and the targets
 of sagging motors are not known, so the future is a likely one. By *re-execution* (``exact``): every change is made
 again from the start, so the future is the original's too, bit for bit.
@@ -39,12 +39,8 @@ def world_at(
 ) -> BulletWorld:
     """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and time stands still.
 
-    Args:
-        log: the recording.
-        step: from 0.
-        world: its name; by default the open one that was opened last.
-        exact: execute every change again, so that its future is the original's too.
-        mode: "DIRECT" or "GUI".
+    By default it is the one that was opened last. With ``exact`` every change is executed again, so that its future is
+    the original's too.
 
     Raises:
         NotRestored: none was open then, or it can't be had exactly.
@@ -94,14 +90,7 @@ def _reporting_damage(log: Log, step: int) -> Iterator[None]:
 
 
 def rebuild(log: Log, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a new world with a recorded state; to be called unrecorded.
-
-    Args:
-        log: whose attached files hold the models.
-        state: of the world.
-        suffix: follows the world's name and "@".
-        mode: "DIRECT" or "GUI".
-    """
+    """Return a new world ``NAME@SUFFIX`` with a recorded state; to be called unrecorded."""
     world = open_world(f"{state.name}@{suffix}", mode)
     try:
         world.sim_step = state.sim_step
@@ -134,11 +123,7 @@ def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
 def load_body(log: Log, loaded: LoadBody, world: BulletWorld, color: tuple[float, ...] | None = None) -> Object:
     """Load a body from its recorded model.
 
-    Args:
-        log: the recording.
-        loaded: the record of its loading.
-        world: where it is loaded.
-        color: RGBA 0..1 that it has got since, empty for that of its model; by default the one it was loaded with.
+    Its color is RGBA 0..1, empty for that of its model; by default the one that it was loaded with.
 
     Raises:
         Damaged: a file isn't in the recording, or isn't what was attached.

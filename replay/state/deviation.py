@@ -1,4 +1,4 @@
-"""Deviations of what is found from what is recorded, with their place and size."""
+"""Deviations of actual from recorded values, with their field and size."""
 
 from __future__ import annotations
 
@@ -39,22 +39,22 @@ class Deviation:
         return text + (f" (they differ by {self.size:.3g})" if math.isfinite(self.size) else "")
 
 
-def first_deviation(recorded: Plain, found: Plain, field: str = "") -> Deviation | None:
-    """Return the first place in which two values of plain data differ; None if they are the same."""
-    return next(_deviations(recorded, found, field), None)
+def first_deviation(recorded: Plain, actual: Plain, field: str = "") -> Deviation | None:
+    """Return the first deviation between two values of JSON data; None if they are equal."""
+    return next(_deviations(recorded, actual, field), None)
 
 
-def _deviations(recorded: Plain, found: Plain, field: str) -> Iterator[Deviation]:
-    if isinstance(recorded, dict) and isinstance(found, dict):
-        for key in [*recorded, *(key for key in found if key not in recorded)]:
-            yield from _deviations(recorded.get(key), found.get(key), f"{field}.{key}" if field else key)
-    elif isinstance(recorded, list) and isinstance(found, list):
-        for index, (a, b) in enumerate(zip(recorded, found, strict=False)):
+def _deviations(recorded: Plain, actual: Plain, field: str) -> Iterator[Deviation]:
+    if isinstance(recorded, dict) and isinstance(actual, dict):
+        for key in [*recorded, *(key for key in actual if key not in recorded)]:
+            yield from _deviations(recorded.get(key), actual.get(key), f"{field}.{key}" if field else key)
+    elif isinstance(recorded, list) and isinstance(actual, list):
+        for index, (a, b) in enumerate(zip(recorded, actual, strict=False)):
             yield from _deviations(a, b, f"{field}[{_name(a) or index}]")
-        if len(recorded) != len(found):
-            yield Deviation(f"number of {field}", len(recorded), len(found))
-    elif recorded != found or type(recorded) is not type(found):
-        yield Deviation(field, recorded, found)
+        if len(recorded) != len(actual):
+            yield Deviation(f"number of {field}", len(recorded), len(actual))
+    elif recorded != actual or type(recorded) is not type(actual):
+        yield Deviation(field, recorded, actual)
 
 
 def _name(item: Plain) -> str:

@@ -124,26 +124,26 @@ def _changes(a: World, b: World) -> Iterator[BodyChange]:
                 yield change
 
 
-def _change(a: World, body: Body, b: World, other: Body) -> BodyChange | None:
+def _change(a: World, before: Body, b: World, after: Body) -> BodyChange | None:
     joints = {
-        joint: (body.joints.get(joint, math.nan), other.joints.get(joint, math.nan))
-        for joint in {**body.joints, **other.joints}
-        if body.joints.get(joint) != other.joints.get(joint)
+        joint: (before.joints.get(joint, math.nan), after.joints.get(joint, math.nan))
+        for joint in {**before.joints, **after.joints}
+        if before.joints.get(joint) != after.joints.get(joint)
     }
-    carrier = a.carrier(body.name), b.carrier(body.name)
+    carrier = a.carrier(before.name), b.carrier(before.name)
     details = tuple(
-        name for name in ("color", "type", "fixed_base", "models") if getattr(body, name) != getattr(other, name)
+        name for name in ("color", "type", "fixed_base", "models") if getattr(before, name) != getattr(after, name)
     )
-    speeds = body.velocity != other.velocity or body.joint_velocities != other.joint_velocities
-    if body.pose == other.pose and not (speeds or joints or details) and carrier[0] == carrier[1]:
+    speeds = before.velocity != after.velocity or before.joint_velocities != after.joint_velocities
+    if before.pose == after.pose and not (speeds or joints or details) and carrier[0] == carrier[1]:
         return None
     return BodyChange(
         a.name,
-        body.name,
-        body.pose,
-        other.pose,
-        math.dist(body.position, other.position),
-        turn(body.orientation, other.orientation),
+        before.name,
+        before.pose,
+        after.pose,
+        math.dist(before.position, after.position),
+        turn(before.orientation, after.orientation),
         joints,
         carrier,
         details,

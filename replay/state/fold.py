@@ -27,9 +27,7 @@ _AT_REST: Final = (0.0,) * 6
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
     """Return the state after records that begin with the opening of each world, or with a keyframe of it.
 
-    Args:
-        all_records: in order; those that don't change worlds only count as steps.
-        step: of the state; by default that of the last record.
+    The state's step is at least that of the last record; records that don't change worlds only count as steps.
     """
     worlds: dict[str, WorldBuilder] = {}
     for record in all_records:
@@ -86,12 +84,7 @@ def _range(gap: range) -> str:
 
 
 def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
-    """Bring worlds from before a record to after it; records that don't change worlds are ignored.
-
-    Args:
-        worlds: by name; none before the first record.
-        record: the next one.
-    """
+    """Bring worlds, by name, from before a record to after it; records that don't change worlds are ignored."""
     if not isinstance(record, Mutation | Keyframe):
         return
     name, before = record.world, worlds.get(record.world)
@@ -144,7 +137,7 @@ class WorldBuilder:
         return World(**self.facts, bodies=bodies, attachments=dict(self.attachments))  # type: ignore[arg-type]
 
     def apply(self, record: Mutation) -> None:
-        """Apply a mutation: what its command says by itself, then its effect."""
+        """Apply a mutation: its command where that alone changes the state, then its effect."""
         self.facts["sim_step"] = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
@@ -179,11 +172,10 @@ class WorldBuilder:
 
     def _attach(self, attachments: Iterable[records.Attachment]) -> None:
         """Add attachments, or change their relative poses."""
-        for made in attachments:
-            position, orientation = _vector(made.position), _quaternion(made.orientation)
-            self.attachments[made.carrier, made.body] = Attachment(
-                made.carrier, made.carrier_link, made.body, made.body_link, position, orientation
-            )
+        for held in attachments:
+            pose = _vector(held.position), _quaternion(held.orientation)
+            attachment = Attachment(held.carrier, held.carrier_link, held.body, held.body_link, *pose)
+            self.attachments[held.carrier, held.body] = attachment
 
     def _set_states(self, states: Iterable[records.BodyState]) -> None:
         """Set the states of bodies; one whose loading is lost stays unknown."""

@@ -1,7 +1,7 @@
 """Checks whether a recording is consistent; for this no world is needed.
 
 Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; every keyframe
-equals the fold of the records before it; every attached file has the content that its name's hash says.
+equals the fold of the records before it; the content of every attached file has the hash in its name.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Integrity:
         self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
-        """Return what the records so far say of a world that they know."""
+        """Return the state of a known world after the records so far."""
         return self._worlds[name].build()
 
     def task(self, number: int) -> tuple[str, ...]:
@@ -81,11 +81,7 @@ class Integrity:
         return tuple(reversed(names))
 
     def check(self, record: Record) -> Problem | None:
-        """Take the next record.
-
-        Returns:
-            What is wrong with it, or with what should have come before it.
-        """
+        """Take the next record; return the problem with it, or with what should have come before it."""
         step = record.seq
         if step != self.steps:
             lost = str(self.steps) if step == self.steps + 1 else f"{self.steps} to {step - 1}"
@@ -105,12 +101,8 @@ class Integrity:
         if isinstance(record, Keyframe) and record.world in self._worlds:
             deviation = self._compare(record)
             if deviation is not None:
-                return Problem(
-                    step,
-                    "the keyframe differs from the fold of the records before it",
-                    deviation,
-                    self.task(record.task),
-                )
+                cause = "the keyframe differs from the fold of the records before it"
+                return Problem(step, cause, deviation, self.task(record.task))
         if isinstance(record, Mutation | Keyframe):
             try:
                 apply(self._worlds, record)

@@ -46,8 +46,8 @@ def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
         if field.name.endswith("_json"):
             yield field.name.removesuffix("_json"), to_plain(value)
         elif field.enum_type is not None:
-            known = field.enum_type.values_by_number.get(value)
-            yield field.name, known.name.lower() if known else value
+            enum_value = field.enum_type.values_by_number.get(value)
+            yield field.name, enum_value.name.lower() if enum_value else value
         else:
             yield field.name, _value(field, value)
 
@@ -55,11 +55,12 @@ def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
 def _value(field: FieldDescriptor, value: object) -> Plain:
     if isinstance(value, bytes):
         return base64.b64encode(value).decode()
+    is_repeated = hasattr(value, "append")
     if field.message_type is None:
-        return list(value) if _is_repeated(value) else value  # type: ignore[call-overload, return-value]
+        return list(value) if is_repeated else value  # type: ignore[call-overload, return-value]
     if field.message_type.full_name == Argument.DESCRIPTOR.full_name:
         return arguments_data(value)  # type: ignore[arg-type]
-    if _is_repeated(value):
+    if is_repeated:
         return [dict(_fields(item)) for item in value]  # type: ignore[attr-defined]
     return dict(_fields(value))  # type: ignore[arg-type]
 
@@ -67,10 +68,6 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
 def arguments_data(arguments: Iterable[Argument]) -> dict[str, Plain]:
     """Return named values as records carry them, decoded."""
     return {argument.name: to_plain(argument.json) for argument in arguments}
-
-
-def _is_repeated(value: object) -> bool:
-    return hasattr(value, "append")
 
 
 def to_plain(text: str) -> Plain:
@@ -98,11 +95,8 @@ def mentions(record: Record, name: str) -> bool:
 
 
 def _has(value: Plain, name: str) -> bool:
-    if isinstance(value, dict):
-        return any(_has(item, name) for item in value.values())
-    if isinstance(value, list):
-        return any(_has(item, name) for item in value)
-    return value == name
+    items = list(value.values()) if isinstance(value, dict) else value
+    return any(_has(item, name) for item in items) if isinstance(items, list) else value == name
 
 
 def state_data(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:

@@ -31,7 +31,7 @@ class Body:
         velocity: of its base, linear (m/s), then angular (rad/s).
         joints: values by name, rad or m.
         joint_velocities: by name, rad/s or m/s.
-        color: RGBA 0..1; empty: as its model says.
+        color: RGBA 0..1; empty: that of its model.
     """
 
     name: str
@@ -196,9 +196,9 @@ class State:
         """Return the error for a body that isn't in any of some worlds."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
-        others = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
-        if opened and others:
-            here, there = (", ".join(names) for names in ([world.name for world in opened], others))
+        elsewhere = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
+        if opened and elsewhere:
+            here, there = (", ".join(names) for names in ([world.name for world in opened], elsewhere))
             return NoSuchName(
                 "object", name, known, f"it is in {there}, not in {here}; choose one with --world, or world="
             )

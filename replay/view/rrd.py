@@ -40,10 +40,7 @@ _HEADER: Final = 7
 def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
     """Writes recordings into one ``.rrd`` file; a file that is there is replaced when all is written.
 
-    Args:
-        logs: one recording, or several that are shown side by side.
-        path: the ``.rrd`` file.
-        at: the step that is looked at first; by default the beginning.
+    Several are shown side by side. The step ``at`` is looked at first, by default the beginning.
 
     Raises:
         ReplayError: it can't be written.
@@ -97,11 +94,11 @@ def cached(log: Log, at: int | None = None) -> Path:
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = temporary_file(beside.name)
-    missing = log.problems
+    problems = log.problems
     convert([log], beside)
     made_ns = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
-    if log.problems != missing:
-        made_ns = 0  # damage was found on the way: it is to be found, and reported, each time
+    if log.problems != problems:
+        made_ns = 0  # damage was found while converting: it is to be reported each time
     os.utime(beside, ns=(made_ns, made_ns))
     return beside
 
@@ -166,15 +163,9 @@ def _go_to(client: ViewerClient, step: int) -> None:
 
 
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
-    """Opens a file in a viewer: in one that is open already, else in a new one, which outlives this process.
+    """Opens an ``.rrd`` file at a step in a viewer, and returns the viewer's address.
 
-    Args:
-        path: the ``.rrd`` file.
-        step: where to begin; by default at the beginning.
-        url: address of the viewer; by default of one on this machine.
-
-    Returns:
-        The viewer's address.
+    That is the one at ``url``, else one that is open on this machine, else a new one, which outlives this process.
 
     Raises:
         ReplayError: no viewer answers there, or none can be started.
@@ -187,7 +178,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
         if step is not None:
             _go_to(client, step)
     except ViewerGone as error:
-        raise ReplayError(f"{error}; without a screen, say --web or --save FILE") from error
+        raise ReplayError(f"{error}; without a screen, use --web or --save FILE") from error
     except (RuntimeError, OSError) as error:
         raise ReplayError(f"{path} can't be shown: {error}") from error
     return viewer

@@ -35,12 +35,7 @@ _NONSENSE: Final = (
 
 
 def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
-    """Sends recordings to a viewer.
-
-    Args:
-        logs: one recording, or several that are shown side by side.
-        stream: where rows are sent.
-        at: the step that is looked at first; by default the beginning.
+    """Sends recordings to a viewer, several side by side; the step ``at`` is looked at first.
 
     Raises:
         Damaged: a record makes no sense.

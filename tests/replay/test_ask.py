@@ -42,7 +42,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
             where = f"step {record.seq}: {found.question}"
             assert found.answer == names(record.answer_json), where
             assert found.world == record.world
-            live = {told.name: json.loads(told.json) for told in record.evidence}
+            live = {fact.name: json.loads(fact.json) for fact in record.evidence}
             if record.name == "stable":  # its rehearsal's twin has a past of its own: the same but for its creep
                 assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
@@ -152,7 +152,7 @@ def test_every_query_can_be_asked() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "can't be read"),
         ("stable(", "can't be read"),
@@ -172,13 +172,13 @@ def test_every_query_can_be_asked() -> None:
         ("stable(1j)", "can't be an argument"),
     ],
 )
-def test_anything_but_a_query_call_is_refused_without_executing_it(text: str, told: str) -> None:
-    with pytest.raises(BadQuestion, match=told):
+def test_anything_but_a_query_call_is_refused_without_executing_it(text: str, message: str) -> None:
+    with pytest.raises(BadQuestion, match=message):
         parse(text)
 
 
 @pytest.mark.parametrize(
-    ("question", "told"),
+    ("question", "message"),
     [
         ("stabel(milk)", "did you mean stable"),
         ("__import__('os')", "no query"),
@@ -190,8 +190,8 @@ def test_anything_but_a_query_call_is_refused_without_executing_it(text: str, to
         ("reachable([0, 0], pr2, l_gripper_tool_frame)", "3 finite numbers"),
     ],
 )
-def test_questions_without_an_answer_say_why(scene_log: Path, question: str, told: str) -> None:
-    with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=told):
+def test_questions_without_an_answer_say_why(scene_log: Path, question: str, message: str) -> None:
+    with replay.open(scene_log) as log, pytest.raises(replay.ReplayError, match=message):
         log.ask(first(log, "visible").seq, question)
     assert not current.open_worlds()
 
@@ -211,10 +211,10 @@ def test_the_verb_prints_the_answer_and_its_evidence(scene_log: Path, capfd: pyt
     assert main(asked) == 0
     assert capfd.readouterr().out.startswith(f"visible(milk, {CAMERA}): yes\n  share")
     assert main([*asked, "--json", "--move", "milk=-2,0,1,0,0,0,1"]) == 0
-    told = json.loads(capfd.readouterr().out)
-    assert told["answer"] is False
-    assert told["evidence"]["reason"]
-    assert told["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
+    data = json.loads(capfd.readouterr().out)
+    assert data["answer"] is False
+    assert data["evidence"]["reason"]
+    assert data["moves"] == [{"object": "milk", "position": [-2, 0, 1], "orientation": [0, 0, 0, 1]}]
 
 
 @pytest.mark.slow
@@ -223,13 +223,13 @@ def test_without_the_engine_the_missing_library_is_named(scene_log: Path) -> Non
         "import sys; sys.modules['pybullet'] = None; from replay.cli.main import main; sys.exit(main(sys.argv[1:]))"
     )
     asked = [sys.executable, "-c", script, "ask", str(scene_log), "-3", "stable(milk)"]
-    told = subprocess.run(asked, capture_output=True, text=True, check=False)
-    assert told.returncode == 2
+    process = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert process.returncode == 2
     assert (
-        told.stderr
+        process.stderr
         == "pycram-replay: ask: pybullet isn't installed; in a checkout of PyCRAM: pip install '.[executor]'\n"
     )
-    assert not told.stdout
+    assert not process.stdout
 
 
 @pytest.mark.parametrize(
@@ -248,6 +248,6 @@ def test_wrong_usage_is_reported_on_stderr(
     scene_log: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["ask", str(scene_log), *arguments]) == 2
-    told = capsys.readouterr()
-    assert not told.out
-    assert told.err.startswith("pycram-replay: ")
+    output = capsys.readouterr()
+    assert not output.out
+    assert output.err.startswith("pycram-replay: ")

@@ -41,9 +41,9 @@ def test_blame_distinguishes_a_move_from_being_carried(small: Recording) -> None
 def test_repeated_call_stack_lines_are_printed_once(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     carried = small.step("task:carry@end")
     assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
-    told = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    assert sum(line.startswith("called from ") and line.endswith("main()") for line in told) == 1
-    assert [line.split(":")[-1].split(" ", 1)[1] for line in told if "as above" in line] == ["in <module>, as above"]
+    output = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    assert sum(line.startswith("called from ") and line.endswith("main()") for line in output) == 1
+    assert [line.split(":")[-1].split(" ", 1)[1] for line in output if "as above" in line] == ["in <module>, as above"]
 
 
 def test_blame_of_a_settled_body_includes_what_moved_it_before(small: Recording) -> None:
@@ -69,9 +69,9 @@ def test_blame_gives_the_plan_s_line_outside_of_tasks(small: Recording, capsys: 
     ]
     assert found.line.function == "main"
     assert main(["blame", str(small.path), "cereal"]) == 0
-    said = capsys.readouterr().out
-    assert "  by the plan itself\n  from " in said
-    assert "in main:  cereal.set_position(" in said
+    output = capsys.readouterr().out
+    assert "  by the plan itself\n  from " in output
+    assert "in main:  cereal.set_position(" in output
 
 
 IN_A_MODULE = """
@@ -107,15 +107,15 @@ def test_call_stacks_lead_through_modules_blocks_and_threads(tmp_path: Path) -> 
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
         moves = [mutation(log, "move_body", number) for number in range(3)]
-        loaded, *told = [log.blame("ball", step).causes for step in (mutation(log, "load_body"), *moves)]
+        loaded, *causes = [log.blame("ball", step).causes for step in (mutation(log, "load_body"), *moves)]
     assert [line.text for line in loaded.call_stack] == ['ball = Object("ball", "ball", "apple.stl")']
-    assert [[line.text for line in each.call_stack] for each in told] == [
+    assert [[line.text for line in each.call_stack] for each in causes] == [
         ["lift(ball)", "ball.set_position([0, 0, 1])"],
         ["shove(ball)", "ball.set_position([1, 0, 0])"],
         ["helper = threading.Thread(target=lambda: lift(ball))", "ball.set_position([0, 0, 1])"],
     ]
-    assert [[task.name for task in each.tasks] for each in told] == [[], ["seq"], []]
-    assert told[1].tasks[0].line.text == "with seq:"
+    assert [[task.name for task in each.tasks] for each in causes] == [[], ["seq"], []]
+    assert causes[1].tasks[0].line.text == "with seq:"
 
 
 OF_A_BRANCH = """
@@ -136,16 +136,16 @@ def test_within_a_task_the_call_stack_is_that_of_the_change(tmp_path: Path) -> N
     (tmp_path / "plan.py").write_text(OF_A_BRANCH)
     assert run(tmp_path / "plan.py", tmp_path / "x.mcap") == 0
     with replay.open(tmp_path / "x.mcap") as log:
-        told = log.blame("ball").causes
-    assert [line.text for line in told.call_stack] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]
-    assert told.tasks[0].line.text == "block(lift, ball)"
+        causes = log.blame("ball").causes
+    assert [line.text for line in causes.call_stack] == ["block(lift, ball)", "ball.set_position([0, 0, 1])"]
+    assert causes.tasks[0].line.text == "block(lift, ball)"
 
 
 @pytest.mark.slow
 def test_a_motion_s_changes_have_the_call_stack_of_its_task(failed_log: Path) -> None:
     with replay.open(failed_log) as log:
-        told = {bool(record.task): record.source_line > 0 for record in log.records(Mutation)}
-    assert told == {False: True, True: False}
+        sourced = {bool(record.task): record.source_line > 0 for record in log.records(Mutation)}
+    assert sourced == {False: True, True: False}
 
 
 def test_blame_of_a_removed_body_is_its_removal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,9 +219,9 @@ def test_blame_hints_at_a_closed_world_that_had_the_body(tmp_path: Path, capsys:
         with BulletWorld(name="hall") as hall:
             hall.simulate(0.1)
     assert main(["blame", str(file), "cup"]) == 2
-    said = capsys.readouterr().err
-    assert "there is no object 'cup'; it was in lab, which was closed later: --at " in said
-    assert main(["blame", str(file), "cup", "--at", said.split("--at ")[1].split(",")[0]]) == 0
+    output = capsys.readouterr().err
+    assert "there is no object 'cup'; it was in lab, which was closed later: --at " in output
+    assert main(["blame", str(file), "cup", "--at", output.split("--at ")[1].split(",")[0]]) == 0
     assert "cup was moved: by 1.000 m" in capsys.readouterr().out
     assert main(["blame", str(file), "cap"]) == 2
     assert "closed" not in capsys.readouterr().err
@@ -240,9 +240,9 @@ def test_blame_names_its_world_if_the_default_one_has_no_such_body(
             ball.remove()
             b.simulate(0.1)
     assert main(["blame", str(file), "cup"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
-    assert "(b, the world opened last, has no cup: --world chooses one)" in said
+    output = capsys.readouterr().out
+    assert output.startswith("cup in a was at [0, 0, 0] already when the recording began\n")
+    assert "(b, the world opened last, has no cup: --world chooses one)" in output
     assert main(["blame", str(file), "ball"]) == 0
     assert capsys.readouterr().out.startswith("ball in a was removed from [0, 0, 0]\n")
     assert main(["blame", str(file), "cup", "--world", "b"]) == 0

@@ -54,8 +54,8 @@ def fetch(file: Path) -> None:
 
 
 def commands(folder: Path) -> list[list[str]]:
-    told = [verb.format(folder=folder) for verb in VERBS]
-    return [line.split("|") if "|" in line else line.split() for line in told]
+    calls = [verb.format(folder=folder) for verb in VERBS]
+    return [line.split("|") if "|" in line else line.split() for line in calls]
 
 
 @pytest.mark.slow
@@ -77,23 +77,23 @@ def test_json_is_complete_on_ascii_terminals(strange: Path, tmp_path: Path, caps
     assert sum(SPOON in json.dumps(json.loads(line), ensure_ascii=False) for line in given) > len(VERBS) / 2
 
 
-def without_clock(told: object) -> object:
-    return {key: value for key, value in told.items() if key != "seconds"} if isinstance(told, dict) else told
+def without_clock(data: object) -> object:
+    return {key: value for key, value in data.items() if key != "seconds"} if isinstance(data, dict) else data
 
 
 def test_control_characters_of_recordings_are_escaped(
     strange: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told = ""
+    printed = ""
     more = [["tree", "--dot"], ["tree", "--svg"], ["state", "last", RED], ["ask", "last", f"stable('{RED}')"]]
     for verb, *rest in [*commands(tmp_path), *more]:
         if verb != "restore":
             main([verb, str(strange), *rest])
-            said = capsys.readouterr()
-            told += said.out + said.err
-    assert not [letter for letter in told if letter != "\n" and visible(letter) != letter]
-    assert r"\x1b[31mred\x9b0m\x0d\x07\u202e" in told
-    assert SPOON in told
+            output = capsys.readouterr()
+            printed += output.out + output.err
+    assert not [letter for letter in printed if letter != "\n" and visible(letter) != letter]
+    assert r"\x1b[31mred\x9b0m\x0d\x07\u202e" in printed
+    assert SPOON in printed
 
 
 def test_newlines_and_tabs_are_kept(capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,9 +103,9 @@ def test_newlines_and_tabs_are_kept(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_numbers_that_json_lacks_become_strings(capsys: pytest.CaptureFixture[str]) -> None:
     print_json({"x": [float("nan"), (float("-inf"), 1.5)], "y": "\x7f"})
-    said = capsys.readouterr().out
-    assert json.loads(said, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
-    assert "\x7f" not in said
+    output = capsys.readouterr().out
+    assert json.loads(output, parse_constant=pytest.fail) == {"x": ["nan", ["-inf", 1.5]], "y": "\x7f"}
+    assert "\x7f" not in output
 
 
 @pytest.mark.parametrize(

@@ -102,16 +102,16 @@ def look(file: Path, capsys: pytest.CaptureFixture[str]) -> set[int]:
     for verb, *rest in VERBS:
         start = time.monotonic()
         code = main([verb, str(file), *rest, "--json"])
-        said = capsys.readouterr()
+        output = capsys.readouterr()
         assert time.monotonic() - start < PATIENCE, (verb, "hangs")
-        assert "Traceback" not in said.err
-        assert code in ((3,) if verb == "info" else (0, 3)), (verb, code, said.err)
+        assert "Traceback" not in output.err
+        assert code in ((3,) if verb == "info" else (0, 3)), (verb, code, output.err)
         if code == 3:
-            assert said.err.startswith("pycram-replay: ")
-        for line in said.out.splitlines():
-            told = json.loads(line)
+            assert output.err.startswith("pycram-replay: ")
+        for line in output.out.splitlines():
+            data = json.loads(line)
             if verb == "log":
-                delivered.add(told["step"])
+                delivered.add(data["step"])
     return delivered
 
 
@@ -156,9 +156,9 @@ def test_empty_and_foreign_files_are_reported_as_such(tmp_path: Path, capsys: py
 
     def complaint(code: int = 2) -> str:
         assert main(["info", str(file)]) == code
-        said = capsys.readouterr()
-        assert not said.out
-        return said.err
+        output = capsys.readouterr()
+        assert not output.out
+        return output.err
 
     assert "No such file" in complaint()
     file.write_bytes(b"")

@@ -139,10 +139,10 @@ def test_diff_with_a_cut_recording_exits_with_3(tmp_path: Path, capsys: pytest.C
     cut.write_bytes(whole.read_bytes()[:-50_000])
     for pair in ((whole, cut), (cut, whole)):
         assert main(["diff", *map(str, pair)]) == 3
-        said = capsys.readouterr()
-        assert "has no such record" in said.out or "they diverge" in said.out
-        assert "incomplete" in said.err
-        assert "broke off" in said.out.splitlines()[-1]
+        output = capsys.readouterr()
+        assert "has no such record" in output.out or "they diverge" in output.out
+        assert "incomplete" in output.err
+        assert "broke off" in output.out.splitlines()[-1]
 
 
 def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -159,7 +159,7 @@ def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "told"),
+    ("before", "after", "texts"),
     [
         (0.25, 0.25, ("0.25", "0.25")),
         (0.25, 0.5, ("0.25", "0.5")),
@@ -168,5 +168,5 @@ def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: py
         (1.0, 1.0 + 2**-52, ("1.0", "1.0000000000000002")),
     ],
 )
-def test_different_numbers_are_printed_differently(before: float, after: float, told: tuple[str, str]) -> None:
-    assert wording.apart(before, after) == told
+def test_different_numbers_are_printed_differently(before: float, after: float, texts: tuple[str, str]) -> None:
+    assert wording.apart(before, after) == texts

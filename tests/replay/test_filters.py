@@ -48,8 +48,8 @@ def test_log_filters_by_task_with_its_subtasks(small_log: Path, picked) -> None:
 
 def test_log_filters_by_object_also_as_carrier_or_carried(small_log: Path, picked) -> None:
     with replay.open(small_log) as log:
-        told = [log[step] for step in picked("--object", "milk", "--kind", "mutation")]
-        commands = [record.WhichOneof("command") for record in told]
+        matches = [log[step] for step in picked("--object", "milk", "--kind", "mutation")]
+        commands = [record.WhichOneof("command") for record in matches]
         assert commands == [
             "load_body",
             "simulate",
@@ -59,7 +59,7 @@ def test_log_filters_by_object_also_as_carrier_or_carried(small_log: Path, picke
             "move_body",
             "move_body",
         ]
-        assert told[3].move_body.body == "cereal"
+        assert matches[3].move_body.body == "cereal"
         assert picked("--object", "nobody") == []
 
 

@@ -77,7 +77,7 @@ class Model:
     held: dict[str, str] = field(default_factory=dict)  # carrier by body
     open: bool = False
 
-    def told(self) -> dict[str, object]:
+    def facts(self) -> dict[str, object]:
         return {
             "open": self.open,
             "life": self.lifetime,
@@ -219,7 +219,7 @@ ACTIONS = {
 }
 
 
-def told(state: replay.State) -> dict[str, dict[str, object]]:
+def state_facts(state: replay.State) -> dict[str, dict[str, object]]:
     return {
         world.name: {
             "open": world.open,
@@ -254,7 +254,7 @@ def test_folding_from_any_keyframe_gives_the_state_that_was(steps: list, rng) ->
             record.world, record.sim_step = ("", 0) if isinstance(record, Event) else (model.name, model.sim_step)
             journal.append(record)
             if not isinstance(record, Event):
-                known[model.name] = model.told()
+                known[model.name] = model.facts()
             expected.append(dict(known))
         journal.append(Event(name="end"))
         expected.append(dict(known))
@@ -265,9 +265,9 @@ def test_folding_from_any_keyframe_gives_the_state_that_was(steps: list, rng) ->
             rng.shuffle(order)
             for step in order:
                 by_keyframe = log.state_at(step)
-                assert told(by_keyframe) == expected[step]
+                assert state_facts(by_keyframe) == expected[step]
                 without = [record for record in records[: step + 1] if not isinstance(record, Keyframe)]
-                assert told(replay.fold(without, step)) == expected[step]
+                assert state_facts(replay.fold(without, step)) == expected[step]
             assert [record.seq for record in log.backwards()] == [record.seq for record in reversed(records)]
 
 

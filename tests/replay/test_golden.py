@@ -112,9 +112,9 @@ def test_every_reading_verb_reads_the_golden_recording(
 ) -> None:
     name, *rest = verb.split()
     assert main([name, str(log.path), *rest]) == 0
-    said = capsys.readouterr()
-    assert said.out.strip()
-    assert not said.err
+    output = capsys.readouterr()
+    assert output.out.strip()
+    assert not output.err
 
 
 def without_wording(why: dict[str, Any]) -> dict[str, Any]:
@@ -145,8 +145,8 @@ def without_wording(why: dict[str, Any]) -> dict[str, Any]:
 def test_why_explains_the_demos_as_ever(file: Path, step: str, capsys: pytest.CaptureFixture[str]) -> None:
     wanted = EXPLANATIONS[file.stem].get(step)
     assert main(["why", str(file), *step.split(), "--json"]) == (0 if wanted else 2)
-    said = capsys.readouterr().out
-    assert (without_wording(json.loads(said)) if said else None) == wanted
+    output = capsys.readouterr().out
+    assert (without_wording(json.loads(output)) if output else None) == wanted
 
 
 @pytest.mark.slow

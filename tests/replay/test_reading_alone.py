@@ -99,10 +99,10 @@ def replay(verb: str, log: Path, *words: str) -> tuple[str, ...]:
 @pytest.mark.parametrize("log", LOGS, ids=lambda log: log.stem)
 def test_reading_verbs(log: Path) -> None:
     calls = [replay(verb, log, *words, *more) for verb, *words in READING for more in ((), ("--json",))]
-    for call, told in zip(calls, run(*calls), strict=True):
-        assert told.code == 0, (call, told.err)
-        assert told.out, call
-        assert not told.err, call
+    for call, printed in zip(calls, run(*calls), strict=True):
+        assert printed.code == 0, (call, printed.err)
+        assert printed.out, call
+        assert not printed.err, call
 
 
 @pytest.mark.slow
@@ -122,18 +122,18 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         replay("view", LOGS[0], "--save", str(tmp_path / "log.rrd")): ("pycram-replay: view: ", "viewer"),
         ("pycram.cli", "demo", "--log", str(tmp_path / "demo.mcap")): ("pycram: ", "executor"),
     }
-    for (begin, extra), told in zip(calls.values(), run(*calls), strict=True):
-        assert told.code == 2
-        assert not told.out
-        (line,) = told.err.splitlines()
+    for (begin, extra), printed in zip(calls.values(), run(*calls), strict=True):
+        assert printed.code == 2
+        assert not printed.out
+        (line,) = printed.err.splitlines()
         assert line.startswith(begin)
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
 
 
 def test_the_version_is_told() -> None:
-    for name, told in zip(
+    for name, printed in zip(
         ("pycram-replay", "pycram"), run(("replay.cli.main", "--version"), ("pycram.cli", "--version")), strict=True
     ):
-        assert told.code == 0
-        assert told.out.startswith(f"{name} 0.")
-        assert not told.err
+        assert printed.code == 0
+        assert printed.out.startswith(f"{name} 0.")
+        assert not printed.err

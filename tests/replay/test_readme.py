@@ -44,6 +44,6 @@ def test_the_readme_s_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_p
             check=False,
         )
         assert ended.returncode == 0, ended.stderr
-        told = {without_numbers(line) for line in ended.stdout.splitlines()}
+        output = {without_numbers(line) for line in ended.stdout.splitlines()}
         for line in lines:
-            assert line == "..." or without_numbers(line) in told, (command, line)
+            assert line == "..." or without_numbers(line) in output, (command, line)

@@ -58,9 +58,9 @@ READER = """
 import json, sys
 import replay
 log = replay.open(sys.argv[1])
-told = {}
+states = {}
 for step in json.load(sys.stdin):
-    told[step] = {
+    states[step] = {
         world.name: {
             body.name: {
                 "position": body.position, "orientation": body.orientation, "joints": body.joints,
@@ -71,7 +71,7 @@ for step in json.load(sys.stdin):
         for world in log.state_at(step).worlds.values()
     }
 assert "pybullet" not in sys.modules and "pycram" not in sys.modules
-json.dump(told, sys.stdout)
+json.dump(states, sys.stdout)
 """
 
 
@@ -141,10 +141,10 @@ def test_state_after_every_record_equals_the_live_world(tmp_path: Path, late: bo
         text=True,
         check=True,
     )
-    told = json.loads(reading.stdout)
+    data = json.loads(reading.stdout)
     for step, live in witness.seen.items():
         # while it is being opened, a world is on record before the plan (and the witness) has it
-        worlds = {name: bodies for name, bodies in told[str(step)].items() if bodies or name in live}
+        worlds = {name: bodies for name, bodies in data[str(step)].items() if bodies or name in live}
         assert_approximately(worlds, json.loads(json.dumps(live)), f"step {step}")
 
 

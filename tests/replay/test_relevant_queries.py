@@ -91,9 +91,9 @@ def test_a_removed_body_is_not_listed_as_moved(taken: Recording, capsys: pytest.
     assert (found.queries[0].removed, found.queries[0].moved, found.removed) == (("ball",), (), ("ball",))
     assert found.warning is None
     assert main(["why", str(taken.path)]) == 0
-    said = capsys.readouterr().out
-    assert "since then ball was removed" in said
-    assert "ball had been removed" in said
+    output = capsys.readouterr().out
+    assert "since then ball was removed" in output
+    assert "ball had been removed" in output
 
 
 @pytest.mark.parametrize("taken", ["another lab"], indirect=True)
@@ -114,18 +114,18 @@ def test_suggested_commands_name_the_world_if_it_is_not_the_default(
     taken: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert main(["why", str(taken.path)]) == 0
-    said = capsys.readouterr().out.partition("Look closer\n")[2]
-    commands = [shlex.split(line)[1:] for line in said.splitlines()]
+    output = capsys.readouterr().out.partition("Look closer\n")[2]
+    commands = [shlex.split(line)[1:] for line in output.splitlines()]
     assert {command[0] for command in commands} == {"show", "state", "blame", "ask", "render", "restore"}
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO("print(world.name, objects['ball'].get_position())"))
     for command in commands:
         assert command[0] == "show" or command[-2:] == ["--world", "lab"]
         assert main(command) == 0
-    said = capsys.readouterr().out
-    assert "[7" not in said
-    assert "stable(ball): no" in said
-    assert "lab@" in said
+    output = capsys.readouterr().out
+    assert "[7" not in output
+    assert "stable(ball): no" in output
+    assert "lab@" in output
 
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)
@@ -137,9 +137,9 @@ def test_blame_takes_the_world_opened_last_and_names_others(
     assert taken.blame("floor").world == "lab"
     assert taken.state_at("failure").body("ball").position == (7, 7, 7)
     assert main(["blame", str(taken.path), "ball"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("ball in hall has been at [7, 7, 7]")
-    assert "ball is in lab too" in said
+    output = capsys.readouterr().out
+    assert output.startswith("ball in hall has been at [7, 7, 7]")
+    assert "ball is in lab too" in output
 
 
 @pytest.mark.parametrize("taken", ["another world"], indirect=True)

@@ -95,6 +95,6 @@ def test_render_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.Capt
         ["-o", "/no/such/x.png"],
     ):
         assert main(["render", str(file), "2", "-o", str(target), *wrong]) == 2
-        told = capsys.readouterr()
-        assert not told.out
-        assert told.err.startswith("pycram-replay: ")
+        output = capsys.readouterr()
+        assert not output.out
+        assert output.err.startswith("pycram-replay: ")

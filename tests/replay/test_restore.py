@@ -56,11 +56,11 @@ def test_a_script_finds_the_world_and_its_objects(log_file: Path, tmp_path: Path
     script = tmp_path / "look.py"
     script.write_text(SCRIPT)
     before = sorted(tmp_path.iterdir())
-    told = restore(log_file, "6", "--exact", "--script", str(script), cwd=tmp_path)
-    assert told.returncode == 0, told.stderr
+    process = restore(log_file, "6", "--exact", "--script", str(script), cwd=tmp_path)
+    assert process.returncode == 0, process.stderr
     with replay.open(log_file) as log:
         end = log.state_at(7).body("bowl").position[2]
-    assert told.stdout.split() == [repr(end), "big", "cup", "True", "None", "6", "True"]  # the original's future
+    assert process.stdout.split() == [repr(end), "big", "cup", "True", "None", "6", "True"]  # the original's future
     assert sorted(tmp_path.iterdir()) == before  # nothing is recorded
 
 
@@ -71,9 +71,9 @@ def test_a_script_s_exit_code_is_the_verb_s(
     script = tmp_path / "ends.py"
     script.write_text(text)
     assert main(["restore", str(log_file), "5", "--script", str(script)]) == code
-    told = capfd.readouterr()
-    assert ("ZeroDivisionError" in told.err) is (text == "1/0")
-    assert not told.out
+    output = capfd.readouterr()
+    assert ("ZeroDivisionError" in output.err) is (text == "1/0")
+    assert not output.out
     assert not current.open_worlds()
 
 
@@ -102,18 +102,18 @@ def test_a_session_cannot_overwrite_its_own_recording(
 
 @pytest.mark.slow
 def test_a_shell_runs_python(log_file: Path) -> None:
-    told = restore(log_file, "5", "--shell", input="print(bowl.get_position())\n1/0\nworld.name\n")
-    assert told.returncode == 0
-    assert told.stdout == "[0.0, 0.0, 0.5]\n'lab@5'\n"
-    assert "ZeroDivisionError" in told.stderr
-    assert "big_cup" in told.stderr  # the banner says what there is
+    process = restore(log_file, "5", "--shell", input="print(bowl.get_position())\n1/0\nworld.name\n")
+    assert process.returncode == 0
+    assert process.stdout == "[0.0, 0.0, 0.5]\n'lab@5'\n"
+    assert "ZeroDivisionError" in process.stderr
+    assert "big_cup" in process.stderr  # the banner says what there is
 
 
 def test_restore_with_json_prints_the_objects(log_file: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["restore", str(log_file), "5", "--json"]) == 0
-    told = json.loads(capfd.readouterr().out)
-    assert told["objects"]["bowl"]["position"] == [0.0, 0.0, 0.5]
-    assert (told["step"], told["world"], told["exact"]) == (5, "lab@5", False)
+    data = json.loads(capfd.readouterr().out)
+    assert data["objects"]["bowl"]["position"] == [0.0, 0.0, 0.5]
+    assert (data["step"], data["world"], data["exact"]) == (5, "lab@5", False)
 
 
 @pytest.mark.parametrize(
@@ -136,9 +136,9 @@ def test_wrong_usage_is_reported_on_stderr(
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     assert main(["restore", str(log_file), *arguments]) == 2
-    told = capfd.readouterr()
-    assert words in told.err
-    assert not told.out
+    output = capfd.readouterr()
+    assert words in output.err
+    assert not output.out
     assert not current.open_worlds()
 
 
@@ -168,5 +168,5 @@ def test_a_window_stays_open_until_ctrl_c(log_file: Path, display: str) -> None:
 def test_a_script_can_have_a_window(log_file: Path, display: str, tmp_path: Path) -> None:
     script = tmp_path / "look.py"
     script.write_text("print(world.mode, bowl.get_position())")
-    told = restore(log_file, "5", "--gui", "--script", str(script), env=os.environ | {"DISPLAY": display})
-    assert told.stdout == "GUI [0.0, 0.0, 0.5]\n"
+    process = restore(log_file, "5", "--gui", "--script", str(script), env=os.environ | {"DISPLAY": display})
+    assert process.stdout == "GUI [0.0, 0.0, 0.5]\n"

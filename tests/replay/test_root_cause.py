@@ -115,19 +115,19 @@ def test_failure_step_why_and_tree_agree_on_the_root_cause(
         error = raised
     running = tasks.tree().failure_path()
     with replay.open(tmp_path / "x.mcap") as log:
-        found, way = log.why(), log.tree().failure_path()
+        found, path = log.why(), log.tree().failure_path()
         assert log.step("failure") == found.step
         assert log.state_at("failure").step == found.step
         if name is None:
             assert found.task is None
-            assert way == []
+            assert path == []
             assert log.state_at("failure").body("ball")  # while the world was still open
             return
-        assert found.task.started.name == way[-1].name == name
-        assert found.step == found.task.finished.seq == way[-1].finished.seq
-        assert [node.id for node in way] == [task.started.task for task in found.task.around()][::-1]
+        assert found.task.started.name == path[-1].name == name
+        assert found.step == found.task.finished.seq == path[-1].finished.seq
+        assert [node.id for node in path] == [task.started.task for task in found.task.around()][::-1]
         if error is None:
-            assert [node.id for node in running] == [node.id for node in way]
+            assert [node.id for node in running] == [node.id for node in path]
 
 
 def test_the_last_attempt_is_the_root_cause(tmp_path: Path) -> None:

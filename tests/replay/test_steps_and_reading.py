@@ -224,9 +224,9 @@ def test_a_closed_pipe_is_no_error(small_log: Path, verb: str) -> None:
 def test_json_is_one_document(small_log: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
     name, *rest = verb.split()
     assert main([name, str(small_log), *rest, "--json"]) == 0
-    said = capsys.readouterr()
-    json.loads(said.out)
-    assert not said.err
+    output = capsys.readouterr()
+    json.loads(output.out)
+    assert not output.err
 
 
 @pytest.mark.parametrize(
@@ -245,10 +245,10 @@ def test_wrong_usage_exits_with_2_and_an_explanation(
     small_log: Path, capsys: pytest.CaptureFixture[str], wrong: str
 ) -> None:
     assert main(wrong.format(log=small_log).split()) == 2
-    said = capsys.readouterr()
-    assert not said.out
-    assert "Traceback" not in said.err
-    assert len(said.err) > 20
+    output = capsys.readouterr()
+    assert not output.out
+    assert "Traceback" not in output.err
+    assert len(output.err) > 20
 
 
 def test_every_verb_has_help(capsys: pytest.CaptureFixture[str]) -> None:
@@ -292,6 +292,6 @@ def test_names_with_characters_that_a_terminal_lacks(tmp_path: Path) -> None:
     )
     assert (ended.returncode, ended.stderr) == (0, b"")
     lines = ended.stdout.decode("ascii").splitlines()
-    told = [json.loads(line) for line in lines if line.startswith("{")]
+    data = [json.loads(line) for line in lines if line.startswith("{")]
     assert any("L\\xf6ffel" in line for line in lines)
-    assert any("Löffel 🥄" in str(facts) for facts in told)
+    assert any("Löffel 🥄" in str(facts) for facts in data)

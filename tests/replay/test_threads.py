@@ -42,9 +42,9 @@ with BulletWorld(name="lab"):
 @pytest.fixture
 def quiet(monkeypatch: pytest.MonkeyPatch) -> list[threading.ExceptHookArgs]:
     """What Python would print of threads that fail."""
-    told: list[threading.ExceptHookArgs] = []
-    monkeypatch.setattr(threading, "excepthook", told.append)
-    return told
+    failures: list[threading.ExceptHookArgs] = []
+    monkeypatch.setattr(threading, "excepthook", failures.append)
+    return failures
 
 
 def recorded(second: str, tmp_path: Path) -> Path:
@@ -67,9 +67,9 @@ def test_why_reports_a_failed_thread_with_the_plan_s_line(
             'for work in (lambda: ball.set_position([0, 0, float("nan")]), int):'
         ]
     assert main(["why", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("plan succeeded, although its thread helper ")
-    assert "failed: BadArgument: position = [0, 0, nan]" in said.splitlines()[0]
+    output = capsys.readouterr().out
+    assert output.startswith("plan succeeded, although its thread helper ")
+    assert "failed: BadArgument: position = [0, 0, nan]" in output.splitlines()[0]
     assert main(["info", str(file)]) == 0
     assert "failed: BadArgument" in capsys.readouterr().out
     assert main(["verify", str(file)]) == 0
@@ -103,7 +103,7 @@ def test_a_thread_s_failure_is_traced_to_its_task(
         found = log.why()
         assert found.task.started.name == "lift"
         assert log.tree().began == found.task.started.task
-        assert [told.failure.type for told in found.failed_threads] == ["BadArgument"]
+        assert [record.failure.type for record in found.failed_threads] == ["BadArgument"]
     assert len(quiet) == 2
     assert main(["why", str(file)]) == 0
     assert "also failed: thread helper " in capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_a_plan_s_own_failure_comes_first(quiet: list[threading.ExceptHookArgs],
     with replay.open(tmp_path / "x.mcap") as log:
         found = log.why()
     assert (found.failure.message, found.thread) == ("the plan", "")
-    assert [told.failure.message for told in found.failed_threads] == ["the thread"]
+    assert [record.failure.message for record in found.failed_threads] == ["the thread"]
     assert len(quiet) == 1
 
 

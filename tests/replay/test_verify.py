@@ -214,7 +214,7 @@ def tampered_time(record: Record) -> int | None:
 
 
 @pytest.mark.parametrize(
-    ("tamper", "told"),
+    ("tamper", "cause"),
     [
         (tampered_sample, "another effect"),
         (tampered_attachment, "another effect"),
@@ -225,7 +225,7 @@ def tampered_time(record: Record) -> int | None:
     ],
 )
 def test_every_manipulation_is_found_at_its_step(
-    run_log: Path, tmp_path: Path, tamper: Callable[[Record], int | None], told: str
+    run_log: Path, tmp_path: Path, tamper: Callable[[Record], int | None], cause: str
 ) -> None:
     steps: list[int] = []
 
@@ -236,7 +236,7 @@ def test_every_manipulation_is_found_at_its_step(
         return record
 
     found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
-    assert told in found.cause
+    assert cause in found.cause
     assert [found.step] == steps
 
 
@@ -378,9 +378,9 @@ def test_real_time_branches_and_failures_are_executed_again(tmp_path: Path) -> N
 @pytest.mark.slow
 def test_the_verb_prints_a_verdict(run_log: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(run_log)]) == 0
-    told = capfd.readouterr()
-    assert "bit for bit" in told.out
-    assert not told.err
+    output = capfd.readouterr()
+    assert "bit for bit" in output.out
+    assert not output.err
     assert main(["verify", str(run_log), "--json"]) == 0
     verdict = json.loads(capfd.readouterr().out)
     assert verdict["sound"]
@@ -425,20 +425,20 @@ def check_random_plan(seed: int, folder: Path) -> None:
 
 def told_of(world: replay.World) -> dict[str, object]:
     """A state in the form of what a live world is asked for."""
-    told: dict[str, object] = {}
+    facts: dict[str, object] = {}
     for body in world.bodies.values():
         numbers = [*body.position, *body.orientation, *body.velocity, *body.joints.values()]
-        told[body.name] = {
+        facts[body.name] = {
             "type": body.type,
             "numbers": [*numbers, *body.joint_velocities.values()],
             "color": body.color or None,
         }
     for (carrier, body), held in world.attachments.items():
-        told[f"{carrier} holds {body}"] = {
+        facts[f"{carrier} holds {body}"] = {
             "links": (held.carrier_link, held.body_link),
             "numbers": [*held.position, *held.orientation],
         }
-    return told | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
+    return facts | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
 
 
 def test_random_plans_are_verified(tmp_path: Path) -> None:

@@ -84,10 +84,10 @@ def test_a_branch_s_failure_is_explained_down_to_its_line(tmp_path: Path, capsys
         drop_in_block(tmp_path / "x.mcap")
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     where = capsys.readouterr().out.partition("Where in the plan\n")[2].partition("\n\n")[0]
-    told = [line.strip() for line in where.splitlines()]
-    assert told.index("block(drop_in_branch, ball)") < told.index('with span("motion", "drop", {"object": ball}):')
-    assert "which became BranchesFailed:" in told
-    assert "with par as block:" in told
+    lines = [line.strip() for line in where.splitlines()]
+    assert lines.index("block(drop_in_branch, ball)") < lines.index('with span("motion", "drop", {"object": ball}):')
+    assert "which became BranchesFailed:" in lines
+    assert "with par as block:" in lines
 
 
 def test_an_earlier_failure_is_not_taken_for_the_plan_s(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,9 +105,9 @@ def test_after_the_end_of_all_worlds_the_error_says_that_they_ended(
     for verb in ("state", "render", "ask"):
         more = {"state": "ball", "ask": "stable(ball)"}.get(verb)
         assert main([verb, str(tmp_path / "x.mcap"), "last", *([more] if more else [])]) == 2
-        said = capsys.readouterr().err
-        assert "no world is open" in said
-        assert "lab" in said
+        output = capsys.readouterr().err
+        assert "no world is open" in output
+        assert "lab" in output
 
 
 def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,8 +131,8 @@ def test_file_paths_are_relative_to_the_working_directory(
     monkeypatch.chdir(tmp_path)
     assert run(Path("plans/plan.py"), Path("x.mcap")) == 1
     assert main(["why", "x.mcap"]) == 0
-    told = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in told if ".py:" in line] == ["plans/plan.py:2", "plans/broken_part.py:2"]
+    output = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in output if ".py:" in line] == ["plans/plan.py:2", "plans/broken_part.py:2"]
     monkeypatch.chdir("plans")
     assert main(["why", "../x.mcap"]) == 0
     assert "\n  plan.py:2 in <module>\n" in capsys.readouterr().out
@@ -148,7 +148,7 @@ def gives_up(error: BaseException) -> None:
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (KeyError("left"), "KeyError: 'left'"),
         (SystemExit(3), "SystemExit: 3"),
@@ -158,14 +158,14 @@ def gives_up(error: BaseException) -> None:
     ],
 )
 def test_the_first_line_says_what_went_wrong(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, told: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException, message: str
 ) -> None:
     with pytest.raises(type(error)), recorder.record(tmp_path / "x.mcap", name="plan", source=__file__):
         gives_up(error)
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[0].partition(" s: ")[2] == told
-    assert said[1].startswith("The cause: fetch failed")
+    output = capsys.readouterr().out.splitlines()
+    assert output[0].partition(" s: ")[2] == message
+    assert output[1].startswith("The cause: fetch failed")
 
 
 def test_a_plan_that_succeeded_has_nothing_to_explain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,11 +191,11 @@ def test_handled_failures_are_explained_too(tmp_path: Path, capsys: pytest.Captu
         with span("motion", "step", {"foot": 99}):
             pass
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
-    said = capsys.readouterr().out
-    assert "walk succeeded" in said
-    assert "step was attempted 12 times" in said
-    assert "... 5 more ..." in said
-    assert "stumbled 11" in said
+    output = capsys.readouterr().out
+    assert "walk succeeded" in output
+    assert "step was attempted 12 times" in output
+    assert "... 5 more ..." in output
+    assert "stumbled 11" in output
 
 
 def test_why_of_a_plan_that_was_cut_off(small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -206,17 +206,17 @@ def test_why_of_a_plan_that_was_cut_off(small_log: Path, tmp_path: Path, capsys:
     cut = tmp_path / "x.mcap"
     cut.write_bytes(small_log.read_bytes()[: end - 9])
     code = main(["why", str(cut)])
-    said = capsys.readouterr()
+    output = capsys.readouterr()
     assert code == 3
-    assert "was cut off at step" in said.out
-    assert "height=1" in said.out
+    assert "was cut off at step" in output.out
+    assert "height=1" in output.out
 
 
 @pytest.mark.slow
 def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed_log)]) == 0
-    said = capsys.readouterr().out
-    first, second, third, fourth = said.splitlines()[:4]
+    output = capsys.readouterr().out
+    first, second, third, fourth = output.splitlines()[:4]
     assert first.startswith("fails_to_reach failed after")
     assert "right arm can't reach" in first
     assert "pick-up was attempted 4 times" in second
@@ -234,18 +234,18 @@ def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys:
         "detecting(object-type=milk) succeeded",
         "pycram-replay blame",
     ):
-        assert section in said
+        assert section in output
 
 
 @pytest.mark.slow
 def test_why_with_json_has_the_same_content(failed: Recording, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed.path), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["failure"]["type"] == "Unreachable"
-    assert [each["parameters"]["arm"] for each in told["tries"]] == ["left", "right", "left", "right"]
-    assert [asked["name"] for asked in told["asked"]] == ["visible", "reachable_object", "blocking"]
+    data = json.loads(capsys.readouterr().out)
+    assert data["failure"]["type"] == "Unreachable"
+    assert [each["parameters"]["arm"] for each in data["tries"]] == ["left", "right", "left", "right"]
+    assert [asked["name"] for asked in data["asked"]] == ["visible", "reachable_object", "blocking"]
     queries = [query.seq for query in failed.records(Query)]
-    assert [asked["step"] for asked in told["asked"]] == queries[-3:]
+    assert [asked["step"] for asked in data["asked"]] == queries[-3:]
     assert isinstance(failed[-1], Run)
 
 

@@ -65,9 +65,9 @@ def plan_log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
         plan()
         world = BulletWorld.current_bullet_world
         assert world is not None
-        told = everything(world)
+        facts = everything(world)
         world.exit()
-    return path, told
+    return path, facts
 
 
 @pytest.fixture
@@ -133,8 +133,8 @@ def test_restoring_does_not_affect_a_running_plan(planned: Path, file: Path) -> 
         past.exit()
         assert BulletWorld.current_bullet_world is now
     with replay.open(file) as second:
-        told = [(type(r), r.world) for r in second.records((Mutation, Keyframe))]
-        assert told == [
+        changes = [(type(r), r.world) for r in second.records((Mutation, Keyframe))]
+        assert changes == [
             (Keyframe, "now"),
             (Keyframe, f"kitchen@{step}"),
             (Mutation, f"kitchen@{step}"),
@@ -215,26 +215,34 @@ def made_by_hand(log: replay.Recording, step: int) -> dict[str, object]:
 
 def make(world: BulletWorld, change: Mutation) -> None:
     command = change.WhichOneof("command")
-    told = getattr(change, command)
-    if isinstance(told, OpenWorld):
+    details = getattr(change, command)
+    if isinstance(details, OpenWorld):
         return
     if command == "load_body":
-        Object(told.body, told.type, told.path, told.position, told.orientation, world, list(told.color) or None)
+        Object(
+            details.body,
+            details.type,
+            details.path,
+            details.position,
+            details.orientation,
+            world,
+            list(details.color) or None,
+        )
     elif command == "set_gravity":
-        world.set_gravity(told.gravity)
+        world.set_gravity(details.gravity)
     elif command == "set_robot":
-        world.robot = world.get_object(told.body)
+        world.robot = world.get_object(details.body)
     elif command == "simulate":
-        world.simulate(told.steps / 240)
+        world.simulate(details.steps / 240)
     elif command == "move_body":
-        world.get_object(told.body).set_position(told.position, told.orientation)
+        world.get_object(details.body).set_position(details.position, details.orientation)
     elif command == "move_joints":
-        world.get_object(told.body).set_joint_positions(dict(zip(told.joints, told.positions, strict=True)))
+        world.get_object(details.body).set_joint_positions(dict(zip(details.joints, details.positions, strict=True)))
     elif command == "attach_body":
         attachment.attach(
-            world.get_object(told.carrier), world.get_object(told.body), told.carrier_link, told.body_link
+            world.get_object(details.carrier), world.get_object(details.body), details.carrier_link, details.body_link
         )
     elif command == "detach_body":
-        world.get_object(told.body).detach(world.get_object(told.carrier))
+        world.get_object(details.body).detach(world.get_object(details.carrier))
     else:
         raise AssertionError(command)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 def old_register(sink: McapSink, topic: str, world: str = "", lifetime: int = 0) -> int:
     """As recorders did before channels told which world of a name they are for."""
-    told = {"world": world} if world else {}
-    channel = sink._writer.add_channel(topic, "protobuf", sink._schemas[topic], told)
+    metadata = {"world": world} if world else {}
+    channel = sink._writer.add_channel(topic, "protobuf", sink._schemas[topic], metadata)
     sink._channels[topic, world, lifetime] = channel
     return channel
 
@@ -147,13 +147,13 @@ def test_a_log_line_names_the_lifetime(log: replay.Recording, capsys: pytest.Cap
 
 
 def test_a_later_lifetime_is_executed_again_by_itself(log: replay.Recording) -> None:
-    told = log.state_at("last").world("lab")
+    recorded = log.state_at("last").world("lab")
     with log.world_at("last", "lab", exact=True) as world:
         assert world.sim_step == 120
-        assert tuple(world.get_object("ball").get_position()) == told.body("ball").position
+        assert tuple(world.get_object("ball").get_position()) == recorded.body("ball").position
 
 
 def test_ordinals() -> None:
-    told = [title("lab", number) for number in (1, 2, 3, 4, 11, 21, 112)]
-    assert told[0] == "lab"
-    assert [text.split("(")[1].split()[0] for text in told[1:]] == ["2nd", "3rd", "4th", "11th", "21st", "112th"]
+    titles = [title("lab", number) for number in (1, 2, 3, 4, 11, 21, 112)]
+    assert titles[0] == "lab"
+    assert [text.split("(")[1].split()[0] for text in titles[1:]] == ["2nd", "3rd", "4th", "11th", "21st", "112th"]

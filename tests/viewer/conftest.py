@@ -89,14 +89,14 @@ def alone(
     yield
     left = processes(mark)
     psutil.wait_procs(left, LEAVING)
-    told = []
+    leftover = []
     for process in processes(mark):
         with contextlib.suppress(psutil.Error):
-            told.append(f"{process.pid}: {' '.join(process.cmdline())}")
+            leftover.append(f"{process.pid}: {' '.join(process.cmdline())}")
             process.kill()
     if request.node.get_closest_marker("slow"):  # those start processes; it takes a while
         gc.collect()  # a file that it left open is told here, not in the middle of another test
-    assert not told, f"left running: {told}"
+    assert not leftover, f"left running: {leftover}"
 
 
 @pytest.fixture
@@ -297,9 +297,9 @@ class Browser:
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Gives an order that is obeyed; what happens meanwhile is kept in ``events``."""
-        told = self.order(method, **parameters)
-        assert "result" in told, told
-        return told["result"]
+        reply = self.order(method, **parameters)
+        assert "result" in reply, reply
+        return reply["result"]
 
     def order(self, method: str, **parameters: object) -> dict[str, Any]:
         """Gives an order and waits for its answer."""
@@ -310,10 +310,10 @@ class Browser:
         self._writing.write(json.dumps(order).encode() + b"\0")
         self._writing.flush()
         while True:
-            told = self._next()
-            if told.get("id") == self._count:
-                return told
-            self.events.append(told)
+            reply = self._next()
+            if reply.get("id") == self._count:
+                return reply
+            self.events.append(reply)
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._rest:
@@ -329,8 +329,8 @@ class Browser:
 
     def errors(self) -> list[str]:
         """What the viewer in its page complains of."""
-        told = [e["params"]["args"] for e in self.events if e.get("method") == "Runtime.consoleAPICalled"]
-        lines = [str(one.get("value", "")) for arguments in told for one in arguments]
+        calls = [e["params"]["args"] for e in self.events if e.get("method") == "Runtime.consoleAPICalled"]
+        lines = [str(one.get("value", "")) for arguments in calls for one in arguments]
         thrown = [str(e["params"]) for e in self.events if e.get("method") == "Runtime.exceptionThrown"]
         return [line for line in lines if line.lstrip().startswith("ERROR")] + thrown
 

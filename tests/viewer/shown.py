@@ -60,11 +60,11 @@ class Shown:
 
     def counts(self) -> Counter[tuple[str, str]]:
         """How many values each component of each entity has at its moments."""
-        told: Counter[tuple[str, str]] = Counter()
+        counts: Counter[tuple[str, str]] = Counter()
         for entity, rows in self.rows.items():
             for _, values in rows:
-                told.update((entity, name) for name in values)
-        return told
+                counts.update((entity, name) for name in values)
+        return counts
 
     def at(self, entity: str, step: int) -> dict[str, Any]:
         """An entity's components at a step: the last that each was told, unless the entity was cleared since."""
@@ -80,13 +80,13 @@ class Shown:
 
     def frames(self, step: int) -> dict[str, tuple[str, Pose]]:
         """Parent and pose of each frame at a step."""
-        told = {}
+        frames = {}
         for entity in self.rows:
             now = self.at(entity, step)
             if "Transform3D:child_frame" in now:
                 pose = (tuple(now["Transform3D:translation"][0]), tuple(now["Transform3D:quaternion"][0]))
-                told[now["Transform3D:child_frame"][0]] = (now["Transform3D:parent_frame"][0], pose)
-        return told
+                frames[now["Transform3D:child_frame"][0]] = (now["Transform3D:parent_frame"][0], pose)
+        return frames
 
 
 def in_world(frames: dict[str, tuple[str, Pose]], name: str, root: str = "world") -> Pose:
@@ -118,10 +118,12 @@ def in_front(file: Path) -> set[str]:
     for layout in reader.blueprints():
         for chunk in reader.stream(store=layout):
             table = chunk.to_record_batch()
-            told = {name: table.column(name).to_pylist()[-1] for name in table.schema.names if "Blueprint:" in name}
-            if "ViewBlueprint:display_name" in told:
-                names[chunk.entity_path] = told["ViewBlueprint:display_name"][0]
-            fronts |= {f"/{view}" for view in told.get("ContainerBlueprint:active_tab") or ()}
+            properties = {
+                name: table.column(name).to_pylist()[-1] for name in table.schema.names if "Blueprint:" in name
+            }
+            if "ViewBlueprint:display_name" in properties:
+                names[chunk.entity_path] = properties["ViewBlueprint:display_name"][0]
+            fronts |= {f"/{view}" for view in properties.get("ContainerBlueprint:active_tab") or ()}
     return {names[front] for front in fronts}
 
 

@@ -54,7 +54,7 @@ def test_a_full_disk_is_reported(tmp_path: Path) -> None:
     log = small(tmp_path / "log.mcap")
     for words in ([], ["--save", "log.rrd"]):
         command = [sys.executable, "-m", "replay", "view", str(log), *words]
-        told = subprocess.run(
+        process = subprocess.run(
             ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", *command],
             cwd=tmp_path,
             capture_output=True,
@@ -62,9 +62,9 @@ def test_a_full_disk_is_reported(tmp_path: Path) -> None:
             check=False,
             env={**os.environ, "PYTHONPATH": str(REPO)},
         )
-        assert told.returncode == 2
-        assert "log.rrd: can't be written" in told.stderr.replace(".mcap", "")
-        assert "Traceback" not in told.stderr
+        assert process.returncode == 2
+        assert "log.rrd: can't be written" in process.stderr.replace(".mcap", "")
+        assert "Traceback" not in process.stderr
     assert [*tmp_path.iterdir()] == [log], "nothing that is half there is kept"
 
 
@@ -161,9 +161,9 @@ def test_wrong_usage_is_reported(
     monkeypatch.chdir(tmp_path)
     small(tmp_path / "log.mcap")
     assert main(["view", "log.mcap", *words]) == 2
-    told = capsys.readouterr()
-    assert said in told.err
-    assert not told.out
+    output = capsys.readouterr()
+    assert said in output.err
+    assert not output.out
     assert not list(tmp_path.glob("*.rrd"))
 
 
@@ -175,7 +175,7 @@ def test_a_truncated_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys
             cup.set_position([turn, 0, 1])
     log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
-    told = capsys.readouterr()
-    assert json.loads(told.out) == {"file": str(tmp_path / "log.rrd")}
-    assert "incomplete" in told.err
+    output = capsys.readouterr()
+    assert json.loads(output.out) == {"file": str(tmp_path / "log.rrd")}
+    assert "incomplete" in output.err
     assert len(Shown(tmp_path / "log.rrd").rows["/w/bodies/cup"]) > 50

@@ -121,10 +121,10 @@ def test_rerun_reads_records_transforms_and_log_lines(log: Path, stranger: Stran
         sent = stranger.on(topic)
         if sent:
             descriptor = sent[0][1].DESCRIPTOR
-            told = columns[topic][f"{descriptor.full_name}:message"].value_type
+            fields = columns[topic][f"{descriptor.full_name}:message"].value_type
             choices = {choice.name: {field.name for field in choice.fields} for choice in descriptor.oneofs}
             plain = {field.name for field in descriptor.fields}.difference(*choices.values())
-            assert {field.name for field in told} == plain | choices.keys()
+            assert {field.name for field in fields} == plain | choices.keys()
         assert rows.get(topic, 0) == len(sent)
     frames = {
         "Transform3D:translation",

@@ -102,8 +102,8 @@ def test_live_and_afterwards_show_the_same(
 
 def without_start(fixed: dict[str, dict[str, object]]) -> dict[tuple[str, str], object]:
     """What holds at all times, but for when the viewer was first told of it."""
-    told = {(entity, name): value for entity, values in fixed.items() for name, value in values.items()}
-    return {key: value for key, value in told.items() if key[1] != "RecordingInfo:start_time"}
+    values_by_entity = {(entity, name): value for entity, values in fixed.items() for name, value in values.items()}
+    return {key: value for key, value in values_by_entity.items() if key[1] != "RecordingInfo:start_time"}
 
 
 def test_added_and_removed_bodies_appear_and_disappear(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
     }
     assert ["seq succeeded"] in states["1"]
     assert ["par failed"] in states["2"]
-    branches = [state for lane, told in states.items() if lane.startswith("3") for state in told]
+    branches = [state for lane, labels in states.items() if lane.startswith("3") for state in labels]
     assert ["list succeeded"] in branches
     assert ["fail failed"] in branches
     assert not any(state for lane in lanes if (state := shown.at(f"/level/{lane}", last)["StateChange:state"][0]))
@@ -175,8 +175,8 @@ def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
     assert any("fail \u2717" in labels for labels in graph)
     assert all(labels[0] == "lift" for labels in graph)
     failed = [(at, values["TextLog:text"]) for at, values in shown.rows["/w/failures"] if "TextLog:text" in values]
-    (step, *_), told = failed[0]
-    assert told == [f"#{step} fail: PlanFailure: too heavy"]
+    (step, *_), lines = failed[0]
+    assert lines == [f"#{step} fail: PlanFailure: too heavy"]
     for entity in ("/log/task", "/log/mutation"):
         assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
     told_red = [
@@ -206,17 +206,17 @@ def test_tables_have_call_sites_and_callers(tmp_path: Path) -> None:
     with recorder.record(log, source=plan):
         runpy.run_path(str(plan))
     rows = view(log, tmp_path / "log.rrd").rows
-    told = {}
+    sources = {}
     for kind, what in (("Mutation", "command"), ("Task", "status")):
         for _, values in rows[f"/records/{kind.lower()}"]:
             names = (what, "source", "callers")
             key, source, callers = (values[f"pycram.{kind}:{name}"][0] for name in names)
             of_plan = [one for one in callers.split(", ") if one.startswith("plan.py")]  # else it's this test
-            told[key] = source, of_plan
-    assert told["load_body"] == ("plan.py:8", [])
-    assert told["move_body"] == ("plan.py:5", ["plan.py:10"])
-    assert told["set_color"] == ("plan.py:11", []), "where its task was asked for"
-    assert told["running"] == told["succeeded"] == ("plan.py:11", [])
+            sources[key] = source, of_plan
+    assert sources["load_body"] == ("plan.py:8", [])
+    assert sources["move_body"] == ("plan.py:5", ["plan.py:10"])
+    assert sources["set_color"] == ("plan.py:11", []), "where its task was asked for"
+    assert sources["running"] == sources["succeeded"] == ("plan.py:11", [])
 
 
 def test_a_failure_that_is_repeated_is_marked_again(tmp_path: Path) -> None:

@@ -240,9 +240,9 @@ def test_modules_of_the_plan_s_own_are_attached(ran: Path, capsys: pytest.Captur
             ("put", "ball.set_position([0, 0, height])"),
         ]
     assert main(["blame", str(ran), "ball"]) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in said[3:6]] == ["from", "called", "called"]
-    assert said[-1].endswith("in <module>:  tidy(ball)")
+    output = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in output[3:6]] == ["from", "called", "called"]
+    assert output[-1].endswith("in <module>:  tidy(ball)")
 
 
 def test_files_of_one_name_are_not_confused(tmp_path: Path) -> None:
