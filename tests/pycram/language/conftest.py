@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @pytest.fixture(autouse=True)
 def _watched() -> Iterator[None]:
     """Nothing hangs, no branch or worker outlives its block, and no task stays running in the task tree."""
-    faulthandler.dump_traceback_later(60, exit=True)
+    faulthandler.dump_traceback_later(300, exit=True)  # a busy machine may take a while
     before = threading.active_count()
     yield
     faulthandler.cancel_dump_traceback_later()

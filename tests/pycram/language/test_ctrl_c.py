@@ -212,7 +212,9 @@ def interrupted_at(number: int, action: Callable[[], None]) -> bool:
     return left[0] <= 0
 
 
-@pytest.mark.parametrize("every", [41, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "every", [41, pytest.param(7, marks=pytest.mark.slow), pytest.param(1, marks=[pytest.mark.slow, pytest.mark.long])]
+)
 def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) -> None:
     ended = 0
     for number in itertools.count(1, every):

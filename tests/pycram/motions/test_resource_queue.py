@@ -75,7 +75,7 @@ def _resolver() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def _modules(world: BulletWorld) -> Iterator[None]:
-    faulthandler.dump_traceback_later(60, exit=True)
+    faulthandler.dump_traceback_later(300, exit=True)
     with ProcessModule.resolvers.added(lambda designator: dict(designator.description).get("module")):
         yield
     faulthandler.cancel_dump_traceback_later()

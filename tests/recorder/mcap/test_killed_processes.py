@@ -71,7 +71,7 @@ def test_a_killed_process_loses_at_most_50_records_and_no_failure(
             kept = len(log)
             assert [record.seq for record in log] == list(range(kept))
             assert not log.complete
-            assert "not closed" in log.missing
+            assert "not closed" in log.problems
             lost = [(kind, when) for kind, seq, when in written if seq >= kept]
             assert not [kind for kind, _ in lost if kind == "F"], "a recorded failure is missing"
             failures = sum(1 for kind, seq, _ in written if kind == "F" and seq < kept)
