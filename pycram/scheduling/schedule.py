@@ -236,7 +236,7 @@ class Scheduler:
     def interrupt(self) -> None:
         """Take note of a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
-            names = ", ".join(branch.name for branch in self.branches)
+            names = ", ".join(branch.name for branch in list(self.branches))
             sys.stderr.write(f"waiting for {names} to get to the next action; Ctrl-\\ ends the process at once\n")
         if self._outside is not None:
             self.add(self._outside, first=True)

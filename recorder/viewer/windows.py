@@ -22,6 +22,7 @@ from urllib.parse import quote
 
 import rerun as rr
 
+from recorder.tracing.interrupts import Uninterrupted
 from recorder.viewer.connection import (
     HOST,
     PAGE_PORT,
@@ -56,7 +57,9 @@ def stream_to_viewer() -> Iterator[rr.RecordingStream]:
     """A stream for rows; also where the environment has viewers switched off, as this one was asked for."""
     switched = os.environ.pop(_SWITCH, None)
     try:
-        yield rr.RecordingStream(APPLICATION)
+        with Uninterrupted():  # one that Ctrl-C has left half made is a complaint of the library's on stderr
+            stream = rr.RecordingStream(APPLICATION)
+        yield stream
     finally:
         if switched is not None:
             os.environ[_SWITCH] = switched
