@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pycram.reasoning.kinematics import subproblems
-from pycram.reasoning.kinematics.arm import ArmKinematics
+from pycram.reasoning.kinematics.arm import ArmKinematics, Posture
 from pycram.reasoning.kinematics.chain import Chain
-from pycram.reasoning.kinematics.descent import TURN_TOLERANCE
+from pycram.reasoning.kinematics.descent import POSITION_TOLERANCE, TURN_TOLERANCE
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 
@@ -52,6 +52,11 @@ SIX = ([Z, Y, Y, X, Y, X], [0.0, 0.1, 0.4, 0.1, 0.3, 0.0, 0.15])
 SLIDING = (["slide 0 0 1", Z, Y, Y, X, Y, X], [0.0, 0.1, 0.0, 0.4, 0.1, 0.3, 0.0, 0.15])
 
 
+def is_solved(posture: Posture) -> bool:
+    """Whether the tool is as near to the target as the solver promises, which is nearer than queries ask for."""
+    return posture.position_error < POSITION_TOLERANCE and posture.turn_error < TURN_TOLERANCE
+
+
 @pytest.mark.parametrize(
     "arm", [PR2, IIWA, SKEWED, SIX, SLIDING, PLANAR], ids=["pr2", "iiwa", "skewed", "six", "sliding", "planar"]
 )
@@ -67,8 +72,7 @@ def test_a_pose_that_some_posture_has_is_reached_by_a_posture_within_limits(
     turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
     (found,) = solver.solve([(pose[:3, 3], turn)])
     if arm in (PR2, IIWA, SKEWED):
-        assert found[0].reaches()
-        assert found[0].turn_error < TURN_TOLERANCE
+        assert is_solved(found[0])
     for posture in found:
         values = np.array([[posture.positions[name] for name in solver.chain.joints]])
         assert (np.abs(values) <= 2.5 + 1e-9).all()
@@ -94,7 +98,7 @@ def test_searching_finds_almost_all_that_arms_without_closed_form_reach() -> Non
         reached = 0
         for pose in solver.chain.poses(postures):
             turn = None if arm is PLANAR else geometry.from_matrix(pose[:3, :3])
-            reached += solver.solve([(pose[:3, 3], turn)])[0][0].reaches()
+            reached += is_solved(solver.solve([(pose[:3, 3], turn)])[0][0])
         assert reached >= 23, arm
 
 
@@ -166,17 +170,17 @@ def test_many_targets_are_solved_as_one_by_one() -> None:
     turn = geometry.from_rpy(0.3, 0.8, -0.4)
     for targets in ([(position, turn) for position in positions], [(position, None) for position in positions]):
         many = solver.solve(targets)
-        reached = [postures[0].reaches() for postures in many]
+        reached = [is_solved(postures[0]) for postures in many]
         assert 0 < sum(reached) < len(reached)
         for target, postures in zip(targets, many, strict=True):
             alone = solver.solve([target])[0][0]
-            assert alone.reaches() is postures[0].reaches()
+            assert is_solved(alone) is is_solved(postures[0])
             assert alone.position_error == pytest.approx(postures[0].position_error, abs=1e-6)
         exact = solver.closed_form(targets, {})
-        assert all(posture.reaches() for postures in exact for posture in postures)
+        assert all(is_solved(posture) for postures in exact for posture in postures)
         assert all(there for postures, there in zip(exact, reached, strict=True) if postures)
 
 
 def test_arms_of_any_number_of_joints_are_searched() -> None:
     solver = chain([Z, Y] * 7, [0.1] * 15)
-    assert solver.solve([([0.7, 0.3, 0.4], None)])[0][0].reaches()
+    assert is_solved(solver.solve([([0.7, 0.3, 0.4], None)])[0][0])
