@@ -23,7 +23,7 @@ test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that
 	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long"
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
-	.venv-reading/bin/pytest --noconftest tests/replay/test_reading_alone.py
+	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/test_reading_alone.py
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check
