@@ -21,7 +21,7 @@ from recorder.records.asset import AssetFile
 from recorder.tracing import journal
 from recorder.tracing.journal import Journal
 from recorder.tracing.uncaught import recording_uncaught
-from recorder.viewer.sink import RerunSink
+from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

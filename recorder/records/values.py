@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import math
 import traceback
-from collections.abc import Callable, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -97,6 +96,11 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     """Named values as a record carries them, in the given order."""
     pairs = values.items() if isinstance(values, Mapping) else values
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+
+
+def argument_values(recorded: Iterable[Argument]) -> dict[str, Any]:
+    """Recorded values as plain data, by name."""
+    return {argument.name: json.loads(argument.json) for argument in recorded}
 
 
 def _message(error: BaseException) -> str:

@@ -5,13 +5,12 @@ Children are in the order in which they were asked for, which is that of their i
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
-from recorder.records import STEPS_PER_SECOND, Task
+from recorder.records import STEPS_PER_SECOND, Task, argument_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -111,13 +110,12 @@ class Node:
     @property
     def parameters(self) -> Mapping[str, Any]:
         """What it was given, by name, as recorded."""
-        return {argument.name: json.loads(argument.json) for argument in self.started.parameters}
+        return argument_values(self.started.parameters)
 
     @property
     def solution(self) -> Mapping[str, Any]:
         """How that was resolved; empty unless it was recorded."""
-        resolved = self.finished.solution if self.finished is not None else ()
-        return {argument.name: json.loads(argument.json) for argument in resolved}
+        return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
     def status(self) -> State:

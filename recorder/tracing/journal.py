@@ -15,8 +15,8 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
-from recorder import threads
 from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.tracing.branch_identity import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.world = world
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
-    record.thread = threads.name()
+    record.thread = current_name()
     publish(record)
 
 

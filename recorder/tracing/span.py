@@ -17,11 +17,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from recorder import threads
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal
-from recorder.tracing.call_site import CallStack, plan_frame, walk
+from recorder.tracing.branch_identity import current_name
+from recorder.tracing.call_stack import CallStack, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ class Span:
             world=world,
             sim_step=sim_step,
             task=self.id,
-            thread=threads.name(),
+            thread=current_name(),
             phase=phase,
             status=status,
             parent=self.parent,

@@ -7,8 +7,8 @@ import zlib
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.asset import AssetFile
+from recorder.viewer.active_worlds import acts
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
-from recorder.viewer.scene_view import acts
 from recorder.viewer.translator import Translator
 from replay.errors import Damaged
 

@@ -20,8 +20,9 @@ import pytest
 
 import recorder
 import replay
-from recorder.viewer import sink
-from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Target, answers, free_port
+from recorder.viewer import live_sink
+from recorder.viewer.address import Kind, Target, answers, free_port
+from recorder.viewer.live_process import LINGER_TIMEOUT
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
@@ -55,15 +56,15 @@ Path("begun").touch()
 
 
 HURRY = """
-from recorder.viewer import sink
-sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 0.0)
-sink._END_TIMEOUT = 0.0
+from recorder.viewer import live_sink
+live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 0.0)
+live_sink._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
-from recorder.viewer import sink
-sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 60.0)
+from recorder.viewer import live_sink
+live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
 """
 
 
@@ -205,7 +206,7 @@ def test_a_plan_runs_without_a_viewer(plan: Callable[..., Plan], port: int) -> N
 def test_a_short_plan_waits_only_until_no_viewer_answers(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sink, "_END_TIMEOUT", 90.0)
+    monkeypatch.setattr(live_sink, "_END_TIMEOUT", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass

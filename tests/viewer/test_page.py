@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from recorder.viewer.windows import Page
+from recorder.viewer.web_page import Page
 
 if TYPE_CHECKING:
     import subprocess

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from conftest import Headless
     from google.protobuf.message import Message
-    from mcap.records import Channel, Schema
-    from mcap.records import Message as Sent
+    from mcap.records import Channel, Message as Sent, Schema
 
 pytestmark = pytest.mark.slow
 

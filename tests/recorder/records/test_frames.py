@@ -5,8 +5,7 @@ from __future__ import annotations
 from urllib.parse import unquote
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from recorder.records import Effect, LoadBody, Mutation
 from recorder.records.frames import ROOT, Frame, FrameTree, frame_name

@@ -16,7 +16,7 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_site import MAX_LINES, CallStack
+from recorder.tracing.call_stack import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame

@@ -13,7 +13,7 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State
-from recorder.tasks.picture import COLORS
+from recorder.tasks.tree_picture import COLORS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,7 +39,7 @@ class _Running:
     since: TimePoint
 
 
-class Timeline:
+class TaskTimeline:
     """Lanes of all tasks."""
 
     def __init__(self, columns: Columns) -> None:

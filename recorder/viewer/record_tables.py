@@ -105,7 +105,7 @@ KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
-class Tables:
+class RecordTables:
     """A table for each type of record but keyframes, which add nothing new."""
 
     def __init__(self, columns: Columns) -> None:

@@ -14,10 +14,10 @@ from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
-from recorder import threads
 from recorder.records import SourceLine
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_ident
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -84,7 +84,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
     """
     frame, line = _innermost(frame)
     recording = journal.recording_number() if journal.recording() else 0
-    thread = threads.ident()
+    thread = current_ident()
     inherited: tuple[CallSite, ...] = ()
     if outer is not None:
         inherited = outer.inherited if outer.thread == thread else outer.lines

@@ -24,7 +24,7 @@ _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_real
 _OVERHEAD: Final = 200  # bytes of an item in Python, about
 
 
-class Backlog:
+class LiveQueue:
     """A queue that never makes its writer wait.
 
     Attributes:
