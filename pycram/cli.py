@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
 from recorder import RecordingError, record
-from recorder.extras import NotInstalled
-from recorder.mcap.sink import versions
+from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
 from recorder.viewer.address import Kind, Target
 

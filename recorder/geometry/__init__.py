@@ -2,7 +2,6 @@
 
 from recorder.geometry.transforms import (
     IDENTITY as IDENTITY,
-    Numbers as Numbers,
     Pose as Pose,
     PoseLike as PoseLike,
     Quaternion as Quaternion,

@@ -200,14 +200,6 @@ class Node:
             yield depth, node
             stack += [(depth + 1, child) for child in reversed(node.children)]
 
-    def same(self, other: Node) -> bool:
-        """Whether another node and all below it have the same records."""
-        records, other_records = (
-            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
-            for tree in (self, other)
-        )
-        return records == other_records
-
     def __repr__(self) -> str:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"
 

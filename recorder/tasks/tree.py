@@ -149,8 +149,11 @@ class Tree:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Tree):
             return NotImplemented
-        roots, other_roots = self.roots, other.roots
-        return len(roots) == len(other_roots) and all(a.same(b) for a, b in zip(roots, other_roots, strict=True))
+        own, others = (
+            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
+            for tree in (self, other)
+        )
+        return own == others
 
     def __len__(self) -> int:
         return len(self.nodes)

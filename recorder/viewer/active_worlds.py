@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 _SETUP: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
 _CLOSE: Final = "close_world"
 _KEYFRAME: Final = "keyframe"
-_UNKNOWN: Final = "change"  # of another version
 
 
 class ActiveWorlds:
@@ -62,5 +61,5 @@ def _is_act(action: str) -> bool:
 def _action(record: Record) -> str:
     """What a record does to a world: a mutation's command; "" if it does nothing."""
     if type(record) is Mutation:  # isinstance takes five times as long where it is none
-        return record.WhichOneof("command") or _UNKNOWN
+        return record.WhichOneof("command") or "change"  # of another version
     return _KEYFRAME if type(record) is Keyframe else ""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import rerun as rr
 
 from recorder.records import Keyframe
-from recorder.viewer.marks import YELLOW
+from recorder.viewer.colors import YELLOW
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 
-from recorder.viewer.marks import BLUE
+from recorder.viewer.colors import BLUE
 from recorder.viewer.positions import position
 
 if TYPE_CHECKING:

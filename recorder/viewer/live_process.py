@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.address import POLL_PERIOD, Kind, Target, ViewerGone, answers
+from recorder.viewer.address import Kind, Target, ViewerGone, answers, wait_for_answer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -133,7 +133,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
             absent.set()
             batches.report(Status.ABSENT)
             _print(f"no viewer at {url} yet; it can be started at any time: rerun")
-            _wait_for(url)
+            wait_for_answer(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
     translator = Translator(stream)
@@ -168,9 +168,9 @@ class _Display:
         from recorder.viewer.blueprint import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
-        if len(worlds) > self._laid_out:
-            self._laid_out = len(worlds)
-            self._stream.send_blueprint(blueprint(worlds, self._translator.front))
+        if len(worlds.centres) > self._laid_out:
+            self._laid_out = len(worlds.centres)
+            self._stream.send_blueprint(blueprint(worlds.centres, worlds.front))
 
     def show(self, batch: list[Item]) -> int:
         """Translates a batch, and returns how many records of it are shown."""
@@ -211,10 +211,3 @@ def _deliver(stream: rr.RecordingStream) -> None:
                 raise ViewerGone("the viewer was closed; the plan goes on without") from error
         else:
             return
-
-
-def _wait_for(url: str) -> None:
-    """Waits for a viewer that somebody starts."""
-    pause = threading.Event()
-    while not answers(url):
-        pause.wait(POLL_PERIOD)

@@ -143,7 +143,7 @@ class RerunSink:
                 self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few it uses half of one
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has printed why; or it has got the rest
-            self._queue.clear()
+            self._queue.take_rest()
         finally:
             self._settled.set()
 

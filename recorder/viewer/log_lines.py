@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import TOPICS
 from recorder.records.text import has_line
-from recorder.viewer.marks import RED, YELLOW
+from recorder.viewer.colors import RED, YELLOW
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

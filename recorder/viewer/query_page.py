@@ -24,12 +24,11 @@ class QueryPage:
     """Page of the last query."""
 
     def __init__(self, columns: Columns) -> None:
-        self._columns = columns
-        self._page = columns.path(QUERIES, PAGE)
+        self._pages = columns.series(columns.path(QUERIES, PAGE), _pages)
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Shows a query."""
-        self._columns.add(self._page, _pages, now, _page(record))
+        self._pages.add(now, (_page(record),))
 
 
 def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

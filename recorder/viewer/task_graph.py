@@ -11,7 +11,7 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State, Tree
-from recorder.viewer.marks import BLUE, GREEN, GREY, RED, YELLOW
+from recorder.viewer.colors import BLUE, GREEN, GREY, RED, YELLOW
 from recorder.viewer.task_timeline import STATUS_MARKS
 
 if TYPE_CHECKING:

@@ -11,22 +11,18 @@ from recorder.viewer.attachments import Attachments
 from recorder.viewer.cameras import CameraFrustums
 from recorder.viewer.columns import Columns, TimePoint, sim_ns
 from recorder.viewer.log_lines import LogLines
+from recorder.viewer.marks import QueryMarks, TaskMarks
 from recorder.viewer.plots import Plots
-from recorder.viewer.query_marks import QueryMarks
 from recorder.viewer.query_page import QueryPage
 from recorder.viewer.query_picture import QueryPicture
 from recorder.viewer.record_tables import RecordTables
 from recorder.viewer.scene import Scene
 from recorder.viewer.task_graph import TaskGraph
-from recorder.viewer.task_marks import TaskMarks
 from recorder.viewer.task_timeline import TaskTimeline
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
     import rerun as rr
 
-    from recorder.geometry import Vector
     from recorder.records import Record
     from recorder.records.asset import AssetFile
 
@@ -35,39 +31,29 @@ _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that add 
 
 
 class Translator:
-    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread."""
+    """Shows records in a viewer, below a root entity and with frames of that prefix if one is named. For one thread.
+
+    Attributes:
+        scene: the bodies of all worlds.
+        worlds: those that plans act in.
+    """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         columns = self._columns = Columns(stream, root)
         self._lines, self._tables = LogLines(columns), RecordTables(columns)
         self._timeline, self._graph = TaskTimeline(columns), TaskGraph(columns)
         self._page, self._picture = QueryPage(columns), QueryPicture(columns)
-        scene = self._scene = Scene(columns, f"{root}/" if root else "")
-        self._plots, self._worlds = Plots(columns), ActiveWorlds(scene)
+        scene = self.scene = Scene(columns, f"{root}/" if root else "")
+        self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
         self._sim_ns = 0  # of the world of the latest record that has one
         self._previous_ns = 0  # wall time of the record before
         self._waiting = 0  # records
 
-    @property
-    def worlds(self) -> Mapping[str, Vector]:
-        """Centres in m of the worlds that plans acted in, when they began to."""
-        return self._worlds.centres
-
-    @property
-    def front(self) -> str:
-        """The first of these worlds that is still open; "" before there is one."""
-        return self._worlds.front
-
-    @property
-    def absent(self) -> Iterable[str]:
-        """Files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body."""
-        return self._scene.absent
-
     def attach(self, asset: AssetFile) -> None:
         """Takes a model or mesh, before the records that use it, or anything else."""
-        self._scene.attach(asset)
+        self.scene.attach(asset)
 
     def show(self, record: Record) -> None:
         """Takes the next record; its rows are sent in batches, at the latest by :meth:`flush`."""
@@ -88,7 +74,7 @@ class Translator:
         elif type(record) is Run and record.phase == Run.STARTED:
             self._graph.plan = record.name
         if record.world:
-            self._worlds.follow(record)
+            self.worlds.follow(record)
         self._previous_ns = now.wall
         self._waiting += 1
         if self._waiting >= _BATCH:
@@ -101,7 +87,7 @@ class Translator:
 
     def finish(self) -> None:
         """Ends: adds the worlds that no plan acted in, and sends all buffered rows."""
-        self._worlds.add_others()
+        self.worlds.add_others()
         self.flush()
 
     def _show_task(self, record: Task, now: TimePoint) -> None:
@@ -115,15 +101,15 @@ class Translator:
         world, end = record.world, record.sim_step
         effect = record.effect if isinstance(record, Mutation) else None  # held: it takes time to get it again
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
-        motions = self._scene.motions(record)
-        if not only_moves or world not in self._scene.bodies:
-            self._scene.begin(record, now)
+        motions = self.scene.motions(record)
+        if not only_moves or world not in self.scene.bodies:
+            self.scene.begin(record, now)
         step, time = end, now
         for motion in motions:
             if motion.sim_step != step:
                 step = motion.sim_step
                 time = now if step == end else _within(record, step, now, self._previous_ns)
-            body = self._scene.move(world, motion, time)
+            body = self.scene.move(world, motion, time)
             if body is not None:
                 self._plots.show(world, body, motion, time)
         if not only_moves or effect is None or effect.attached or effect.detached:

@@ -6,10 +6,9 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 from typing import IO
 
-from recorder.viewer.address import HOST, POLL_PERIOD, PORT, ViewerGone, address, answers, free_port
+from recorder.viewer.address import HOST, PORT, ViewerGone, address, answers, free_port, wait_for_answer
 
 
 def open_window() -> str:
@@ -30,11 +29,12 @@ def open_window() -> str:
             start_new_session=True,  # Ctrl-C is for the plan
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
-        pause = threading.Event()
-        while not answers(address(port)):
+
+        def check() -> None:
             if viewer.poll() is not None:
                 raise ViewerGone(f"the viewer didn't open ({_last_line(stderr)})")
-            pause.wait(POLL_PERIOD)
+
+        wait_for_answer(address(port), check)
     return address(port)
 
 

@@ -92,9 +92,9 @@ def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str,
             raise _nonsense(log, f"step {record.seq}", error) from error
     with _damage(log, "a record"):  # as a time that is longer than any
         translator.finish()
-    for name in translator.absent:  # filters of other tools leave attachments out
+    for name in translator.scene.absent:  # filters of other tools leave attachments out
         log.assets.damaged.setdefault(name, "it isn't there")
-    return translator.worlds
+    return translator.worlds.centres
 
 
 @contextlib.contextmanager

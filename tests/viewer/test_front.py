@@ -78,7 +78,7 @@ def test_live_the_first_tab_is_the_world_that_the_plan_acts_in(two_worlds: Path)
         with replay.open(file) as log:
             for record in log:
                 translator.show(record)
-                fronts.append(translator.front)
+                fronts.append(translator.worlds.front)
     assert [world for world, _ in itertools.groupby(fronts)] == ["", "kitchen", "later"]
 
 
