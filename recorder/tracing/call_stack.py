@@ -114,20 +114,20 @@ def call_site() -> CallSite:
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
     """The plan's innermost frame and its line; without any, None and the line of the innermost foreign frame."""
     frame, foreign = plan_frame(frame)
-    found = frame or foreign
-    return frame, (found.f_code.co_filename, found.f_lineno) if found is not None else None
+    innermost = frame or foreign
+    return frame, (innermost.f_code.co_filename, innermost.f_lineno) if innermost is not None else None
 
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
     """The plan's lines up to a frame, outermost first."""
-    found: list[CallSite] = []
+    lines: list[CallSite] = []
     while (frame := plan_frame(frame)[0]) is not None:
         line = frame.f_code.co_filename, frame.f_lineno
-        if not found or line != found[-1]:
-            found.append(line)
+        if not lines or line != lines[-1]:
+            lines.append(line)
         frame = frame.f_back
-    found.reverse()
-    return tuple(found)
+    lines.reverse()
+    return tuple(lines)
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:

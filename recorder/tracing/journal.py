@@ -318,4 +318,4 @@ def close_journal(journal: Journal) -> None:
 def forget_journal(journal: Journal) -> None:
     """Ends recording to a journal without touching its sinks."""
     global _open  # noqa: PLW0603  see open_journal
-    _open = tuple(other for other in _open if other is not journal)
+    _open = tuple(each for each in _open if each is not journal)

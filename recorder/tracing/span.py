@@ -214,10 +214,10 @@ def current_call_stack() -> CallStack:
     task = _current.get()
     if task is None:
         return walk(frame)[0]
-    outer, entered, found = task.source, task._frame, None  # noqa: SLF001  same module
+    outer, entered, call_stack = task.source, task._frame, None  # noqa: SLF001  same module
     if outer is not None and entered is not None and plan_frame(frame)[0] is entered:
-        found = outer.at_line(entered.f_lineno)
-    return found or walk(frame, outer)[0]
+        call_stack = outer.at_line(entered.f_lineno)
+    return call_stack or walk(frame, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
