@@ -16,7 +16,7 @@ from pycram.language.nesting import Scope
 from pycram.scheduling.binding import Binding
 from pycram.scheduling.cancellation import current_scope
 from recorder.records import format_error
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:

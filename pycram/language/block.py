@@ -53,8 +53,8 @@ from pycram.scheduling.future import Future
 from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
-from recorder.threads import current_branch, enter_branch
 from recorder.tracing import interrupts
+from recorder.tracing.branch_identity import current_branch, enter_branch
 from recorder.tracing.span import Span, current_call_stack
 
 if TYPE_CHECKING:

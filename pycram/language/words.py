@@ -11,7 +11,7 @@ from pycram.language.block import Block, Policy
 from pycram.language.body import current_block
 from pycram.language.nesting import Scope
 from recorder.tasks import State
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]

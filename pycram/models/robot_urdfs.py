@@ -6,7 +6,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pycram.foundation.failures import AssetError
-from recorder.extras import hint
+from recorder.packages import hint
 
 _DISTRIBUTION = "example-robot-data"
 

@@ -28,8 +28,7 @@ from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import Condition, wait
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Iterator, Set as AbstractSet
 
 #: Stands for all resources, also unnamed ones.
 WHOLE_ROBOT: Final = "the whole robot"

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from recorder.threads import enter_branch, new_branch
 from recorder.tracing import interrupts
-from recorder.tracing.call_site import plan_frame
+from recorder.tracing.branch_identity import enter_branch, new_branch
+from recorder.tracing.call_stack import plan_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

@@ -23,7 +23,7 @@ from pycram.world.lock import WorldLock
 from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
 from recorder import records
 from recorder.tracing import journal, span
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:

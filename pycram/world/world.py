@@ -21,8 +21,9 @@ from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
-from recorder import records, threads
+from recorder import records
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -307,7 +308,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 journal.attach(body.model.files)
             frame = self.transactions.keyframe()
             frame.world, frame.sim_step = self.name, self.sim_step
-            frame.thread = threads.name()
+            frame.thread = current_name()
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:

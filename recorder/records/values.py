@@ -9,23 +9,14 @@ from __future__ import annotations
 import json
 import math
 import traceback
-from collections.abc import Callable, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from recorder.records.log_pb2 import Argument, Failure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
-
-
-@runtime_checkable
-class _Array(Protocol):
-    """NumPy's arrays and scalars, recognized by their method: whoever only reads records need not import numpy."""
-
-    def tolist(self) -> object:
-        """Returns plain numbers, nested as the array is."""
 
 
 def _plain(value: object) -> object:
@@ -38,6 +29,9 @@ def _plain(value: object) -> object:
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
+    to_list = getattr(type(value), "tolist", None)  # NumPy's; whoever only reads records need not import numpy
+    if to_list is not None:
+        return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     return {"callable": f"{module}.{name}"} if module and name else {"repr": repr(value)}
 
@@ -73,7 +67,6 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
     (Mapping, _mapping),
     (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
     ((list, tuple), _sequence),
-    (_Array, lambda value: _plain(value.tolist())),
 )
 
 
@@ -97,6 +90,11 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     """Named values as a record carries them, in the given order."""
     pairs = values.items() if isinstance(values, Mapping) else values
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+
+
+def argument_values(recorded: Iterable[Argument]) -> dict[str, Any]:
+    """Recorded values as plain data, by name."""
+    return {argument.name: json.loads(argument.json) for argument in recorded}
 
 
 def _message(error: BaseException) -> str:

@@ -5,13 +5,12 @@ Children are in the order in which they were asked for, which is that of their i
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
-from recorder.records import STEPS_PER_SECOND, Task
+from recorder.records import STEPS_PER_SECOND, Task, argument_values
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -111,13 +110,12 @@ class Node:
     @property
     def parameters(self) -> Mapping[str, Any]:
         """What it was given, by name, as recorded."""
-        return {argument.name: json.loads(argument.json) for argument in self.started.parameters}
+        return argument_values(self.started.parameters)
 
     @property
     def solution(self) -> Mapping[str, Any]:
         """How that was resolved; empty unless it was recorded."""
-        resolved = self.finished.solution if self.finished is not None else ()
-        return {argument.name: json.loads(argument.json) for argument in resolved}
+        return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
     def status(self) -> State:
@@ -201,14 +199,6 @@ class Node:
             depth, node = stack.pop()
             yield depth, node
             stack += [(depth + 1, child) for child in reversed(node.children)]
-
-    def same(self, other: Node) -> bool:
-        """Whether another node and all below it have the same records."""
-        records, other_records = (
-            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
-            for tree in (self, other)
-        )
-        return records == other_records
 
     def __repr__(self) -> str:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.extras import NotInstalled, needed
+from recorder.packages import NotInstalled, needed
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 

@@ -66,7 +66,8 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
-    from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
+    from recorder.viewer.rerun_stream import stream_to_viewer  # noqa: PLC0415
+    from recorder.viewer.web_page import serve_page  # noqa: PLC0415
     from replay.view.translation import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pycram.foundation.failures import PycramError
 from recorder import geometry
-from recorder.extras import needed
+from recorder.packages import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
 from pycram.world.snapshot import restore_snapshot, take_snapshot
-from recorder.mcap.sink import versions
+from recorder.packages import versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded

@@ -21,8 +21,9 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
-from recorder.viewer.connection import PORT, Kind, Target, ViewerGone, address, answers
-from recorder.viewer.windows import open_window, stream_to_file
+from recorder.viewer.address import PORT, Kind, Target, ViewerGone, address, answers
+from recorder.viewer.rerun_stream import stream_to_file
+from recorder.viewer.viewer_window import open_window
 from replay.errors import ReplayError
 from replay.view.translation import front_world, translate
 

@@ -7,8 +7,8 @@ import zlib
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.asset import AssetFile
+from recorder.viewer.active_worlds import acts
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
-from recorder.viewer.scene_view import acts
 from recorder.viewer.translator import Translator
 from replay.errors import Damaged
 
@@ -92,9 +92,9 @@ def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str,
             raise _nonsense(log, f"step {record.seq}", error) from error
     with _damage(log, "a record"):  # as a time that is longer than any
         translator.finish()
-    for name in translator.absent:  # filters of other tools leave attachments out
+    for name in translator.scene.absent:  # filters of other tools leave attachments out
         log.assets.damaged.setdefault(name, "it isn't there")
-    return translator.worlds
+    return translator.worlds.centres
 
 
 @contextlib.contextmanager

@@ -14,8 +14,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.fluent import Fluent
 from pycram.fluents.world import position
 from pycram.language import par
-from recorder.records import Fluent as FluentRecord
-from recorder.records import Mutation, Task
+from recorder.records import Fluent as FluentRecord, Mutation, Task
 from recorder.tracing import journal
 from replay.cli import main
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running

@@ -1,24 +1,26 @@
-"""Live viewers: one that is started here, one that is started elsewhere, or pages in browsers.
+"""Addresses of viewers: which one is asked for, what listens there, which ports are free.
 
-All speak one protocol: a server at a ``rerun+http`` address, to which records are sent, or from which pages fetch them.
+A viewer is started here, started elsewhere, or a page in browsers. All speak one protocol: a server at a ``rerun+http``
+address, to which records are sent, or from which pages fetch them.
 """
 
 from __future__ import annotations
 
 import http.client
 import socket
+import threading
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
 from recorder.errors import RecordingError
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 PORT: Final = 9876  # where viewers listen by default
-PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
-RECORDS_PORT: Final = 9877
-LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
-POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
+_POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {
@@ -41,13 +43,6 @@ class Kind(Enum):
     SPAWN = "spawn"
     CONNECT = "connect"
     SERVE = "serve"
-
-
-class Status(Enum):
-    """State of a viewer, as its process reports it to the recording."""
-
-    ABSENT = "absent"
-    READY = "ready"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +96,14 @@ def answers(url: str) -> bool:
         return False
     finally:
         connection.close()
+
+
+def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
+    """Waits until a viewer answers; ``check`` is called from time to time, and may raise."""
+    pause = threading.Event()
+    while not answers(url):
+        check()
+        pause.wait(_POLL_PERIOD)
 
 
 def free_port(preferred: int) -> int:

@@ -1,9 +1,9 @@
 """The process between a recording and its viewer: translates records and sends them on.
 
 Whatever a viewer does to its clients, it does to this process: stall it, fill its memory, hang its exit. The recording
-(:mod:`recorder.viewer.sink`) sends a batch and continues when the viewer has taken it. At its end it sends all that is
-left, and this process has some time to deliver that, also if it was still loading the viewer's library by then. That
-and translating cost the plan nothing either, but for the core that they run on.
+(:mod:`recorder.viewer.live_sink`) sends a batch and continues when the viewer has taken it. At its end it sends all
+that is left, and this process has some time to deliver that, also if it was still loading the viewer's library by then.
+That and translating cost the plan nothing either, but for the core that they run on.
 
 On the socket between them this side sends ``Status.ABSENT`` perhaps, ``Status.READY`` when there is a viewer, and then
 how many records of each batch the viewer took; one that can't be shown is not counted. The other side sends batch after
@@ -19,23 +19,32 @@ import signal
 import sys
 import threading
 import traceback
+from enum import Enum
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.connection import LINGER_TIMEOUT, POLL_PERIOD, Kind, Status, Target, ViewerGone, answers
+from recorder.viewer.address import Kind, Target, ViewerGone, answers, wait_for_answer
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     import rerun as rr
 
-    from recorder.viewer.backlog import Item
+    from recorder.viewer.live_queue import Item
     from recorder.viewer.translator import Translator
 
+LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
 _TYPES: Final = {topic: kind for kind, topic in TOPICS.items()}
 _STDERR: Final = 2
 _CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
+
+
+class Status(Enum):
+    """State of the viewer, as this process reports it to the recording."""
+
+    ABSENT = "absent"
+    READY = "ready"
 
 
 def main(arguments: list[str]) -> None:
@@ -106,8 +115,10 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     # takes longer to load than a short plan, whose records are read meanwhile
     import rerun as rr  # noqa: PLC0415
 
+    from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
     from recorder.viewer.translator import Translator  # noqa: PLC0415
-    from recorder.viewer.windows import APPLICATION, open_window, serve_page  # noqa: PLC0415
+    from recorder.viewer.viewer_window import open_window  # noqa: PLC0415
+    from recorder.viewer.web_page import serve_page  # noqa: PLC0415
 
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
@@ -122,7 +133,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
             absent.set()
             batches.report(Status.ABSENT)
             _print(f"no viewer at {url} yet; it can be started at any time: rerun")
-            _wait_for(url)
+            wait_for_answer(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
     translator = Translator(stream)
@@ -157,9 +168,9 @@ class _Display:
         from recorder.viewer.blueprint import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
-        if len(worlds) > self._laid_out:
-            self._laid_out = len(worlds)
-            self._stream.send_blueprint(blueprint(worlds, self._translator.front))
+        if len(worlds.centres) > self._laid_out:
+            self._laid_out = len(worlds.centres)
+            self._stream.send_blueprint(blueprint(worlds.centres, worlds.front))
 
     def show(self, batch: list[Item]) -> int:
         """Translates a batch, and returns how many records of it are shown."""
@@ -200,10 +211,3 @@ def _deliver(stream: rr.RecordingStream) -> None:
                 raise ViewerGone("the viewer was closed; the plan goes on without") from error
         else:
             return
-
-
-def _wait_for(url: str) -> None:
-    """Waits for a viewer that somebody starts."""
-    pause = threading.Event()
-    while not answers(url):
-        pause.wait(POLL_PERIOD)

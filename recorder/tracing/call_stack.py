@@ -14,10 +14,10 @@ from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
-from recorder import threads
 from recorder.records import SourceLine
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_ident
 
 if TYPE_CHECKING:
     from types import FrameType
@@ -84,7 +84,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
     """
     frame, line = _innermost(frame)
     recording = journal.recording_number() if journal.recording() else 0
-    thread = threads.ident()
+    thread = current_ident()
     inherited: tuple[CallSite, ...] = ()
     if outer is not None:
         inherited = outer.inherited if outer.thread == thread else outer.lines
@@ -114,20 +114,20 @@ def call_site() -> CallSite:
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
     """The plan's innermost frame and its line; without any, None and the line of the innermost foreign frame."""
     frame, foreign = plan_frame(frame)
-    found = frame or foreign
-    return frame, (found.f_code.co_filename, found.f_lineno) if found is not None else None
+    innermost = frame or foreign
+    return frame, (innermost.f_code.co_filename, innermost.f_lineno) if innermost is not None else None
 
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
     """The plan's lines up to a frame, outermost first."""
-    found: list[CallSite] = []
+    lines: list[CallSite] = []
     while (frame := plan_frame(frame)[0]) is not None:
         line = frame.f_code.co_filename, frame.f_lineno
-        if not found or line != found[-1]:
-            found.append(line)
+        if not lines or line != lines[-1]:
+            lines.append(line)
         frame = frame.f_back
-    found.reverse()
-    return tuple(found)
+    lines.reverse()
+    return tuple(lines)
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
@@ -20,15 +21,10 @@ if TYPE_CHECKING:
     from recorder.viewer.columns import Columns, TimePoint
 
 RECORDS: Final = "records"
-_MS: Final = 1e6
 
 
 def _failure(record: Task | Query | Run) -> str:
     return format_failure(record.failure) if record.HasField("failure") else ""
-
-
-def _status(record: Task) -> str:
-    return _word(Task.Status, record.status) if record.status else "running"
 
 
 def _word(enum: EnumTypeWrapper, number: int) -> str:
@@ -49,53 +45,33 @@ def _line(file: str, line: int) -> str:
     return f"{file.rpartition('/')[2]}:{line}"
 
 
-_COLUMNS: Final[Mapping[type[Record], tuple[tuple[str, ...], Callable[[Any], tuple[object, ...]]]]] = {
-    Task: (
-        ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
-        lambda record: (
-            record.kind,
-            record.name,
-            _status(record),
-            record.parent,
-            values(record.parameters),
-            _failure(record),
-            record.duration_ns / _MS,
-            _callers(record),
-        ),
-    ),
-    Mutation: (
-        ("command", "bodies", "callers"),
-        lambda record: (
-            record.WhichOneof("command") or "change",
-            ", ".join([state.body for state in record.effect.bodies[:]]),
-            _callers(record),
-        ),
-    ),
-    Event: (
-        ("name", "sender", "arguments", "handlers"),
-        lambda record: (record.name, record.sender, values(record.arguments), len(record.handlers)),
-    ),
-    Fluent: (
-        ("name", "before", "after"),
-        lambda record: (record.name, by_name(record.before_json), by_name(record.after_json)),
-    ),
-    Query: (
-        ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
-        lambda record: (
-            record.name,
-            values(record.arguments),
-            by_name(record.answer_json),
-            values(record.evidence),
-            _failure(record),
-            record.duration_ns / _MS,
-        ),
-    ),
-    Run: (
-        ("phase", "name", "succeeded", "failure"),
-        lambda record: (_word(Run.Phase, record.phase), record.name, record.succeeded, _failure(record)),
-    ),
+_COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
+    Task: ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
+    Mutation: ("command", "bodies", "callers"),
+    Event: ("name", "sender", "arguments", "handlers"),
+    Fluent: ("name", "before", "after"),
+    Query: ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
+    Run: ("phase", "name", "succeeded", "failure"),
 }
-"""Names of a table's own columns, and their values for a record."""
+"""Names of a table's own columns."""
+
+_CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
+    "after": lambda record: by_name(record.after_json),
+    "answer": lambda record: by_name(record.answer_json),
+    "arguments": lambda record: values(record.arguments),
+    "before": lambda record: by_name(record.before_json),
+    "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
+    "callers": _callers,
+    "command": lambda record: record.WhichOneof("command") or "change",
+    "duration_ms": lambda record: record.duration_ns / 1e6,
+    "evidence": lambda record: values(record.evidence),
+    "failure": _failure,
+    "handlers": lambda record: len(record.handlers),
+    "parameters": lambda record: values(record.parameters),
+    "phase": lambda record: _word(Run.Phase, record.phase),
+    "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
+}
+"""Values of columns, where they aren't the record's field of that name."""
 
 _COMMON: Final = ("world", "task", "thread", "text")
 _SOURCED: Final = (Mutation, Task)
@@ -105,13 +81,16 @@ KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
-class Tables:
+class RecordTables:
     """A table for each type of record but keyframes, which add nothing new."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
-            kind: (columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)), cells)
-            for kind, (_, cells) in _COLUMNS.items()
+            kind: (
+                columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)),
+                [_CELLS.get(name, attrgetter(name)) for name in names],
+            )
+            for kind, names in _COLUMNS.items()
         }
         self._sources: dict[int, str] = {}  # call sites of the tasks that run
 
@@ -121,7 +100,7 @@ class Tables:
         if table is None:
             return
         series, cells = table
-        row = (record.world, record.task, record.thread, text, *cells(record))
+        row = (record.world, record.task, record.thread, text, *[cell(record) for cell in cells])
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
     def _source(self, record: Mutation | Task) -> str:
@@ -136,6 +115,6 @@ class Tables:
 
 
 def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
-    names = (*_COMMON, *_COLUMNS[kind][0], *(("source",) if kind in _SOURCED else ()))
+    names = (*_COMMON, *_COLUMNS[kind], *(("source",) if kind in _SOURCED else ()))
     components = {name: pa.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
     return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

@@ -1,10 +1,10 @@
 """Shows a recording live in a Rerun viewer; one that is slow, stalls, dies or isn't there costs the plan nothing.
 
-Records go into a bounded backlog. A thread sends them, batch by batch, to a process of its own
-(:mod:`recorder.viewer.live`) that translates them, and sends the next when the viewer has taken a batch. When the
-recording ends, the viewer gets a moment to take what is left; then that process gets the rest, and some time to deliver
-it. Records that the viewer did not get are counted and reported: the file has them all, and the number of those that
-were dropped.
+Records go into a bounded queue. A thread sends them, batch by batch, to a process of its own
+(:mod:`recorder.viewer.live_process`) that translates them, and sends the next when the viewer has taken a batch. When
+the recording ends, the viewer gets a moment to take what is left; then that process gets the rest, and some time to
+deliver it. Records that the viewer did not get are counted and reported: the file has them all, and the number of those
+that were dropped.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from multiprocessing import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.viewer.backlog import Backlog, is_transient
-from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Status, Target
+from recorder.viewer.address import Kind, Target
+from recorder.viewer.live_process import LINGER_TIMEOUT, Status
+from recorder.viewer.live_queue import LiveQueue, is_transient
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
@@ -42,7 +43,7 @@ _CODE: Final = f"""
 import os, sys
 os.nice({_NICENESS})
 sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder could hold anything
-from recorder.viewer.live import main
+from recorder.viewer.live_process import main
 main(sys.argv[1:])
 """
 
@@ -59,7 +60,7 @@ class RerunSink:
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
-        self._backlog = Backlog()
+        self._queue = LiveQueue()
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
@@ -74,23 +75,23 @@ class RerunSink:
 
     def final_metadata(self) -> dict[str, str]:
         """Metadata about the viewer, for the end of the file."""
-        return {"viewer_dropped": str(self._backlog.dropped)}
+        return {"viewer_dropped": str(self._queue.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Takes a record; see :class:`recorder.tracing.journal.Sink`."""
         self._records += 1
-        self._backlog.put((topic, payload), transient=is_transient(record))
+        self._queue.put((topic, payload), transient=is_transient(record))
 
     def attach(self, asset: AssetFile) -> None:
         """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
-        self._backlog.put(asset, transient=False)
+        self._queue.put(asset, transient=False)
 
     def close(self) -> None:
         """Ends; waits for the viewer up to a timeout."""
         if self._ended.is_set():
             return
         self._ended.set()
-        self._backlog.close()
+        self._queue.close()
         started = self._started + _START_TIMEOUTS[self._target.kind] - time.monotonic()
         settled = self._settled.wait(max(_END_TIMEOUT, started))
         behind = not settled and self._hand_over()
@@ -128,7 +129,7 @@ class RerunSink:
 
     def _give_rest(self) -> None:
         with self._sending, contextlib.suppress(OSError):
-            self._connection.send(self._backlog.take_rest())
+            self._connection.send(self._queue.take_rest())
             self._connection.send([])
 
     def _run(self) -> None:
@@ -142,14 +143,14 @@ class RerunSink:
                 self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few it uses half of one
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has printed why; or it has got the rest
-            self._backlog.clear()
+            self._queue.take_rest()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
         """Waits for a batch and sends it, an empty one at the end; returns when it began to send something."""
         with self._sending:  # what is taken out is sent before the rest
-            batch = self._backlog.take(_MAX_ITEMS, _MAX_BYTES)
+            batch = self._queue.take(_MAX_ITEMS, _MAX_BYTES)
             started = time.monotonic()
             self._connection.send(batch)
         return started if batch else None

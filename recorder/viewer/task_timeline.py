@@ -13,12 +13,12 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State
-from recorder.tasks.picture import COLORS
+from recorder.tasks.tree_picture import COLORS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from recorder.viewer.columns import Columns, TimePoint
+    from recorder.viewer.columns import Columns, Series, TimePoint
 
 LANES: Final = "level"  # which is what the viewer titles them with
 STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
@@ -28,6 +28,7 @@ _MAX_NAMES: Final = 300  # that have colours of their own in a lane; from then o
 @dataclass(slots=True)
 class _Lane:
     path: str
+    states: Series
     labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # label and status by the viewer's state
 
 
@@ -39,7 +40,7 @@ class _Running:
     since: TimePoint
 
 
-class Timeline:
+class TaskTimeline:
     """Lanes of all tasks."""
 
     def __init__(self, columns: Columns) -> None:
@@ -61,7 +62,7 @@ class Timeline:
         elif record.phase == Task.FINISHED and record.task in self._running:
             running = self._running.pop(record.task)
             self._label(running, State(record.status))
-            self._columns.add(self._lane(running).path, _states, now, "")
+            self._lane(running).states.add(now, ("",))
             self._slots[running.depth].discard(running.slot)
 
     def _label(self, running: _Running, status: State) -> None:
@@ -74,13 +75,14 @@ class Timeline:
             colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
             configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
             self._columns.send_static(lane.path, configuration)
-        self._columns.add(lane.path, _states, running.since, state)
+        lane.states.add(running.since, (state,))
 
     def _lane(self, running: _Running) -> _Lane:
         key = (running.depth, running.slot)
         if key not in self._lanes:
             beside = f".{running.slot + 1}" if running.slot else ""
-            self._lanes[key] = _Lane(self._columns.path(LANES, f"{running.depth}{beside}"))
+            path = self._columns.path(LANES, f"{running.depth}{beside}")
+            self._lanes[key] = _Lane(path, self._columns.series(path, _states))
         return self._lanes[key]
 
 

@@ -1,85 +1,37 @@
-"""Where rows are sent to: a viewer's window, a file, or a web page that shows the viewer.
+"""A web page that shows the viewer in browsers of this machine.
 
-The page comes from this machine alone: it works without a network, and where there is one it contacts nobody there. The
-viewer's library serves the page, but as one that gets a font and examples from elsewhere and reports its use. So
-browsers get it from a server here: without these links, and with a policy that forbids other connections.
+It works without a network, and where there is one it contacts nobody there. The viewer's library serves the page, but
+as one that gets a font and examples from elsewhere and reports its use. So browsers get it from a server here: without
+these links, and with a policy that forbids other connections.
 """
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
 import shutil
-import subprocess
-import sys
-import tempfile
 import threading
 from http.client import HTTPConnection, HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import IO, TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.tracing.interrupts import Uninterrupted
-from recorder.viewer.connection import (
-    HOST,
-    PAGE_PORT,
-    POLL_PERIOD,
-    PORT,
-    RECORDS_PORT,
-    ViewerGone,
-    address,
-    answers,
-    free_port,
-)
+from recorder.viewer.address import HOST, ViewerGone, address, free_port
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
+    from collections.abc import Callable
 
-APPLICATION: Final = "pycram"  # viewers remember a layout for each application
+_PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
+_RECORDS_PORT: Final = 9877
 _MAX_TRIES: Final = 5  # for a free port
 _START_TIMEOUT: Final = 5.0  # s for a server
-_WRITE_TIMEOUT: Final = 60.0  # s for rows to get into a file
-_SWITCH: Final = "RERUN"  # the variable that silences programs which log to viewers
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 _HEADERS: Final = ("Content-Type", "Content-Length", "rerun-final-length")  # that are passed on
 _POLICY: Final = (
     "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob: {records}"
 )
-
-
-@contextlib.contextmanager
-def stream_to_viewer() -> Iterator[rr.RecordingStream]:
-    """A stream for rows; also where the environment has viewers switched off, as this one was asked for."""
-    switched = os.environ.pop(_SWITCH, None)
-    try:
-        with Uninterrupted():  # one that Ctrl-C has left half made is a complaint of the library's on stderr
-            stream = rr.RecordingStream(APPLICATION)
-        yield stream
-    finally:
-        if switched is not None:
-            os.environ[_SWITCH] = switched
-
-
-@contextlib.contextmanager
-def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """A stream for rows into a file, which is replaced and is complete at the end of the block.
-
-    Raises:
-        OSError: they can't be written.
-    """
-    with stream_to_viewer() as stream:
-        stream.save(file)
-        yield stream
-        try:
-            stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library has one type for all, and a message with the cause
-            raise OSError(str(error)) from error
-        stream.disconnect()
 
 
 def serve_page(stream: rr.RecordingStream) -> str:
@@ -90,9 +42,9 @@ def serve_page(stream: rr.RecordingStream) -> str:
     Raises:
         ViewerGone: nothing can be served.
     """
-    records = _on_free_port(RECORDS_PORT, lambda port: _serve_records(stream, port))
+    records = _on_free_port(_RECORDS_PORT, lambda port: _serve_records(stream, port))
     source = _on_free_port(0, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False))
-    page = _on_free_port(PAGE_PORT, lambda port: Page(port, source, records))
+    page = _on_free_port(_PAGE_PORT, lambda port: Page(port, source, records))
     return f"http://{HOST}:{page}/?hide_welcome_screen&url={quote(address(records), safe='')}"
 
 
@@ -161,35 +113,3 @@ class _Request(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the library's name
         """Logs nothing: standard error is the plan's."""
-
-
-def open_window() -> str:
-    """Starts a viewer that outlives this process, unless one is open already; returns its address once it answers.
-
-    Raises:
-        ViewerGone: it ended at once, for example because there is no screen.
-    """
-    if answers(address(PORT)):
-        return address(PORT)
-    port = free_port(PORT)
-    with tempfile.TemporaryFile() as stderr:
-        viewer = subprocess.Popen(  # noqa: S603  the viewer that came with the library
-            [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=stderr,
-            start_new_session=True,  # Ctrl-C is for the plan
-            env=os.environ | {"RERUN_APP_ONLY": "true"},
-        )
-        pause = threading.Event()
-        while not answers(address(port)):
-            if viewer.poll() is not None:
-                raise ViewerGone(f"the viewer didn't open ({_last_line(stderr)})")
-            pause.wait(POLL_PERIOD)
-    return address(port)
-
-
-def _last_line(stderr: IO[bytes]) -> str:
-    stderr.seek(0)
-    lines = stderr.read().decode(errors="replace").split("\n")
-    return next((line.strip() for line in reversed(lines) if line.strip()), "it didn't say why")

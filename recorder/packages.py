@@ -1,4 +1,4 @@
-"""What isn't installed everywhere: which extra of pyproject.toml brings it, and what to type.
+"""Packages that this software needs: their versions; which extra of pyproject.toml brings them, and what to type.
 
 Recordings are read with the base dependencies alone. The engine, the viewer and pictures are extras; where one is
 missing, commands end with one line that says so. It speaks of a checkout, as PyPI's project of this name is another's.
@@ -7,6 +7,9 @@ missing, commands end with one line that says so. It speaks of a checkout, as Py
 from __future__ import annotations
 
 import contextlib
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -26,6 +29,10 @@ _EXTRAS: Final = {
     "rerun_cli": "viewer",
     "rerun_sdk": "viewer",
 }
+
+
+#: Whose versions recordings hold.
+_RECORDED: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
 
 
 class NotInstalled(ModuleNotFoundError):
@@ -65,3 +72,19 @@ def needed(extra: str | None = None) -> Iterator[None]:
         if name not in _EXTRAS:
             raise
         raise NotInstalled(name, extra or _EXTRAS[name]) from error
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a recording depends on, the platform and the arguments of the process."""
+    installed = {}
+    for package in _RECORDED:
+        try:
+            installed[package] = version(package)
+        except PackageNotFoundError:
+            installed[package] = "not installed"
+    return installed | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "arguments": " ".join(sys.argv),
+    }

@@ -24,10 +24,11 @@ _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_real
 _OVERHEAD: Final = 200  # bytes of an item in Python, about
 
 
-class Backlog:
+class LiveQueue:
     """A queue that never makes its writer wait.
 
     Attributes:
+        size: bytes of all items.
         dropped: number of records that were dropped.
     """
 
@@ -36,19 +37,14 @@ class Backlog:
         self._max_bytes = max_bytes
         self._items: OrderedDict[int, Item] = OrderedDict()
         self._transient: deque[int] = deque()  # keys of the items that are dropped first, oldest first
-        self._bytes = 0
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
+        self.size = 0
         self.dropped = 0
 
     def __len__(self) -> int:
         return len(self._items)
-
-    @property
-    def size(self) -> int:
-        """Bytes of all items."""
-        return self._bytes
 
     def put(self, item: Item, *, transient: bool) -> None:
         """Appends an item, and drops others if there are too many; does nothing after the end."""
@@ -59,8 +55,8 @@ class Backlog:
                 self._transient.append(self._count)
             self._items[self._count] = item
             self._count += 1
-            self._bytes += _cost(item)
-            while self._items and (len(self._items) > self._max_items or self._bytes > self._max_bytes):
+            self.size += _cost(item)
+            while self._items and (len(self._items) > self._max_items or self.size > self._max_bytes):
                 lost = self._pop(self._transient[0] if self._transient else next(iter(self._items)))
                 self.dropped += isinstance(lost, tuple)
             self._changed.notify()
@@ -80,7 +76,10 @@ class Backlog:
         """Ends it, and removes all items at once."""
         with self._changed:
             taken = list(self._items.values())
-            self.clear()
+            self._items.clear()
+            self._transient.clear()
+            self.size = 0
+            self.close()
         return taken
 
     def close(self) -> None:
@@ -89,19 +88,11 @@ class Backlog:
             self._closed = True
             self._changed.notify_all()
 
-    def clear(self) -> None:
-        """Ends it, and drops all items."""
-        with self._changed:
-            self._items.clear()
-            self._transient.clear()
-            self._bytes = 0
-            self.close()
-
     def _pop(self, key: int) -> Item:
         item = self._items.pop(key)
         if self._transient and self._transient[0] == key:
             self._transient.popleft()
-        self._bytes -= _cost(item)
+        self.size -= _cost(item)
         return item
 
 

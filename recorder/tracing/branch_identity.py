@@ -44,7 +44,7 @@ def enter_branch(branch: BranchIdentity | None) -> None:
     _branch.set(branch)
 
 
-def name() -> str:
+def current_name() -> str:
     """Return the name of the running branch; outside of branches that of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
@@ -52,7 +52,7 @@ def name() -> str:
     return branch.name
 
 
-def ident() -> int:
+def current_ident() -> int:
     """Return the ident of the running branch; outside of branches the thread's."""
     branch, thread = _branch.get(), threading.get_ident()
     return thread if branch is None or branch.thread != thread else branch.ident

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.tasks.node import State, walk
-from recorder.tasks.text import label, rows
+from recorder.tasks.tree_text import label, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.tasks.node import Node
-    from recorder.tasks.text import Row
+    from recorder.tasks.tree_text import Row
 
 COLORS: Final = {
     State.SUCCEEDED: "#2e9e5b",
@@ -37,7 +37,7 @@ _escape = partial(escape_quotes, quote=False)
 
 
 def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
-    """The tree for Graphviz: ``dot -Tsvg``; see :func:`recorder.tasks.text.rows`."""
+    """The tree for Graphviz: ``dot -Tsvg``; see :func:`recorder.tasks.tree_text.rows`."""
     failing = {node.id for node in failure_path}
     out = ["digraph tasks {", '  node [shape=box, style="rounded,filled", fontname="sans-serif", fontsize=10];']
     for _, node in walk(roots):
@@ -53,7 +53,7 @@ def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
 
 
 def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False) -> str:
-    """The tree and its times as an SVG document; see :func:`recorder.tasks.text.rows`."""
+    """The tree and its times as an SVG document; see :func:`recorder.tasks.tree_text.rows`."""
     shown = list(rows(roots, failure_path, depth, whole=whole))
     times = [node.created.wall_ns for _, node in walk(roots)]
     times += [node.end.wall_ns for _, node in walk(roots) if node.end is not None]
