@@ -78,8 +78,11 @@ def execution_environment(name: str) -> Iterator[None]:
 
     Args:
         name: "simulated" (the default), or an environment that modules are registered for.
+
+    Raises:
+        BadArgument: It isn't a name.
     """
-    with Binding(_environment, name):
+    with Binding(_environment, checks.text("name", name)):
         yield
 
 

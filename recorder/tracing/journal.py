@@ -156,10 +156,9 @@ _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
 _sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
-_registered: weakref.WeakSet[Source] = weakref.WeakSet()  # the same; see _find_latest
+_registered: weakref.WeakKeyDictionary[Source, int] = weakref.WeakKeyDictionary()  # thread of the branch that chose it
 _numbers = itertools.count()  # of sources
-_latest: weakref.ref[Source] | None = None
-_chosen: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_world", default=None)
+_chosen: ContextVar[tuple[weakref.ref[Source], ...]] = ContextVar("pycram_world", default=())
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -241,7 +240,7 @@ def register(source: Source) -> None:
     if _isolated.get() is None:
         with _registry:
             _sources[next(_numbers)] = source
-            _find_latest()
+            _registered[source] = 0
 
 
 def announce(source: Source) -> None:
@@ -252,40 +251,42 @@ def announce(source: Source) -> None:
 
 
 def make_current(source: Source) -> None:
-    """Makes a registered world current: in this context, and in all that have chosen no other one."""
+    """Makes a registered world current: in this context, and in other threads that have chosen none.
+
+    What a branch chooses is current for itself and its own branches, not for the rest of its thread.
+    """
     with _registry:
-        before = [number for number, other in _sources.items() if other is source]
-        if before:  # one that was opened unrecorded stays unknown
+        if source in _registered:  # one that was opened unrecorded stays unknown
+            _remove(source)
             _sources[next(_numbers)] = source
-            _chosen.set(weakref.ref(source))
-        for number in before:
-            del _sources[number]
-        _find_latest()
+            _registered[source] = threading.get_ident() if threads.ident() < 0 else 0
+            earlier = [chosen for chosen in _chosen.get() if chosen() is not source and chosen() in _registered]
+            _chosen.set((*earlier, weakref.ref(source)))
 
 
 def unregister(source: Source) -> None:
     """Forgets a world that has ended."""
     with _registry:
-        for number in [number for number, other in _sources.items() if other is source]:
-            del _sources[number]
-        _find_latest()
+        _remove(source)
+        _registered.pop(source, None)
 
 
-def _find_latest() -> None:
-    """Notes the sources and the latest of them: finding it for each task would cost more than all else."""
-    global _latest, _registered  # noqa: PLW0603  see open_journal
-    _registered = weakref.WeakSet(_sources.values())
-    last = next(reversed(list(_sources.values())), None)
-    _latest = weakref.ref(last) if last is not None else None
+def _remove(source: Source) -> None:
+    for number in [number for number, known in _sources.items() if known is source]:
+        del _sources[number]
 
 
 def current_world() -> tuple[str, int]:
     """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
-    chosen = _chosen.get()
-    source = chosen() if chosen is not None else None
-    if source is None or source not in _registered:
-        source = _latest() if _latest is not None else None
-    return (source.name, source.sim_step) if source is not None else ("", 0)
+    for chosen in reversed(_chosen.get()):
+        source = chosen()
+        if source is not None and source in _registered:
+            return source.name, source.sim_step
+    thread = threading.get_ident()
+    for source in reversed(list(_sources.values())):
+        if _registered.get(source) != thread:
+            return source.name, source.sim_step
+    return "", 0
 
 
 def recording_number() -> int:
