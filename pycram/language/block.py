@@ -232,10 +232,9 @@ class Block:
         except BaseException as error:
             branch.abandon(error)
             raise
-        failed = branch.error
-        if failed is not None and not self.policy.concurrent:
-            if self.policy.propagates or not isinstance(failed, PlanFailure):
-                raise failed
+        ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
+        if branch.error is not None and ends_body and not self.policy.concurrent:
+            raise branch.error
         if self._around is not None and self._around.is_cancelled:
             raise Cancelled
 

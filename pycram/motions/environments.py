@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
 from pycram.foundation.names import export
-from pycram.scheduling.binding import Binding
+from pycram.scheduling.cancellation import Binding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

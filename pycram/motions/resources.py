@@ -29,8 +29,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.scheduling.binding import Binding
-from pycram.scheduling.cancellation import Condition, wait
+from pycram.scheduling.cancellation import Binding, Condition, wait
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

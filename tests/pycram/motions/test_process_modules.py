@@ -287,9 +287,8 @@ def test_motions_that_would_wait_for_each_other_in_two_worlds_are_refused() -> N
         for world in (a, b):
             world.robot = Object("pr2", "robot", "pr2.urdf", world=world)
         begun = Meeting(2)
-        with pytest.raises(Deadlock, match="moving can't wait for move-arm-joints"), timeout(60), par as s:
-            s(look_ahead, a, b)
-            s(look_ahead, b, a)
+        with pytest.raises(Deadlock, match="moving can't wait for move-arm-joints"), timeout(60):
+            par(lambda: look_ahead(a, b), lambda: look_ahead(b, a))
         begun = Meeting(1)
         look_ahead(a, b)  # both queues are free again
         look_ahead(b, a)

@@ -12,13 +12,14 @@ import pytest
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_all
 from pycram.language.body import current_block
-from pycram.scheduling.cancellation import checkpoint, current_scope
 from pycram.scheduling import schedule
+from pycram.scheduling.cancellation import checkpoint, current_scope
 from tests.pycram.language.gates import Gate, Meeting, S, fails, succeeds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import FrameType
+
 
 class OutOfTime(Exception):
     """Raised by the handler, as plans do that limit their time with ``signal.alarm``."""
