@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
-from pycram.foundation.names import did_you_mean, export, nearest_names
+from pycram.foundation.names import export
+from recorder.suggestions import nearest, suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -38,8 +39,6 @@ __all__ = [
     "UsageError",
     "WorldClosed",
 ]
-
-_MAX_LISTED = 10  # names that fit into a message
 
 
 def _point(coordinates: Sequence[float]) -> str:
@@ -95,12 +94,11 @@ class UnknownName(UsageError, LookupError):
 
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
-        listed = (", ".join(names) or "none") if len(names) <= _MAX_LISTED else f"{len(names)} of them"
-        super().__init__(f"{owner} has no {kind} {name!r}{did_you_mean(name, names) or f'; it has {listed}'}")
+        super().__init__(f"{owner} has no {kind} {name!r}; {suggestion(name, names)}")
         self.kind = kind
         self.name = name
         self.owner = owner
-        self.nearest = nearest_names(name, names)
+        self.nearest = nearest(name, names)
 
 
 class AssetError(UsageError):

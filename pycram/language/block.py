@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -59,7 +60,6 @@ from recorder.tracing.span import Span, current_call_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
     from types import TracebackType
     from typing import Self
 
@@ -134,7 +134,7 @@ class Block:
         self._joined = 0  # number of leading branches known to have ended
         self._decided = False  # by its decider, or by a failure of the body
         self._body_failures: list[PlanFailure] = []
-        self._bindings: tuple[AbstractContextManager[None], ...] = ()  # active while its body runs
+        self._entered = ExitStack()  # what its body runs in
         self._span = Span("block", policy.name)
         # only for a body that is read:
         self._pending: deque[Branch] = deque()
@@ -218,19 +218,23 @@ class Block:
         if closed:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        if self._decided or self.scope.is_cancelled:
-            branch.settle(State.CANCELLED)
-            branch.span.ask()
-            branch.span.finish(Cancelled())
-        elif self.policy.concurrent:
-            name = f"{self.name}-{self._taken} {branch.name}"
-            self._scheduler.begin(name, branch.context, partial(self._run, branch))
-        else:
-            branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
-            branch.context.run(self._run, branch)
-            error = branch.error
-            if error is not None and (self.policy.propagates or not isinstance(error, PlanFailure)):
-                raise error
+        try:
+            if self._decided or self.scope.is_cancelled:
+                branch.settle(State.CANCELLED)
+                branch.span.ask()
+                branch.span.finish(Cancelled())
+            elif self.policy.concurrent:
+                name = f"{self.name}-{self._taken} {branch.name}"
+                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon)
+            else:
+                branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
+                branch.context.run(self._run, branch)
+        except BaseException as error:
+            branch.abandon(error)
+            raise
+        ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
+        if branch.error is not None and ends_body and not self.policy.concurrent:
+            raise branch.error
         if self._around is not None and self._around.is_cancelled:
             raise Cancelled
 
@@ -278,19 +282,19 @@ class Block:
     def __enter__(self) -> Self:
         if self.policy.concurrent:  # its end yields, and must not fail
             refuse_held()
-        if self._is_read and self._host is not None:
-            try:
+        with ExitStack() as entering:
+            if self._is_read and self._host is not None:
+                entering.callback(self._stop_reading)
                 self._host.start(self.name, self._work, dropped=self._drop, span=self._span)
-            except BaseException:  # cancelled: there will be no body
-                self._body_ended = True
-                self._changed.notify_all()
-                raise
-            self._bind(self._span.entered(), entered(self.scope), in_block(self))
-        else:
-            raise_if_cancelled()
-            self._span.__enter__()
-            self._bind(entered(self.scope), in_block(None if self.policy.propagates else self))
-            self.state = State.RUNNING
+                entering.enter_context(self._span.entered())
+            else:
+                raise_if_cancelled()
+                entering.enter_context(self._span)
+            entering.enter_context(entered(self.scope))
+            entering.enter_context(in_block(None if self.policy.propagates and not self._is_read else self))
+            if not self._is_read:
+                self.state = State.RUNNING
+            self._entered = entering.pop_all()
         return self
 
     def __exit__(
@@ -298,17 +302,9 @@ class Block:
     ) -> bool:
         if self._is_read:
             return self._end_body(error)
-        ended = error
-        try:
-            try:
-                raised = ended = self._close(error)
-            finally:
-                self._unbind()
-        except BaseException as wrong:  # it can't wait for its branches, or this is another context than it began in
-            ended = wrong
-            raise
-        finally:
-            self._span.__exit__(type(ended) if ended is not None else None, ended, None)
+        with self._entered:  # fails where it can't wait for its branches, or in another context than it began in
+            raised = self._close(error)
+            self._span.error = raised or self._span.error
         if self._host is not None:
             self._host._add(self.name, raised)  # noqa: SLF001  same class
             if isinstance(raised, PlanFailure):
@@ -316,17 +312,6 @@ class Block:
         if raised is not None and raised is not error:
             raise_unchanged(raised)
         return raised is None
-
-    def _bind(self, *bindings: AbstractContextManager[None]) -> None:
-        """Enter the context of its body."""
-        self._bindings = bindings
-        for binding in bindings:
-            binding.__enter__()
-
-    def _unbind(self) -> None:
-        bindings, self._bindings = self._bindings, ()
-        for binding in reversed(bindings):
-            binding.__exit__(None, None, None)
 
     def _close(self, error: BaseException | None) -> BaseException | None:
         """Wait for the branches, set the outcome, and return what is to be raised."""
@@ -389,7 +374,7 @@ class Block:
             The last interrupt: that one; or a KeyboardInterrupt, or another signal handler's error, that was raised
             meanwhile and has cancelled the branches.
         """
-        own = scheduler()
+        own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
@@ -430,15 +415,17 @@ class Block:
 
     def _end_body(self, error: BaseException | None) -> bool:
         """End the reading of the body; return whether its error is handled."""
-        self._unbind()
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
             self.scope.cancel()  # the program is wrong, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
-        self._body_ended = True
-        self._changed.notify_all()
+        self._entered.close()
         if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it goes on
             return self._around is None or not self._around.is_cancelled
         return error is None or isinstance(error, PlanFailure)
+
+    def _stop_reading(self) -> None:
+        self._body_ended = True
+        self._changed.notify_all()
 
     def _work(self) -> None:
         """Run the branches of a body that is read, in a branch of the host."""

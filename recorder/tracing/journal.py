@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
-from recorder.tracing.branch_identity import current_name
+from recorder.tracing.branch_identity import current_ident, current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -154,8 +154,8 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-_sources: tuple[weakref.ref[Source], ...] = ()  # in the order in which they became current
-_chosen: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_world", default=None)
+_sources: tuple[tuple[weakref.ref[Source], int], ...] = ()  # as they became current
+_chosen: ContextVar[tuple[weakref.ref[Source], ...]] = ContextVar("pycram_world", default=())
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -237,7 +237,7 @@ def register(source: Source) -> None:
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
-            _sources = (*_without(source), weakref.ref(source))
+            _sources = (*_without(source), (weakref.ref(source), 0))
 
 
 def announce(source: Source) -> None:
@@ -248,13 +248,18 @@ def announce(source: Source) -> None:
 
 
 def make_current(source: Source) -> None:
-    """Makes a registered world current: in this context, and in all that have chosen no other one."""
+    """Makes a registered world current: in this context, and in other threads that have chosen none.
+
+    What a branch chooses is current for itself and its own branches, not for the rest of its thread.
+    """
     global _sources  # noqa: PLW0603  see open_journal
     reference = weakref.ref(source)
     with _registry:
-        if reference in _sources:  # one that was opened unrecorded stays unknown
-            _sources = (*_without(source), reference)
-            _chosen.set(reference)
+        known = [registered for registered, _ in _sources]
+        if reference in known:  # one that was opened unrecorded stays unknown
+            _sources = (*_without(source), (reference, threading.get_ident() if current_ident() < 0 else 0))
+            earlier = [chosen for chosen in _chosen.get() if chosen != reference and chosen in known]
+            _chosen.set((*earlier, reference))
 
 
 def unregister(source: Source) -> None:
@@ -264,16 +269,18 @@ def unregister(source: Source) -> None:
         _sources = _without(source)
 
 
-def _without(source: Source) -> tuple[weakref.ref[Source], ...]:
+def _without(source: Source) -> tuple[tuple[weakref.ref[Source], int], ...]:
     """The other worlds that live."""
-    return tuple(reference for reference in _sources if reference() not in (None, source))
+    return tuple((reference, thread) for reference, thread in _sources if reference() not in (None, source))
 
 
 def current_world() -> tuple[str, int]:
     """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
-    sources, chosen = _sources, _chosen.get()
-    for reference in (chosen, *reversed(sources)) if chosen in sources else reversed(sources):
-        source = reference() if reference is not None else None
+    sources, thread = _sources, threading.get_ident()
+    known = [reference for reference, _ in sources]
+    chosen = [reference for reference in _chosen.get() if reference in known]
+    for reference in (*reversed(chosen), *(reference for reference, of in reversed(sources) if of != thread)):
+        source = reference()
         if source is not None:
             return source.name, source.sim_step
     return "", 0
@@ -293,7 +300,7 @@ def open_journal(journal: Journal) -> None:
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
         _opened += 1
-        sources = [source for reference in _sources if (source := reference()) is not None]
+        sources = [source for reference, _ in _sources if (source := reference()) is not None]
         journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
     try:
