@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
 from pycram.foundation.names import did_you_mean, export, nearest_names
 
@@ -19,7 +20,9 @@ __all__ = [
     "AssetError",
     "AttachmentError",
     "BadArgument",
+    "Blocked",
     "ChangeRefused",
+    "CollisionPair",
     "DisplayError",
     "GraspFailed",
     "InCollision",
@@ -208,10 +211,10 @@ class PerceptionError(PlanFailure):
 
 
 class Unreachable(PlanFailure):
-    """No posture of the arm brings the tool there.
+    """No posture of the arm brings the tool there; if one does, but something is in its way, it is :class:`Blocked`.
 
     Attributes:
-        arm: "left" or "right" (or the tool frame).
+        arm: name of the arm (or the tool frame).
         target: xyz in m, world frame.
         distance: how near the tool came, in m.
         reason: what else prevented it.
@@ -226,20 +229,43 @@ class Unreachable(PlanFailure):
         self.reason = reason
 
 
+class Blocked(Unreachable):
+    """The arm reaches there, but something is in the way.
+
+    Attributes:
+        bodies: names of what it would touch; of the robot, if it would touch itself.
+        pairs: the links that would overlap most, one pair an object.
+    """
+
+    def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
+        super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
+        self.pairs = list(pairs)
+        self.bodies = list(dict.fromkeys(pair.body for pair in pairs))
+
+
 class InCollision(PlanFailure):
-    """The robot would touch something there.
+    """The robot, or what it holds, would touch something there.
 
     Attributes:
         position: xyz of the refused base pose in m.
         orientation: xyzw of the refused base pose.
-        bodies: names of what it would touch.
+        bodies: names of what would be touched.
+        pairs: the links that would overlap most, one pair an object.
     """
 
-    def __init__(self, position: Sequence[float], orientation: Sequence[float], bodies: Sequence[str]) -> None:
-        super().__init__(f"the robot at {_point(position)} would touch {', '.join(bodies)}; it stays where it is")
+    def __init__(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float],
+        bodies: Sequence[str],
+        pairs: Sequence[CollisionPair] = (),
+    ) -> None:
+        touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
+        super().__init__(f"the robot can't be at {_point(position)}: {touched}; it stays where it is")
         self.position = [float(x) for x in position]
         self.orientation = [float(x) for x in orientation]
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
 
 
 class NotDrivable(PlanFailure):
@@ -264,13 +290,15 @@ class PostureInCollision(PlanFailure):
     Attributes:
         arms: names of the arms.
         bodies: names of what they would touch.
+        pairs: the links that would overlap most, one pair an object.
     """
 
-    def __init__(self, arms: Sequence[str], bodies: Sequence[str]) -> None:
-        sides = " and ".join(arms)
-        super().__init__(f"in that posture the {sides} arm would touch {', '.join(bodies)}; it stays where it is")
+    def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:
+        touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
+        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
         self.arms = list(arms)
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
 
 
 class LookingFailed(PlanFailure):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import BadArgument, PostureInCollision, Unreachable
+from pycram.foundation.failures import BadArgument, Blocked, PostureInCollision, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import solver
 
 if TYPE_CHECKING:
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.motions.designator import Designator
 
 
@@ -36,7 +37,7 @@ class MoveJoints(SimulatedModule):
         with robot.world.lock:
             touched = checker.newly_touched(robot, positions)
             if touched:
-                raise PostureInCollision(moved, touched)
+                raise PostureInCollision(moved, [pair.body for pair in touched], touched)
             robot.set_joint_positions(positions)
 
 
@@ -52,11 +53,11 @@ class MoveTCP(SimulatedModule):
             postures = solver.postures(robot, arm.tool_frame, target, solution.get("orientation"), thorough=True)
             if not postures[0].reaches():
                 raise Unreachable(arm.name, target, postures[0].position_error)
-            touched: list[str] = []
+            touched: list[CollisionPair] = []
             for posture in postures:
                 if posture.reaches():
                     touched = checker.newly_touched(robot, posture.positions)
                     if not touched:
                         robot.set_joint_positions(posture.positions)
                         return
-            raise Unreachable(arm.name, target, None, f"{', '.join(touched)} would be in the way")
+            raise Blocked(arm.name, target, touched)

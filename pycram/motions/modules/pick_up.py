@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import GraspFailed, Unreachable
+from pycram.foundation.failures import Blocked, GraspFailed, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice, closing_width
@@ -30,13 +30,11 @@ class PickUp(SimulatedModule):
             if plan.posture is None:
                 raise GraspFailed(arm.name, body.name, "it is too big for the gripper from any side that is allowed")
             if plan.self_collisions:
-                links = " would hit ".join(plan.self_collisions[0])
-                raise Unreachable(arm.name, center(body), None, f"its own {links}")
+                raise Blocked(arm.name, center(body), plan.self_collisions)
             if plan.grasp is None:
                 raise Unreachable(arm.name, center(body), plan.posture.position_error)
             if plan.obstacles:
-                blockers = ", ".join(other.name for other in plan.obstacles)
-                raise Unreachable(arm.name, center(body), None, f"{blockers} would be in the way")
+                raise Blocked(arm.name, center(body), [touch["pair"] for touch in plan.obstacles.values()])
             posture = plan.posture.positions
             closed = closing_width.closed_around(robot, arm.gripper, posture, body)
             if closed is None:
