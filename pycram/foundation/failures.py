@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
+    from recorder.geometry import PoseLike
+
 __all__ = [
     "AccessFailed",
     "AssetError",
@@ -332,19 +334,41 @@ class GraspFailed(PlanFailure):
 
 
 class PlaceFailed(PlanFailure):
-    """The object can't be set down there.
+    """The object can't be set down there, or didn't come to rest where it was set down.
 
     Attributes:
         body: name of the object.
         target: xyz in m, world frame.
         reason: why not.
+        orientation: xyzw that was asked for; None for upright.
+        pairs: links that would meet, if that is why it wasn't set down.
+        wanted: position and orientation in which it was let go; None if it was not.
+        rest: position and orientation in which it is now; None if it was not let go.
+        touching: what it touches there.
     """
 
-    def __init__(self, body: str, target: Sequence[float], reason: str) -> None:
-        super().__init__(f"{body} can't be placed at {_point(target)}: {reason}")
+    def __init__(
+        self,
+        body: str,
+        target: Sequence[float],
+        reason: str,
+        *,
+        orientation: Sequence[float] | None = None,
+        pairs: Sequence[CollisionPair] = (),
+        wanted: PoseLike | None = None,
+        rest: PoseLike | None = None,
+        touching: Sequence[CollisionPair] = (),
+    ) -> None:
+        verb = "can't be placed" if rest is None else "doesn't stand"
+        super().__init__(f"{body} {verb} at {_point(target)}: {reason or phrases(pairs)}")
         self.body = body
         self.target = [float(x) for x in target]
-        self.reason = reason
+        self.reason = reason or phrases(pairs)
+        self.orientation = None if orientation is None else [float(x) for x in orientation]
+        self.pairs = list(pairs)
+        self.wanted = wanted
+        self.rest = rest
+        self.touching = list(touching)
 
 
 class AccessFailed(PlanFailure):

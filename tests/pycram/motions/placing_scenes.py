@@ -88,7 +88,9 @@ class Placing:
 
 
 def fall(world: BulletWorld, body: Object) -> tuple[float, float]:
-    """How far an object moves within the next 2 s, m, and how far it turns, degrees."""
+    """How far an object moves within the next 2 s, m, and how far it turns, degrees; the hand leaves it alone."""
+    robot = world.robot
+    robot.set_joint_positions(robot.description.arm("left").posture("park"))
     at, turn = body.get_position_and_orientation()
     world.simulate(2.0)
     later, turned = body.get_position_and_orientation()
