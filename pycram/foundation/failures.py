@@ -27,6 +27,7 @@ __all__ = [
     "CollisionPair",
     "DisplayError",
     "GraspFailed",
+    "GripperBlocked",
     "InCollision",
     "JointLimitError",
     "LookingFailed",
@@ -331,6 +332,22 @@ class GraspFailed(PlanFailure):
         self.arm = arm
         self.body = body
         self.reason = reason
+
+
+class GripperBlocked(PlanFailure):
+    """The fingers can't open far enough to let go of what they hold.
+
+    Attributes:
+        arm: name of the arm.
+        body: name of the object that it holds.
+        pairs: the links that would meet, deepest first.
+    """
+
+    def __init__(self, arm: str, body: str, pairs: Sequence[CollisionPair]) -> None:
+        super().__init__(f"{arm} gripper can't let go of {body}: {phrases(pairs)}; it stays as it is")
+        self.arm = arm
+        self.body = body
+        self.pairs = list(pairs)
 
 
 class PlaceFailed(PlanFailure):
