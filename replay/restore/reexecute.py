@@ -112,6 +112,8 @@ class Reexecution:
             repeated.callers.extend(record.callers)
             if command == "open_world":
                 repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+            if command == "simulate" and record.simulate.HasField("settled"):  # follows from the states
+                repeated.simulate.settled = record.simulate.settled
         return repeated
 
 
