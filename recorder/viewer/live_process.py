@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
 from recorder.viewer.address import Kind, Target, ViewerGone, answers, wait_for_answer
+from recorder.viewer.viewer_window import END_TIMEOUT, ViewerWindow
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,7 +60,7 @@ def main(arguments: list[str]) -> None:
         _serve(_Batches(connection), target, arguments[2], absent)
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
-            _print(str(end))
+            _print(f"{end}; the plan goes on without")
         status = 1
     except BaseException:  # noqa: BLE001  printed, and then it ends
         traceback.print_exc()
@@ -117,9 +118,9 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
     from recorder.viewer.translator import Translator  # noqa: PLC0415
-    from recorder.viewer.viewer_window import open_window  # noqa: PLC0415
     from recorder.viewer.web_page import serve_page  # noqa: PLC0415
 
+    window: ViewerWindow | None = None
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
     if target.kind is Kind.SERVE:
@@ -128,7 +129,8 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     else:
         url = target.url
         if target.kind is Kind.SPAWN:
-            url = open_window()
+            window = ViewerWindow()
+            url = window.url
         elif not answers(url):
             absent.set()
             batches.report(Status.ABSENT)
@@ -143,7 +145,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     for batch in batches:
         shown = display.show(batch)
         display.lay_out()
-        _deliver(stream)
+        _deliver(stream, window)
         batches.report(shown)
     translator.finish()
     display.lay_out()
@@ -197,7 +199,7 @@ class _Display:
             self._reported = True
 
 
-def _deliver(stream: rr.RecordingStream) -> None:
+def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
     """Waits until the viewer has taken what was sent, however long that takes.
 
     Raises:
@@ -207,7 +209,10 @@ def _deliver(stream: rr.RecordingStream) -> None:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)
         except RuntimeError as error:  # the library has one type for all
-            if "timed out" not in str(error):
-                raise ViewerGone("the viewer was closed; the plan goes on without") from error
+            broken = "timed out" not in str(error)
+            if window is not None:
+                window.check(END_TIMEOUT if broken else 0.0)
+            if broken:
+                raise ViewerGone("the viewer was closed") from error
         else:
             return

@@ -23,7 +23,7 @@ import recorder.viewer
 from recorder.errors import RecordingError
 from recorder.viewer.address import PORT, Kind, Target, ViewerGone, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
-from recorder.viewer.viewer_window import open_window
+from recorder.viewer.viewer_window import END_TIMEOUT, ViewerWindow
 from replay.errors import ReplayError
 from replay.view.translation import front_world, translate
 
@@ -173,13 +173,17 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """
     check(url)
     try:
-        viewer = url or open_window()
-        client = ViewerClient.connect(viewer)
-        client.open(str(path.resolve()))
-        if step is not None:
-            _go_to(client, step)
+        window = None if url else ViewerWindow()
+        viewer = window.url if window else str(url)
+        try:
+            client = ViewerClient.connect(viewer)
+            client.open(str(path.resolve()))
+            if step is not None:
+                _go_to(client, step)
+        except (RuntimeError, OSError) as error:
+            if window:
+                window.check(END_TIMEOUT)
+            raise ReplayError(f"{path} can't be shown: {error}") from error
     except ViewerGone as error:
         raise ReplayError(f"{error}; without a screen, use --web or --save FILE") from error
-    except (RuntimeError, OSError) as error:
-        raise ReplayError(f"{path} can't be shown: {error}") from error
     return viewer
