@@ -55,11 +55,13 @@ class ViewerWindow:
         Raises:
             ViewerGone: It was closed, or ended with an error, for example because there is no screen.
         """
+        if self._process is None:
+            return
         with suppress(subprocess.TimeoutExpired):
-            if self._process is not None and self._process.wait(timeout):
-                raise ViewerGone(f"the viewer didn't open ({_last_line(self._stderr)})")
-            if self._process is not None:
-                raise ViewerGone("the viewer was closed")
+            code, words = self._process.wait(timeout), _last_line(self._stderr)
+            if code or words.startswith("Error"):  # the viewer's code is 0 then, too
+                raise ViewerGone(f"the viewer didn't open ({words})")
+            raise ViewerGone("the viewer was closed")
 
 
 def _last_line(stderr: IO[bytes]) -> str:
