@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import http.client
 import socket
-import threading
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import urlsplit
 
 from recorder.errors import RecordingError
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 PORT: Final = 9876  # where viewers listen by default
-_POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
+POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
 HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
 
 _SCHEMES: Final = {
@@ -96,14 +92,6 @@ def answers(url: str) -> bool:
         return False
     finally:
         connection.close()
-
-
-def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
-    """Waits until a viewer answers; ``check`` is called from time to time, and may raise."""
-    pause = threading.Event()
-    while not answers(url):
-        check()
-        pause.wait(_POLL_PERIOD)
 
 
 def free_port(preferred: int) -> int:

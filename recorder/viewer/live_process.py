@@ -24,7 +24,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import TOPICS
-from recorder.viewer.address import Kind, Target, ViewerGone, answers, wait_for_answer
+from recorder.viewer.address import POLL_PERIOD, Kind, Target, ViewerGone, answers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -133,7 +133,9 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
             absent.set()
             batches.report(Status.ABSENT)
             _print(f"no viewer at {url} yet; it can be started at any time: rerun")
-            wait_for_answer(url)
+            pause = threading.Event()
+            while not answers(url):
+                pause.wait(POLL_PERIOD)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))
     translator = Translator(stream)

@@ -6,9 +6,10 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 from typing import IO
 
-from recorder.viewer.address import HOST, PORT, ViewerGone, address, answers, free_port, wait_for_answer
+from recorder.viewer.address import HOST, POLL_PERIOD, PORT, ViewerGone, address, answers, free_port
 
 
 def open_window() -> str:
@@ -29,12 +30,11 @@ def open_window() -> str:
             start_new_session=True,  # Ctrl-C is for the plan
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
-
-        def check() -> None:
+        pause = threading.Event()
+        while not answers(address(port)):
             if viewer.poll() is not None:
                 raise ViewerGone(f"the viewer didn't open ({_last_line(stderr)})")
-
-        wait_for_answer(address(port), check)
+            pause.wait(POLL_PERIOD)
     return address(port)
 
 
