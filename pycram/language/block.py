@@ -35,22 +35,14 @@ from pycram.language.attempts import Retry
 from pycram.language.body import current_block, in_block, leave_body
 from pycram.language.branch import Branch
 from pycram.language.failures import BranchesFailed, leaves_uncleaned
-from pycram.scheduling.cancellation import (
-    Cancelled,
-    CancelScope,
-    current_scope,
-    enter,
-    entered,
-    join,
-    raise_if_cancelled,
-)
+from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled
 from pycram.scheduling.future import Future
 from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.branch_identity import current_branch, enter_branch
-from recorder.tracing.span import Span, current_call_stack
+from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -293,12 +285,6 @@ class Block:
 
     def _close(self, error: BaseException | None) -> BaseException | None:
         """Wait for the branches, set the outcome, and return what is to be raised."""
-        ended = self._end(error)
-        if ended is None and self.state is State.FAILED:  # collected instead of raised, and still in the task tree
-            self._span.error = BranchesFailed(self.name, self.failures)
-        return ended
-
-    def _end(self, error: BaseException | None) -> BaseException | None:
         if isinstance(error, PlanFailure):
             self._body_failed(error)
         elif error is not None:
@@ -321,7 +307,11 @@ class Block:
         if self.state is State.SUCCEEDED:
             self._record_body_failures()
             return None
-        return None if self._collected is not None else BranchesFailed(self.name, failures)
+        failed = BranchesFailed(self.name, failures)
+        if self._collected is None:
+            return failed
+        self._span.error = failed  # not raised, but in the task tree
+        return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
         """Return the block's final state, given the error of its body; usage errors are handled before."""

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 from pycram.foundation.error_chain import raise_unchanged
 from pycram.foundation.failures import PlanFailure
 from pycram.language.block import Block
-from pycram.scheduling.cancellation import Cancelled, enter, join, wait
+from pycram.scheduling.cancellation import enter, join, wait
 from recorder.tasks import State
+from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -93,8 +94,10 @@ class ReadBlock(Block):
         self.state = State.RUNNING
         self._changed.notify_all()
         try:
-            while self._await_pending():
-                self._take(self._pending.popleft())
+            while not self._body_ended or self._pending:
+                if self._pending:
+                    self._take(self._pending.popleft())
+                wait(self._changed, lambda: bool(self._pending) or self._body_ended)
         except BaseException as stop:  # noqa: BLE001  raised below
             self.scope.cancel()  # reading on is pointless
             stopped = stop
@@ -107,11 +110,6 @@ class ReadBlock(Block):
         raised = self._close(error or stopped)
         if raised is not None:
             raise_unchanged(raised)
-
-    def _await_pending(self) -> bool:
-        """Wait for the next branch of the body; return False when the body has ended."""
-        wait(self._changed, lambda: bool(self._pending) or self._body_ended)
-        return bool(self._pending)
 
     def _drop(self) -> None:
         """Cancel the branches that haven't started; no more will run."""

@@ -12,7 +12,8 @@ from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.fluents.waiting import StateStream
 from pycram.language import par
-from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
+from pycram.scheduling.cancellation import CancelScope, entered
+from recorder.tracing.span import Cancelled
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
 

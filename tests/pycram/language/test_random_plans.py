@@ -26,7 +26,8 @@ from pycram.language import State, failure_handling, finally_, par, pursue, seq,
 from pycram.language.block import Block
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
-from pycram.scheduling.cancellation import Condition, wait
+from pycram.scheduling.cancellation import wait
+from pycram.scheduling.schedule import Condition
 from tests.measures import seeded
 
 if TYPE_CHECKING:

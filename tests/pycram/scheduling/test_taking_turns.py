@@ -23,8 +23,9 @@ from pycram.fluents import expressions
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.language.timeouts import TimedOut
 from pycram.process_module import ProcessModule
-from pycram.scheduling.cancellation import Condition, checkpoint, wait
+from pycram.scheduling.cancellation import checkpoint, wait
 from pycram.scheduling.locks import LockHeld
+from pycram.scheduling.schedule import Condition
 from recorder.records import Event, Mutation, Task
 from recorder.tracing import journal
 from tests.conftest import MemorySink
