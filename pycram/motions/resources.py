@@ -29,7 +29,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.scheduling.cancellation import Binding, Condition, wait
+from pycram.scheduling.cancellation import Binding, wait
+from pycram.scheduling.schedule import Condition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Set as AbstractSet

@@ -21,23 +21,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextvars import Token
 
-__all__ = [
-    "Binding",
-    "CancelScope",
-    "Cancelled",
-    "Condition",
-    "before_change",
-    "checkpoint",
-    "current_scope",
-    "enter",
-    "entered",
-    "join",
-    "raise_if_cancelled",
-    "shielded",
-    "uninterruptible",
-    "wait",
-]
-
 Value = TypeVar("Value")
 
 

@@ -17,6 +17,7 @@ import threading
 import time
 from collections import OrderedDict
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from greenlet import getcurrent, greenlet
@@ -67,30 +68,17 @@ class Waiter:
             source.waiters.pop(self, None)
 
 
+@dataclass(slots=True, eq=False)
 class _Branch:
-    """A branch that hasn't started, or hasn't ended.
+    """A branch that hasn't started, or hasn't ended."""
 
-    Attributes:
-        name: Its name in records.
-    """
-
-    __slots__ = ("_action", "_context", "_failed", "_greenlet", "_scheduler", "_started", "name")
-
-    def __init__(
-        self,
-        owner: Scheduler,
-        name: str,
-        context: Context,
-        action: Callable[[], None],
-        failed: Callable[[BaseException], None],
-    ) -> None:
-        self.name = name
-        self._scheduler = owner
-        self._context = context
-        self._action = action
-        self._failed = failed
-        self._greenlet: greenlet | None = None
-        self._started = False  # whether it is known to its greenlet, which then ends it too
+    scheduler: Scheduler
+    name: str
+    context: Context
+    action: Callable[[], None]
+    failed: Callable[[BaseException], None]
+    _greenlet: greenlet | None = None
+    _started: bool = False  # whether its greenlet will also end it
 
     @property
     def ended(self) -> bool:
@@ -101,19 +89,19 @@ class _Branch:
         """Start it, or have it check what it waits for; for the scheduler's loop."""
         if not self._started or self._greenlet is None:
             self._greenlet = greenlet(self._run)
-            self._greenlet.gr_context = self._context
+            self._greenlet.gr_context = self.context
         self._greenlet.switch()
 
     def _run(self) -> None:
         try:
             self._started = True
             enter_branch(new_branch(self.name))
-            self._action()
+            self.action()
         except BaseException as error:
-            self._failed(error)
+            self.failed(error)
             raise
         finally:
-            self._scheduler.leave(self)
+            self.scheduler.leave(self)
 
 
 Ready: TypeAlias = "Waiter | _Branch"
