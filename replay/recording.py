@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
 from replay.explain.step_names import step_of
-from replay.explain.tree import tree
+from replay.explain.task_tree import tree
 from replay.explain.why import why
-from replay.file.log import Log
+from replay.file.record_reader import RecordReader
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
     from replay.explain.blame import Blame
-    from replay.explain.explanation import Why
+    from replay.explain.why_data import Why
     from replay.restore.ask import Answer, Move
     from replay.restore.question import Question
     from replay.state.state import State
 
 
-class Recording(Log):
+class Recording(RecordReader):
     """A recording; opened by ``replay.open``. Not for several threads at once.
 
     Steps are numbers, or names as :meth:`step` takes them.

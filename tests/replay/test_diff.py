@@ -11,10 +11,10 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Task
 from recorder.tracing.span import span
+from replay.cli import formatting
 from replay.cli.main import main
-from replay.explain import wording
-from replay.explain.compare import compare
-from replay.state.diff import difference
+from replay.explain.compare_runs import compare
+from replay.state.difference import difference
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
@@ -169,4 +169,4 @@ def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: py
     ],
 )
 def test_different_numbers_are_printed_differently(before: float, after: float, texts: tuple[str, str]) -> None:
-    assert wording.apart(before, after) == texts
+    assert formatting.apart(before, after) == texts

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import random
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -450,3 +452,126 @@ def test_random_plans_are_verified(tmp_path: Path) -> None:
 def test_many_random_plans_are_verified(tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         check_random_plan(seed, tmp_path)
+
+
+# --- plans that end otherwise than they should, in processes of their own ----------------------------------------------
+
+
+WORKER_IS_ABANDONED = """
+import os, signal, threading
+import recorder
+from pycram.bullet_world import BulletWorld
+from pycram.language import seq
+from pycram.scheduling.worker import in_thread
+from recorder.tracing.span import span
+
+up = threading.Event()
+
+def watch():
+    with span("plan", "watching"):
+        up.set()
+        threading.Event().wait()
+
+def press():
+    up.wait()
+    os.kill(os.getpid(), signal.SIGINT)
+
+try:
+    with recorder.record(FILE), BulletWorld(), seq:
+        threading.Thread(target=press).start()
+        in_thread(watch)
+except KeyboardInterrupt:
+    os._exit(130)
+"""
+
+THREAD_GOES_ON = """
+import os, signal, threading
+import recorder
+from pycram.bullet_world import BulletWorld
+from pycram.language import par
+from recorder.tracing.span import span
+
+up = threading.Event()
+
+def watch():
+    with span("plan", "watching"):
+        up.set()
+        threading.Event().wait()
+
+def begin():
+    threading.Thread(target=watch, daemon=True).start()
+    up.wait()
+
+try:
+    with recorder.record(FILE), BulletWorld(), par as block:
+        block(begin)
+        block(lambda: signal.raise_signal(signal.SIGINT))
+except KeyboardInterrupt:
+    os._exit(130)
+"""
+
+BLOCKS_WITHOUT_END = """
+import sys
+import recorder
+from pycram.bullet_world import BulletWorld, Object
+from pycram.language import seq
+
+def nested(depth, milk):
+    with seq:
+        milk.set_position([depth, 0, 1])
+        nested(depth + 1, milk)
+
+with recorder.record(FILE), BulletWorld() as world:
+    milk = Object("milk", "milk", "milk.stl")
+    sys.setrecursionlimit(LIMIT)
+    try:
+        nested(0, milk)
+    finally:
+        sys.setrecursionlimit(1000)
+"""
+
+
+def recorded_by(plan: str, file: Path, **values: object) -> subprocess.CompletedProcess[str]:
+    given = "".join(f"{name} = {value!r}\n" for name, value in values.items())
+    program = f"FILE = {str(file)!r}\n{given}{plan}"
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize("plan", [WORKER_IS_ABANDONED, THREAD_GOES_ON], ids=["worker", "daemon thread"])
+def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: str, tmp_path: Path, capfd) -> None:
+    file = tmp_path / "run.mcap"
+    assert recorded_by(plan, file).returncode == 130
+    with replay.open(file) as log:
+        verification = verify(log)
+    assert verification.exact, verification
+    assert verification.unfinished == 1
+    assert main(["verify", str(file)]) == 0
+    assert "1 of them not ended then" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("limit", [200, 201, 203])
+def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    assert "RecursionError" in recorded_by(BLOCKS_WITHOUT_END, file, LIMIT=limit).stderr
+    with replay.open(file) as log:
+        verification = verify(log)
+        changes = sum(1 for record in log.records(Mutation) if record.HasField("move_body"))
+    assert verification.exact, verification
+    assert verification.unfinished == 0
+    assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
+    assert changes >= 3
+
+
+def test_a_branch_without_end_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with recorder.record(file), par as block:
+        block(lambda: None)
+    with replay.open(file) as log:
+        end = next(r.seq for r in log.records(Task) if r.kind == "branch" and r.phase == Task.FINISHED)
+
+    def without_end(record: Record) -> Record | None:
+        kept = record.seq != end
+        record.seq -= record.seq > end
+        return record if kept else None
+
+    assert "doesn't" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause

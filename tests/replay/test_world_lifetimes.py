@@ -14,9 +14,9 @@ from recorder.mcap import sink as mcap_sink
 from recorder.mcap.sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
-from replay.explain.summary import summary
+from replay.explain.run_summary import summary
 from replay.file.lifetimes import title
-from replay.state.diff import difference
+from replay.state.difference import difference
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
