@@ -16,7 +16,6 @@ from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from PIL import Image
 
@@ -30,9 +29,12 @@ if TYPE_CHECKING:
 
 
 class Recording(RecordReader):
-    """A recording; opened by ``replay.open``. Not for several threads at once.
+    """A recording; ``replay.open(path)`` opens it. Not for several threads at once.
 
     Steps are numbers, or names as :meth:`step` takes them.
+
+    Raises:
+        NotALog: the file isn't one, or nothing of it can be read.
     """
 
     def step(self, name: int | str) -> int:
@@ -92,12 +94,3 @@ class Recording(RecordReader):
         from replay.restore.world import world_at  # noqa: PLC0415
 
         return world_at(self, self.step(step), world, exact=exact, mode=mode)
-
-
-def open_recording(path: str | Path) -> Recording:
-    """Open a recording.
-
-    Raises:
-        NotALog: it isn't one, or nothing of it can be read.
-    """
-    return Recording(path)

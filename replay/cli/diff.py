@@ -13,7 +13,7 @@ from replay.cli.main import FAILED, FINE, INCOMPLETE
 from replay.errors import ReplayError
 from replay.explain.compare_runs import compare
 from replay.explain.step_names import HINT
-from replay.recording import open_recording
+from replay.recording import Recording
 from replay.state.difference import difference
 from replay.state.json_data import record_data
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.explain.compare_runs import Comparison, Divergence
     from replay.explain.run_summary import Summary
-    from replay.recording import Recording
     from replay.state.difference import BodyChange, Difference
     from replay.state.state import Attachment
 
@@ -61,7 +60,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         return FINE
     if not Path(options.first).exists():
         raise ReplayError(f"{options.first}: no such recording; to compare steps of this one, give two")
-    with open_recording(options.first) as other:
+    with Recording(options.first) as other:
         compared = compare(log, other, options.tolerance)
         problems = other.problems  # it was read to its end
     print_result(lambda: _run_facts(compared), _run_lines(compared, whole=options.all), as_json=options.json)

@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 
 def test_blame_distinguishes_a_move_from_being_carried(small: Recording) -> None:
     carried = small.step("task:carry@end")
-    found = small.blame("milk", carried)
-    assert found.how == "carried"
-    assert found.record.move_body.body == "cereal"
-    (held,) = found.carried
+    change = small.blame("milk", carried)
+    assert change.how == "carried"
+    assert change.record.move_body.body == "cereal"
+    (held,) = change.carried
     assert held.step == mutation(small, "attach_body")
     assert [task.started.name for task in held.causes.tasks] == ["carry"]
-    assert found.causes.tasks[0].call_stack[-1].text == 'with span("motion", "carry", {"object": milk}):'
-    assert found.causes.call_stack[-1].text == "cereal.set_position([0.5, 0.2, 0.13])"
-    assert found.causes.call_stack[-1].function == "main"
-    assert found.distance == pytest.approx(0.283, abs=5e-3)
+    assert change.causes.tasks[0].call_stack[-1].text == 'with span("motion", "carry", {"object": milk}):'
+    assert change.causes.call_stack[-1].text == "cereal.set_position([0.5, 0.2, 0.13])"
+    assert change.causes.call_stack[-1].function == "main"
+    assert change.distance == pytest.approx(0.283, abs=5e-3)
     assert small.blame("cereal", carried).how == "command"
-    assert small.blame("cereal", carried).record == found.record
+    assert small.blame("cereal", carried).record == change.record
 
 
 def test_repeated_call_stack_lines_are_printed_once(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
@@ -47,11 +47,11 @@ def test_repeated_call_stack_lines_are_printed_once(small: Recording, capsys: py
 
 
 def test_blame_of_a_settled_body_includes_what_moved_it_before(small: Recording) -> None:
-    found = small.blame("milk", mutation(small, "simulate"))
-    assert found.how == "physics"
-    assert found.distance < 5e-3
-    assert found.earlier.how == "load"
-    assert found.earlier.record.seq == mutation(small, "load_body", 1)
+    change = small.blame("milk", mutation(small, "simulate"))
+    assert change.how == "physics"
+    assert change.distance < 5e-3
+    assert change.earlier.how == "load"
+    assert change.earlier.record.seq == mutation(small, "load_body", 1)
 
 
 def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Recording) -> None:
@@ -61,13 +61,13 @@ def test_blame_is_the_last_record_that_changed_it_at_every_step(small: Recording
 
 
 def test_blame_gives_the_plan_s_line_outside_of_tasks(small: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    found = small.blame("cereal").causes
-    assert not found.tasks
-    assert [line.text for line in found.call_stack][-2:] == [
+    change = small.blame("cereal").causes
+    assert not change.tasks
+    assert [line.text for line in change.call_stack][-2:] == [
         "main()",
         "cereal.set_position([0.5 + turn / 1000, 0.2, 0.13])",
     ]
-    assert found.call_stack[-1].function == "main"
+    assert change.call_stack[-1].function == "main"
     assert main(["blame", str(small.path), "cereal"]) == 0
     output = capsys.readouterr().out
     assert "  by the plan itself\n  from " in output

@@ -81,8 +81,8 @@ def test_a_record_of_only_one_run_is_the_divergence(tmp_path: Path) -> None:
     drop(tmp_path / "a.mcap", [1, 2])
     drop(tmp_path / "b.mcap", [1, 2], extra=True)
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
-        for one, other, side in ((first, second, "second"), (second, first, "first")):
-            divergence = compare(one, other).divergence
+        for log, second_log, side in ((first, second, "second"), (second, first, "first")):
+            divergence = compare(log, second_log).divergence
             alone = getattr(divergence, side)
             assert isinstance(alone, Task)
             assert alone.name == "look"

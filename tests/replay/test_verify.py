@@ -61,9 +61,9 @@ def rewritten(source: Path, target: Path, change: Callable[[Record], Record | No
 
 def problem_of(file: Path) -> Problem:
     with replay.open(file) as log:
-        found = verify(log).problem
-    assert found is not None
-    return found
+        problem = verify(log).problem
+    assert problem is not None
+    return problem
 
 
 @pytest.fixture(scope="module")
@@ -159,11 +159,11 @@ def test_one_wrong_byte_of_a_pose_is_found(run_log: Path, tmp_path: Path, comman
             numbers[1] = flipped(numbers[1])
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", tamper))
-    assert found.step == step
-    assert found.deviation is not None
-    assert found.deviation.field.endswith(".position[1]")
-    assert 0 < found.deviation.size < 1e-12
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", tamper))
+    assert problem.step == step
+    assert problem.deviation is not None
+    assert problem.deviation.field.endswith(".position[1]")
+    assert 0 < problem.deviation.size < 1e-12
 
 
 def flipped(number: float) -> float:
@@ -237,9 +237,9 @@ def test_every_manipulation_is_found_at_its_step(
             steps.extend([] if step is None else [step])
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
-    assert cause in found.cause
-    assert [found.step] == steps
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert cause in problem.cause
+    assert [problem.step] == steps
 
 
 def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
@@ -248,18 +248,18 @@ def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
             record.effect.bodies[0].joint_positions[0] += 1e-6
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
-    assert found.task == ("tidy", "open the drawer")
-    assert found.deviation is not None
-    assert found.deviation.size == pytest.approx(1e-6)
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert problem.task == ("tidy", "open the drawer")
+    assert problem.deviation is not None
+    assert problem.deviation.size == pytest.approx(1e-6)
 
 
 def test_a_removed_record_is_reported(run_log: Path, tmp_path: Path) -> None:
     for step in (10, 60):
         file = rewritten(run_log, tmp_path / f"{step}.mcap", lambda r, gone=step: None if r.seq == gone else r)
-        found = problem_of(file)
-        assert found.step == step
-        assert "is missing" in found.cause
+        problem = problem_of(file)
+        assert problem.step == step
+        assert "is missing" in problem.cause
         assert main(["verify", str(file)]) == 1
 
 
@@ -273,8 +273,8 @@ def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: P
         record.seq -= len(ends)
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
-    assert "doesn't" in found.cause
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
+    assert "doesn't" in problem.cause
     cut = tmp_path / "cut.mcap"
     content = run_log.read_bytes()
     cut.write_bytes(content[: int(len(content) * 0.97)])
@@ -287,9 +287,9 @@ def test_an_exchanged_attached_file_is_found(run_log: Path, tmp_path: Path) -> N
     at = content.index(b"<robot")
     content[at + 40] ^= 1
     target.write_bytes(content)
-    found = problem_of(target)
-    assert found.step is None
-    assert "damaged" in found.cause
+    problem = problem_of(target)
+    assert problem.step is None
+    assert "damaged" in problem.cause
 
 
 @pytest.mark.slow
@@ -318,8 +318,8 @@ def test_in_another_environment_the_largest_deviation_is_reported(run_log: Path,
     assert verdict.largest is not None
     assert verdict.largest.size == pytest.approx(1e-5)
     assert main(["verify", str(tmp_path / "near.mcap")]) == 0
-    found = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
-    assert "the environment is a different one" in found.cause
+    problem = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
+    assert "the environment is a different one" in problem.cause
 
 
 def test_worlds_from_before_the_recording_are_compared_without_physics(tmp_path: Path) -> None:
