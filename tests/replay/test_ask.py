@@ -132,8 +132,8 @@ def test_queries_are_asked_as_in_the_thesis(scene_log: Path, question: str, answ
     with replay.open(scene_log) as log:
         result = log.ask(first(log, "visible").seq, question)
     assert isinstance(result.answer, list) if answer is None else result.answer == answer
-    assert answer.evidence or answer is False
-    assert parse(str(answer.question)) == answer.question  # it can be typed again as it is printed
+    assert result.evidence or answer is False
+    assert parse(str(result.question)) == result.question  # it can be typed again as it is printed
 
 
 def test_every_query_can_be_asked() -> None:
