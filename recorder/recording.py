@@ -20,6 +20,7 @@ from recorder.packages import hint
 from recorder.records import Run, failure
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_name
 from recorder.tracing.journal import Journal
 from recorder.viewer.live_sink import RerunSink
 
@@ -123,7 +124,7 @@ def _begin(
         undoing.callback(sink.close)
         log = Journal([sink] if viewer is None else [sink, viewer])
         _leave_to_parent(sink, log)
-        log.append(Run(phase=Run.STARTED, name=title))
+        log.append(Run(phase=Run.STARTED, name=title, thread=current_name()))
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
         journal.open_journal(log)
@@ -157,7 +158,13 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
     succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
-    end = Run(phase=Run.FINISHED, name=title, succeeded=succeeded, duration_ns=time.perf_counter_ns() - start)
+    end = Run(
+        phase=Run.FINISHED,
+        name=title,
+        thread=current_name(),
+        succeeded=succeeded,
+        duration_ns=time.perf_counter_ns() - start,
+    )
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure(error))
     try:

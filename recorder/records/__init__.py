@@ -37,11 +37,13 @@ from recorder.records.log_pb2 import (
     Task as Task,
 )
 from recorder.records.values import (
+    Plain as Plain,
     argument_values as argument_values,
     arguments as arguments,
     failure as failure,
     format_error as format_error,
     format_failure as format_failure,
+    from_json as from_json,
     to_json as to_json,
 )
 

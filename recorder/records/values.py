@@ -11,12 +11,15 @@ import math
 import traceback
 from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
+"""What JSON holds."""
 
 
 def _plain(value: object) -> object:
@@ -92,9 +95,18 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
 
 
-def argument_values(recorded: Iterable[Argument]) -> dict[str, Any]:
-    """Recorded values as plain data, by name."""
-    return {argument.name: json.loads(argument.json) for argument in recorded}
+def from_json(text: str) -> Plain:
+    """Return a value that a record has as JSON; what isn't JSON (another program's, or damaged) as it is."""
+    try:
+        value: Plain = json.loads(text)
+    except ValueError:
+        return text
+    return value
+
+
+def argument_values(arguments: Iterable[Argument]) -> dict[str, Plain]:
+    """Return the named values that a record carries."""
+    return {argument.name: from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:

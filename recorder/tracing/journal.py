@@ -15,6 +15,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.tracing import stack_room
 from recorder.tracing.branch_identity import current_ident, current_name
 from recorder.tracing.interrupts import Uninterrupted
 
@@ -97,7 +98,9 @@ class Journal:
 
         Raises:
             RecordingError: a sink can't keep it.
+            RecursionError: there is no room on the stack for it; it isn't numbered.
         """
+        stack_room.require(stack_room.FOR_RECORD)
         topic = TOPICS[type(record)]
         with Uninterrupted(), self._lock:
             if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):

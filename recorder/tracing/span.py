@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final, cast
 
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
-from recorder.tracing import journal
+from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.call_stack import CallStack, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
@@ -86,6 +86,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     _start_ns: int = 0
+    _begun: bool = False
     _ended: bool = False
     _frame: FrameType | None = field(default=None, init=False, repr=False)  # of the plan, that entered it
     _token: Token[Span | None] = field(init=False, repr=False)
@@ -95,17 +96,22 @@ class Span:
         self._emit_begin(Task.ASKED, Task.CREATED)
 
     def start(self) -> None:
-        """Records its start."""
+        """Records its start.
+
+        Raises:
+            RecursionError: there would be no room for recording its end; nothing is recorded of it.
+        """
+        stack_room.require(stack_room.FOR_TASK)
         self._start_ns = time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Records its end, once.
+        """Records its end, once, if its beginning was recorded.
 
         Args:
             error: what it failed with, or was cancelled by; None if it succeeded.
         """
-        if self._ended:
+        if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
         record = self._record(_FINISHED, status)
@@ -170,6 +176,7 @@ class Span:
         record.callers.extend(self.source.callers)
         if self.parameters:
             record.parameters.extend(arguments(self.parameters))
+        self._begun = True
         self._emit(record)
 
     def _record(self, phase: Task.Phase, status: Task.Status) -> Task:

@@ -108,10 +108,10 @@ def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.Arg
 
 
 def _run(verb: ModuleType, options: argparse.Namespace) -> int:
-    from replay.recording import open_recording  # noqa: PLC0415  --help needn't wait for it
+    from replay.recording import Recording  # noqa: PLC0415  --help needn't wait for it
 
     try:
-        with open_recording(options.log) as log:
+        with Recording(options.log) as log:
             try:
                 with needed():
                     code: int = verb.run(log, options)

@@ -30,7 +30,7 @@ from replay.view.translation import front_world, translate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _LOAD_TIMEOUT: Final = 20.0  # s for the viewer to load a file
 _POLL_PERIOD: Final = 0.1  # s
@@ -38,7 +38,7 @@ _MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that 
 _HEADER: Final = 7
 
 
-def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
+def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
     """Writes recordings into one ``.rrd`` file; a file that is there is replaced when all is written.
 
     Several are shown side by side. The step ``at`` is looked at first, by default the beginning.
@@ -75,7 +75,7 @@ def _without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def cached(log: Log, at: int | None = None) -> Path:
+def cached(log: RecordReader, at: int | None = None) -> Path:
     """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
 
     It is a temporary file where beside the recording nothing can be written, and where the step that is looked at

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from recorder.geometry import Vector
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _NO_ROOT: Final = ""  # of a recording that is shown alone
 _NONSENSE: Final = (
@@ -34,7 +34,7 @@ _NONSENSE: Final = (
 """Errors of translating records that no recorder has written."""
 
 
-def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
+def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
     """Sends recordings to a viewer, several side by side; the step ``at`` is looked at first.
 
     Raises:
@@ -50,7 +50,7 @@ def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = 
     _lay_out(stream, {root: _translated(log, stream, root) for root, log in roots.items()}, fronts)
 
 
-def front_world(log: Log, at: int | None = None) -> str:
+def front_world(log: RecordReader, at: int | None = None) -> str:
     """The world that is looked at: that of a step, by default the first that the plan acts in; "" if none.
 
     Steps without a world of their own are of that of the step before.
@@ -62,7 +62,7 @@ def front_world(log: Log, at: int | None = None) -> str:
     return next((record.world for record in log if acts(record)), "")
 
 
-def _roots(logs: Sequence[Log]) -> list[str]:
+def _roots(logs: Sequence[RecordReader]) -> list[str]:
     """Root entities of recordings that are shown side by side: names of their files, if these are different."""
     if len(logs) == 1:
         return [_NO_ROOT]
@@ -79,7 +79,7 @@ def _lay_out(
         stream.send_blueprint(side_by_side(recordings, fronts))
 
 
-def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
+def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
     """Sends a recording, and returns the centres of its worlds in m."""
     translator = Translator(stream, root)
     for name in log.assets:
@@ -98,12 +98,12 @@ def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str,
 
 
 @contextlib.contextmanager
-def _damage(log: Log, where: str) -> Iterator[None]:
+def _damage(log: RecordReader, where: str) -> Iterator[None]:
     try:
         yield
     except _NONSENSE as error:
         raise _nonsense(log, where, error) from error
 
 
-def _nonsense(log: Log, where: str, error: Exception) -> Damaged:
+def _nonsense(log: RecordReader, where: str, error: Exception) -> Damaged:
     return Damaged(log.path, where, f"it makes no sense: {error}")

@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
+from replay.file.log import Log
 
 import recorder
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
 from recorder.records import Mutation
-from replay.file.log import Log
 from replay.restore.verify import verify
 
 if TYPE_CHECKING:

@@ -20,8 +20,8 @@ from recorder.tracing.call_stack import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame
-from replay.explain.causes import causes
-from replay.explain.source import Source
+from replay.explain.causing_tasks import causes
+from replay.explain.plan_source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from recorder.records import Failure, Query, Run
-    from replay.explain.failed_tasks import TaskExecution
+    from recorder.tasks import Node
     from replay.explain.parsed_traceback import ParsedException
-    from replay.explain.source import Line
-    from replay.explain.summary import Summary
-    from replay.state.diff import Difference
+    from replay.explain.plan_source import Line
+    from replay.explain.run_summary import Summary
+    from replay.state.difference import Difference
     from replay.state.state import Attachment, Body, World
 
 
@@ -47,7 +47,7 @@ class Attempt:
         robot: the robot before it; None if there was none. Of many attempts only the first and the last have it.
     """
 
-    task: TaskExecution
+    task: Node
     robot: Body | None
 
 
@@ -82,7 +82,7 @@ class ChangesSince:
         difference: between the states after it and before the failure.
     """
 
-    task: TaskExecution
+    task: Node
     difference: Difference
 
 
@@ -117,7 +117,7 @@ class Why:
     failure: Failure | None
     thread: str = ""
     exceptions: tuple[ParsedException, ...] = ()
-    task: TaskExecution | None = None
+    task: Node | None = None
     call_stack: tuple[Line, ...] = ()
     world: World | None = None
     is_default: bool = True
@@ -129,7 +129,7 @@ class Why:
     earlier_queries: int = 0
     since_same_success: ChangesSince | None = None
     since_last_success: ChangesSince | None = None
-    unfinished: tuple[TaskExecution, ...] = ()
+    unfinished: tuple[Node, ...] = ()
     failed_threads: tuple[Run, ...] = ()
 
     @property

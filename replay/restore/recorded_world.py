@@ -16,11 +16,11 @@ from replay.state.fold import state_at
 if TYPE_CHECKING:
     from pycram.models.load import Model
     from recorder.records import LoadBody
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
     from replay.state.state import World
 
 
-def world_state(log: Log, step: int, name: str | None = None) -> World:
+def world_state(log: RecordReader, step: int, name: str | None = None) -> World:
     """Return the state of a world that is open after a step; without a name, of the one that was opened last.
 
     Raises:
@@ -41,7 +41,7 @@ def world_state(log: Log, step: int, name: str | None = None) -> World:
     return world
 
 
-def model_of(log: Log, loaded: LoadBody) -> Model:
+def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     """Return the model that a body was loaded from, laid out as files in a temporary folder.
 
     Raises:

@@ -12,7 +12,7 @@ from replay.errors import Damaged
 
 if TYPE_CHECKING:
     from recorder.records import Mutation, Task
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Line:
 class Source:
     """The attached source files of a recording; those that share a name are ambiguous and left out."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: RecordReader) -> None:
         """Read nothing yet."""
         self._assets = log.assets
         keys = [key for key in log.assets if key.endswith(".py")]
@@ -59,12 +59,10 @@ class Source:
     def call_stack(self, record: Task | Mutation) -> tuple[Line, ...]:
         """Return the plan's lines that led to a task or a change, outermost first; none if the record has none."""
         line = self.line(record.source_file, record.source_line)
-        return (*self.callers(record), line) if line is not None else ()
-
-    def callers(self, record: Task | Mutation) -> tuple[Line, ...]:
-        """Return the lines that led to the one that asked for a task, or made a change, outermost first."""
-        lines = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
-        return tuple(line for line in lines if line is not None)
+        if line is None:
+            return ()
+        callers = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
+        return (*(caller for caller in callers if caller is not None), line)
 
     def text(self, file: str) -> str:
         """Return the text of a file; "" if it is not attached, or damaged."""

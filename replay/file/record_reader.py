@@ -16,9 +16,9 @@ from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Query, R
 from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
-from replay.file.container import check_ours, is_locked, open_file
+from replay.file.file_checks import check_ours, is_locked, open_file
 from replay.file.index import Index
-from replay.file.lifetimes import Lifetime, lifetimes_of
+from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
     from recorder.records import Record
 
-__all__ = ["KINDS", "Log"]
+__all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Fluent, Query, Keyframe)
 
 
-class Log:
+class RecordReader:
     """The records of a recording. Not for several threads at once.
 
     Attributes:
@@ -67,8 +67,8 @@ class Log:
 
     def __repr__(self) -> str:
         if self._file.closed:
-            return f"<Log {self.path}: closed>"
-        return f"<Log {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.problems}>"
+            return f"<{type(self).__name__} {self.path}: closed>"
+        return f"<{type(self).__name__} {self.path}: {len(self)} steps{'' if self.complete else ', ' + self.problems}>"
 
     def close(self) -> None:
         """Close the file."""
@@ -216,6 +216,15 @@ class Log:
         for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last one
             pass
         return last
+
+    def final_step(self) -> int:
+        """Return the last step before worlds were closed at the end: there is nothing to see after it."""
+        closing = self._steps
+        for record in self.backwards(-1, (Mutation, Keyframe)):
+            if not closes_world(record):
+                break
+            closing = record.seq
+        return max(closing - 1, 0)
 
     # --- completeness ----------------------------------------------------------------------------------------------
 

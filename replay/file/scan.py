@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Footer, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
-from replay.file.layout import (
+from replay.file.mcap_format import (
     CHANNEL_OFFSET,
     CHUNK_HEAD,
     DAMAGE,

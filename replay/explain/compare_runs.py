@@ -12,18 +12,17 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Run, Task
-from replay.explain.causes import causes
-from replay.explain.summary import Summary, final_step, summary
-from replay.state.diff import Difference, difference
+from replay.explain.causing_tasks import causes
+from replay.explain.run_summary import Summary, summary
+from replay.state.difference import Difference, difference
 from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from recorder.records import Record
-    from replay.file.log import Log
-    from replay.state.json_data import Plain
+    from recorder.records import Plain, Record
+    from replay.file.record_reader import RecordReader
 
 #: Records that are read on after the divergence, to distinguish missing records from those in another order.
 _WINDOW: Final = 2000
@@ -70,14 +69,14 @@ class Comparison:
     outcomes: tuple[Summary, Summary]
 
 
-def compare(first: Log, second: Log, tolerance: float = 0.0) -> Comparison:
+def compare(first: RecordReader, second: RecordReader, tolerance: float = 0.0) -> Comparison:
     """Compare two recordings; numbers within the tolerance count as equal."""
     equal, divergence = _divergence(first, second, tolerance)
-    ends = state_at(first, final_step(first)), state_at(second, final_step(second))
+    ends = state_at(first, first.final_step()), state_at(second, second.final_step())
     return Comparison(equal, divergence, difference(*ends), (summary(first), summary(second)))
 
 
-def _divergence(first: Log, second: Log, tolerance: float) -> tuple[int, Divergence | None]:
+def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> tuple[int, Divergence | None]:
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
     equal = since = 0
     diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
@@ -122,11 +121,11 @@ def _earliest(
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
-def _path(log: Log, record: Record | None) -> str:
-    return "/".join(cause.name for cause in reversed(causes(log, record).tasks)) if record is not None else ""
+def _path(log: RecordReader, record: Record | None) -> str:
+    return "/".join(task.started.name for task in reversed(causes(log, record).tasks)) if record is not None else ""
 
 
-def _keyed(log: Log) -> Iterator[tuple[_Key, Record]]:
+def _keyed(log: RecordReader) -> Iterator[tuple[_Key, Record]]:
     """Yield the records with what they are aligned by; knows no more than the tasks that run."""
     paths: dict[int, int] = {}  # by id of the task
     counts: dict[int, int] = {}  # records by path

@@ -6,18 +6,17 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Run, format_failure
+from recorder.records import STEPS_PER_SECOND, Run, format_failure
+from replay.explain.failures import failed_threads
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Record
     from replay.file.lifetimes import Lifetime
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 #: Recordings up to this size, in bytes, are read whole to check them; of larger ones only both ends.
 MAX_CHECKED: Final = 16 << 20
-_RUN_RECORDS: Final = 2  # of a run without failed threads: started, finished
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +71,12 @@ class Summary:
     metadata: Mapping[str, str]
 
 
-def _simulated(log: Log, lifetime: Lifetime) -> Simulated:
+def _simulated(log: RecordReader, lifetime: Lifetime) -> Simulated:
     end = log.end_of(lifetime)
     return Simulated(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
 
 
-def summary(log: Log) -> Summary:
+def summary(log: RecordReader) -> Summary:
     """Sum up a recording."""
     size = log.path.stat().st_size
     checked = size <= MAX_CHECKED
@@ -102,25 +101,3 @@ def summary(log: Log) -> Summary:
         checked=checked,
         metadata=log.metadata,
     )
-
-
-def failed_threads(log: Log) -> tuple[Run, ...]:
-    """Return the records of threads of the plan's own that ended with a failure while it went on."""
-    if log.counts().get("run", 0) <= _RUN_RECORDS:
-        return ()
-    return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
-
-
-def final_step(log: Log) -> int:
-    """Return the last step before worlds were closed at the end: there is nothing to see after it."""
-    closing = len(log)
-    for record in log.backwards(-1, (Mutation, Keyframe)):
-        if not closes_world(record):
-            break
-        closing = record.seq
-    return max(closing - 1, 0)
-
-
-def closes_world(record: Record) -> bool:
-    """Return whether a record is the end of a world."""
-    return isinstance(record, Mutation) and record.HasField("close_world")

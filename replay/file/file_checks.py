@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 
 from replay.errors import NotALog, Unreadable
 from replay.file.chunks import kinds_of
-from replay.file.layout import MAGIC
+from replay.file.mcap_format import MAGIC
 
 try:
     import fcntl
