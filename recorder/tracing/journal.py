@@ -157,7 +157,9 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-_sources: tuple[tuple[weakref.ref[Source], int], ...] = ()  # as they became current
+# The worlds that live, as they became current, each with the thread of the branch that chose it, or 0; replaced, never
+# changed.
+_sources: dict[weakref.ref[Source], int] = {}
 _chosen: ContextVar[tuple[weakref.ref[Source], ...]] = ContextVar("pycram_world", default=())
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
@@ -240,7 +242,7 @@ def register(source: Source) -> None:
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
-            _sources = (*_without(source), (weakref.ref(source), 0))
+            _sources = {**_without(source), weakref.ref(source): 0}
 
 
 def announce(source: Source) -> None:
@@ -258,10 +260,9 @@ def make_current(source: Source) -> None:
     global _sources  # noqa: PLW0603  see open_journal
     reference = weakref.ref(source)
     with _registry:
-        known = [registered for registered, _ in _sources]
-        if reference in known:  # one that was opened unrecorded stays unknown
-            _sources = (*_without(source), (reference, threading.get_ident() if current_ident() < 0 else 0))
-            earlier = [chosen for chosen in _chosen.get() if chosen != reference and chosen in known]
+        if reference in _sources:  # one that was opened unrecorded stays unknown
+            earlier = [chosen for chosen in _chosen.get() if chosen != reference and chosen in _sources]
+            _sources = {**_without(source), reference: threading.get_ident() if current_ident() < 0 else 0}
             _chosen.set((*earlier, reference))
 
 
@@ -272,19 +273,20 @@ def unregister(source: Source) -> None:
         _sources = _without(source)
 
 
-def _without(source: Source) -> tuple[tuple[weakref.ref[Source], int], ...]:
+def _without(source: Source) -> dict[weakref.ref[Source], int]:
     """The other worlds that live."""
-    return tuple((reference, thread) for reference, thread in _sources if reference() not in (None, source))
+    return {reference: thread for reference, thread in _sources.items() if reference() not in (None, source)}
 
 
 def current_world() -> tuple[str, int]:
     """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
-    sources, thread = _sources, threading.get_ident()
-    known = [reference for reference, _ in sources]
-    chosen = [reference for reference in _chosen.get() if reference in known]
-    for reference in (*reversed(chosen), *(reference for reference, of in reversed(sources) if of != thread)):
-        source = reference()
-        if source is not None:
+    sources = _sources
+    for reference in reversed(_chosen.get()):
+        if reference in sources and (source := reference()) is not None:
+            return source.name, source.sim_step
+    this_thread = threading.get_ident()
+    for reference, thread in reversed(sources.items()):
+        if thread != this_thread and (source := reference()) is not None:
             return source.name, source.sim_step
     return "", 0
 
@@ -303,7 +305,7 @@ def open_journal(journal: Journal) -> None:
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
         _opened += 1
-        sources = [source for reference, _ in _sources if (source := reference()) is not None]
+        sources = [source for reference in _sources if (source := reference()) is not None]
         journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
     try:

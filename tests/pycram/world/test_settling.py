@@ -6,9 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 import pytest
-from replay.file.log import Log
 
 import recorder
+import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument
 from recorder.records import Mutation
@@ -81,7 +81,7 @@ def test_a_recording_of_it_verifies(tmp_path: Path) -> None:
         Object("cup", "cup", "cup.stl", [0, 0, 0.3], [0.4, 0.2, 0, 1])
         world.simulate(0.01)  # off the grid of samples
         assert world.settle()
-    with Log(file) as log:
+    with replay.open(file) as log:
         verification = verify(log)
     assert verification.problem is None
     assert verification.largest is None
