@@ -1,15 +1,16 @@
 """How a parallel gripper can take an object: from which side, and where.
 
 Candidates come from ray casts at the object: from the front, the top, the left and the right where it fits between the
-fingers, else over its rim from the top. The gripper is turned with an object that lies across, and takes it in the
-middle between its fingers. Which of them the arm takes is chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
+fingers, else over its rim from the top. The gripper is turned with an object that lies across or leans, and takes it in
+the middle between its fingers. Which of them the arm takes is chosen elsewhere
+(:mod:`pycram.reasoning.grasping.choice`).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.grasping.sides import GRASPS, heading
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,6 +35,7 @@ _LEVELS: Final = 6  # at which the wall below a rim is looked for
 _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
+_LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +64,39 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
     """
-    caster = RayCaster(body)
-    facing, lying = heading(robot), body.get_orientation()
+    lean = leaning(body)
+    if geometry.angle(lean, IDENTITY[1]) < _LEANING:
+        return _upright(RayCaster(body), body.get_orientation(), robot, arm, names)
+    caster = RayCaster(body, lean)
+    lying = geometry.product(geometry.conjugate(lean), body.get_orientation())
+    found: list[Grasp] = []
+    for grasp in _upright(caster, lying, robot, arm, names):
+        offset = tuple(a - b for a, b in zip(grasp.position, caster.center, strict=True))
+        x, y, z = (a + b for a, b in zip(geometry.rotate(lean, offset), caster.center, strict=True))
+        found.append(replace(grasp, position=(x, y, z), orientation=geometry.product(lean, grasp.orientation)))
+    return [*found, *_upright(RayCaster(body), body.get_orientation(), robot, arm, names)]
+
+
+def leaning(body: Object) -> Quaternion:
+    """Return the rotation by which an object leans: from the vertical to the nearest of its axes."""
+    axes = [
+        geometry.rotate(body.get_orientation(), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    ]
+    x, y, z = max(axes, key=lambda axis: abs(axis[2]))
+    if z < 0.0:
+        x, y, z = -x, -y, -z
+    half = math.acos(min(1.0, z)) / 2
+    across = math.hypot(x, y)
+    if across == 0.0:
+        return IDENTITY[1]
+    return -y / across * math.sin(half), x / across * math.sin(half), 0.0, math.cos(half)
+
+
+def _upright(
+    caster: RayCaster, lying: Sequence[float], robot: Object, arm: Arm, names: Sequence[str] | None
+) -> list[Grasp]:
+    """Return grasps of an object that stands upright, or is taken to, with an orientation."""
+    facing = heading(robot)
     sides: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
