@@ -51,15 +51,15 @@ def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift free objects out of each other, the lighter over the heavier: the engine would jam them or throw them off."""
+    """Lift free objects out of each other, what was loaded later up: engines jam or throw them."""
     free = [body for body in world.objects if not body.fixed and not body.attachments]
     for _ in free:
         pair = next((pair for pair in itertools.combinations(free, 2) if overlap(*pair) > DEEP), None)
         if pair is None:
             return
-        light, heavy = sorted(pair, key=lambda body: world.engine.center_of_mass(body.handle)[1])
-        x, y, z = light.get_position()
-        light.set_position([x, y, z + heavy.get_AABB()[1][2] - light.get_AABB()[0][2]])
+        earlier, later = pair
+        x, y, z = later.get_position()
+        later.set_position([x, y, z + earlier.get_AABB()[1][2] - later.get_AABB()[0][2]])
 
 
 def overlap(body: Object, other: Object) -> float:

@@ -63,7 +63,7 @@ class GraspPlan:
 def best(
     body: Object, robot: Object, link: str, names: Sequence[str] | None = None, refused: Collection[Grasp] = ()
 ) -> GraspPlan:
-    """Return the grasp that touches least.
+    """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
     Args:
         body: the target.
@@ -72,13 +72,33 @@ def best(
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
     """
+    plan = _best(body, robot, link, names, refused, off_center=False)
+    if plan.grasp is None or plan.obstacles:
+        other = _best(body, robot, link, names, refused, off_center=True)
+        if other.grasp is not None and not other.obstacles:
+            return other
+    return plan
+
+
+def _best(
+    body: Object,
+    robot: Object,
+    link: str,
+    names: Sequence[str] | None,
+    refused: Collection[Grasp],
+    *,
+    off_center: bool,
+) -> GraspPlan:
     arm = robot.description.arm_of(link) if robot.description else None
+    if arm is None and off_center:
+        return GraspPlan(None, None)
     solver = Solver(robot, link)
     if arm is None:
         grasps: Sequence[Grasp] = [Grasp("any", center(body), IDENTITY[1], 0.0)]
         solved = solver.search([(grasp.position, None, None) for grasp in grasps])
     else:
-        grasps = [grasp for grasp in candidates(body, robot, arm, names) if grasp not in refused]
+        every = candidates(body, robot, arm, names, off_center=off_center)
+        grasps = [grasp for grasp in every if grasp not in refused]
         targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
         solved = solver.closed_form(targets)
         if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
