@@ -14,6 +14,7 @@ from collections import deque
 from typing import TYPE_CHECKING, Final
 
 from pycram.world import simulation
+from pycram.world.overlaps import DEEP, depth
 from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry, records
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-DEEP: Final = 5e-3
-"""m of overlap that doesn't come from how solvers let things rest on each other."""
 _SLOW: Final = 2e-3  # m/s
 _SLOW_TURN: Final = 2e-2  # rad/s
 _INTERVALS: Final = 4  # in a row
@@ -54,18 +53,12 @@ def separate(world: BulletWorld) -> None:
     """Lift free objects out of each other, what was loaded later up: engines jam or throw them."""
     free = [body for body in world.objects if not body.fixed and not body.attachments]
     for _ in free:
-        pair = next((pair for pair in itertools.combinations(free, 2) if overlap(*pair) > DEEP), None)
+        pair = next((pair for pair in itertools.combinations(free, 2) if depth(*pair) > DEEP), None)
         if pair is None:
             return
         earlier, later = pair
         x, y, z = later.get_position()
         later.set_position([x, y, z + earlier.get_AABB()[1][2] - later.get_AABB()[0][2]])
-
-
-def overlap(body: Object, other: Object) -> float:
-    """Return how deep an object is in another, m; 0 if not at all."""
-    points = body.world.engine.closest_points(body.handle, other.handle)
-    return max((-point.distance for point in points), default=0.0)
 
 
 class RestDetector:

@@ -20,6 +20,7 @@ from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.object import Object
+from pycram.world.overlaps import overlaps
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
 from recorder import records
@@ -191,6 +192,7 @@ class BulletWorld(metaclass=CurrentWorld):
             if body.color is not None:
                 self.engine.set_color(handle, body.color)
             self._objects[body.name] = body
+            body.overlaps = overlaps(body)
             if journal.recording():
                 journal.attach(body.model.files)
                 command.load_body.CopyFrom(body.load_record)

@@ -10,7 +10,7 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice, fingers
 from pycram.reasoning.grasping.grasps import leaning
-from pycram.world import settling
+from pycram.world import overlaps
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -64,8 +64,8 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
         for other in robot.world.objects:
             if other is not body and not other.is_robot:
-                depth = settling.overlap(body, other)
-                if depth > settling.DEEP:
+                depth = overlaps.depth(body, other)
+                if depth > overlaps.DEEP:
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
 
