@@ -85,4 +85,4 @@ def test_out_of_reach_is_not_in_the_way(scene: BulletWorld) -> None:
     ],
 )
 def test_pairs_in_words(pair: CollisionPair, words: str) -> None:
-    assert pair.phrase().startswith(words)
+    assert str(pair).startswith(words)
