@@ -150,7 +150,7 @@ def _check_outcome(
         reasons.append(f"it leans by {math.degrees(lean):.0f} degrees")
     elif orientation is not None and turned > _TURNED:
         reasons.append(f"it is turned by {math.degrees(turned):.0f} degrees")
-    elif lean > _LEANING and _load(robot, body) > _LOAD:
+    elif lean > _LEANING and _load(robot, body) > _LOAD and not placing.stands_alone(body):
         reasons.append("it leans on the gripper")
     if reasons:
         at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"

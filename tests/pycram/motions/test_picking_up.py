@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import MotionDesignator
 from pycram.failures import Blocked, GraspFailed, PlanFailure
-from pycram.process_module import ProcessModule
 from recorder import geometry
 from tests.measures import seeded
-from tests.pycram.motions.placing_scenes import TOP, at_table
+from tests.pycram.motions.placing_scenes import TOP, at_table, perform
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,10 +33,6 @@ KINDS = (
     "pot",
 )
 FINGERS = [f"l_gripper_{side}_finger{part}_link" for side in "lr" for part in ("", "_tip")]
-
-
-def perform(**slots: object) -> object:
-    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
 
 
 @pytest.fixture(scope="module")
