@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
@@ -17,7 +17,7 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
@@ -74,46 +74,70 @@ class Place(SimulatedModule):
             _check_outcome(robot, body, target, plan.pose, orientation, restless)
 
 
+@dataclass(slots=True)
+class _Refusals:
+    """Why poses and postures won't do.
+
+    Attributes:
+        no_room: there is none for the object.
+        misses: m that the nearest posture stays away.
+        pairs: links that would meet, by the name of what is in the way.
+    """
+
+    no_room: list[PlaceFailed] = field(default_factory=list)
+    misses: list[float] = field(default_factory=list)
+    pairs: dict[str, CollisionPair] = field(default_factory=dict)
+
+
 def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None) -> _Plan:
     """Return the first posture in which nothing is in the way, not even when the fingers open.
 
     Raises:
-        PlaceFailed: There is none.
+        PlaceFailed: There is none, or no room.
         Unreachable: No posture brings the object there.
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),
         robot.get_link_position_and_orientation(arm.tool_frame),
     )
-    misses: list[float] = []
-    blockers: dict[str, CollisionPair] = {}
-
-    def poses() -> Iterator[tuple[Pose, bool]]:  # all of them searched for quickly, then again thoroughly
-        tried: list[Pose] = []
-        for turn in _orientations(robot, body, body_T_tool, orientation):
-            tried.append((placing.set_down(body, target, turn), turn))
-            yield tried[-1], True
-        yield from ((pose, False) for pose in tried)
-
-    for pose, quick in poses():
+    refusals = _Refusals()
+    turns = _orientations(robot, body, body_T_tool, orientation)
+    for pose, quick in _poses(body, target, turns, refusals):
         position, turn = geometry.multiply(pose, body_T_tool)
         for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
             if not posture.reaches():
-                misses.append(posture.position_error)
+                refusals.misses.append(posture.position_error)
                 continue
-            touched = checker.touched(robot, posture.positions)
-            pairs = [collision["pair"] for collision in touched.values()]
+            pairs = [collision["pair"] for collision in checker.touched(robot, posture.positions).values()]
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
                     return _Plan(posture.positions, pose, opening.positions)
                 pairs = list(opening.stopped_by)
             for pair in pairs:
-                blockers.setdefault(pair.body, pair)
-    if blockers:
-        pairs = [blockers[name] for name in sorted(blockers)]
+                refusals.pairs.setdefault(pair.body, pair)
+    if refusals.pairs:
+        pairs = [refusals.pairs[name] for name in sorted(refusals.pairs)]
         raise PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
-    raise Unreachable(arm.name, target, min(misses, default=None))
+    if refusals.misses:
+        raise Unreachable(arm.name, target, min(refusals.misses))
+    raise refusals.no_room[0]
+
+
+def _poses(
+    body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals
+) -> Iterator[tuple[Pose, bool]]:
+    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly."""
+    tried: list[Pose] = []
+    for turn in turns:
+        try:
+            position = placing.set_down(body, target, turn)
+        except PlaceFailed as failure:  # there may be room for it when it is turned
+            refusals.no_room.append(failure)
+            continue
+        tried.append((position, turn))
+        yield tried[-1], True
+    yield from ((pose, False) for pose in tried)
 
 
 def _check_outcome(

@@ -28,15 +28,22 @@ HEIGHTS: Final = {  # m: of the base frame above what an upright object stands o
     "bowl": 0.0365,
     "apple": 0.0428,
     "spoon": 0.0126,
+    "knife": 0.0075,
+    "fork": 0.0108,
 }
 TALL: Final = ("milk", "breakfast_cereal", "cup", "bottle", "glass")
-_HALF: Final = {
+_HALF: Final = {  # m: half of their width
     "milk": 0.036,
     "breakfast_cereal": 0.05,
     "cup": 0.046,
     "bottle": 0.038,
     "glass": 0.038,
-}  # m: about as wide
+    "bowl": 0.073,
+    "spoon": 0.026,
+    "knife": 0.013,
+    "fork": 0.015,
+}
+NARROW: Final = ("spoon", "knife", "fork", "bowl", "glass")  # where they are held: fingers open far
 KINDS: Final = ("edge", "clutter", "slope", "bowl")
 _BOX: Final = (
     '<robot name="{name}"><link name="{name}"><visual><geometry><box size="{size}"/></geometry></visual>'
@@ -151,7 +158,7 @@ def random_placing(world: BulletWorld, folder: Path, seed: int) -> Placing:
 def beside_a_neighbour(world: BulletWorld, seed: int) -> Placing:
     """A place on the table with something that stands 3 to 40 mm beside it, on any side."""
     rng = np.random.default_rng(seed)
-    kind, other = str(rng.choice(TALL)), str(rng.choice(TALL))
+    kind, other = str(rng.choice(NARROW)), str(rng.choice(TALL))
     body = hold(world, kind, float(rng.uniform(-1.5, 1.5)))
     x, y = float(rng.uniform(0.55, 0.68)), float(rng.uniform(0.0, 0.3))
     way, gap = float(rng.uniform(-math.pi, math.pi)), float(rng.uniform(0.003, 0.04))
