@@ -41,9 +41,11 @@ def parse_urdf(text: str | bytes, source: str | Path) -> Urdf:
     """Return the tree of links and joints of a URDF; errors name its source.
 
     Raises:
-        AssetError: It isn't a URDF, or not one tree.
+        AssetError: It isn't a URDF, or not one tree, or a joint mimics itself.
     """
     try:
-        return Urdf.parse(text)
+        tree = Urdf.parse(text)
+        tree.mimics  # noqa: B018  computed once, when first asked for
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
+    return tree

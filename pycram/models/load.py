@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import links, mesh, store
 from pycram.models.files import parse_urdf, read_text
+from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
@@ -36,11 +37,13 @@ class Model:
         path: The canonical URDF in the store.
         urdf: Its tree of links and joints.
         files: All its files, the URDF first, which refers to the others by their keys.
+        loading: How the engine makes a body of it.
     """
 
     path: Path
     urdf: Urdf
     files: tuple[AssetFile, ...]
+    loading: Loading = NOW
 
 
 def resources() -> Path:
@@ -100,11 +103,12 @@ def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
-def restore(files: Iterable[tuple[str, bytes]]) -> Model:
+def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
     """Load a model from a recording's attachments as they are: they were canonical when recorded.
 
     Args:
         files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
+        loading: How the engine made a body of it.
 
     Raises:
         AssetError: A file's name isn't the hash of its content, or the URDF is broken.
@@ -119,7 +123,7 @@ def restore(files: Iterable[tuple[str, bytes]]) -> Model:
         assets.append(asset)
     tree = parse_urdf(assets[0].content, assets[0].key)
     path, _ = store.write_urdf(assets[0].name, assets[0].content)
-    return Model(path, tree, tuple(assets))
+    return Model(path, tree, tuple(assets), loading)
 
 
 def _decompose(content: bytes) -> bytes:
@@ -176,8 +180,14 @@ def _cached_model(source: Path, text: str, stem: str, versions: tuple[_MeshVersi
     for material in root.iter("material"):
         for texture in material.findall("texture"):
             material.remove(texture)  # the software renderer shows plain colours
-    for link in root.iter("link"):
-        links.give_inertia(link)
+    moved = {
+        child.get("link")
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed"
+        for child in joint.findall("child")
+    }
+    for link in root.findall("link"):
+        links.give_inertia(link, moved=link.get("name") in moved)
     _normalize_axes(root, parse_urdf(ET.tostring(root, encoding="unicode"), source))
     content = ET.tostring(root, encoding="unicode")
     tree = parse_urdf(content, source)

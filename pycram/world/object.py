@@ -172,6 +172,7 @@ class Object:
             fixed_base=self.fixed,
             joints=self.joints,
             robot_description=self.description.text if self.description else "",
+            loading=model.loading.to_record(),
         )
 
     def get_joint_id(self, name: str) -> int:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
@@ -32,6 +32,20 @@ class UrdfError(ValueError):
         self.reason = reason
 
 
+class Mimic(NamedTuple):
+    """That a joint follows another: its value is ``multiplier * value of the leader + offset``.
+
+    Attributes:
+        leader: name of the joint that it follows.
+        multiplier: without a unit, or m/rad or rad/m.
+        offset: in rad or m.
+    """
+
+    leader: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class Joint:
     """The connection of a link to its parent.
@@ -47,6 +61,7 @@ class Joint:
         upper: upper limit in rad or m; inf if continuous, 0 if fixed.
         effort: largest force or torque in N or Nm, inf if not given.
         velocity: largest velocity in rad/s or m/s, inf if not given.
+        mimic: what it follows, if anything.
     """
 
     name: str
@@ -59,6 +74,7 @@ class Joint:
     upper: float = 0.0
     effort: float = math.inf
     velocity: float = math.inf
+    mimic: Mimic | None = None
 
     @property
     def movable(self) -> bool:
@@ -112,7 +128,16 @@ def read_joint(robot: str, element: ET.Element) -> Joint:
         upper=upper,
         effort=effort,
         velocity=velocity,
+        mimic=_mimic(robot, name, element) if kind != "fixed" else None,
     )
+
+
+def _mimic(robot: str, joint: str, element: ET.Element) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    multiplier = _number(robot, joint, "mimic multiplier", mimic.get("multiplier", "1"))
+    return Mimic(mimic.get("joint", ""), multiplier, _number(robot, joint, "mimic offset", mimic.get("offset", "0")))
 
 
 def _axis(robot: str, joint: str, element: ET.Element) -> Vector:

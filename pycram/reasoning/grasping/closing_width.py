@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.world.joints import coupled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -35,7 +36,7 @@ def closed_around(
     engine, hand, target = clone.engine, bodies[robot.name], bodies[body.name]
 
     def touches(share: float) -> bool:
-        engine.set_joints(hand, gripper.at(share))
+        engine.set_joints(hand, coupled(robot, gripper.at(share)))
         return any(
             touch.distance < -_SLACK
             for finger in gripper.fingers
