@@ -7,15 +7,15 @@ The same store can be built again from a recording's attachments on another mach
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import links, mesh, store
-from pycram.models.files import parse_urdf, read_text
+from pycram.models import canonical, mesh, store
+from pycram.models import packages as packages_of
+from pycram.models.files import parse_urdf, read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
@@ -83,23 +83,28 @@ def find(path: str | Path) -> Path:
     raise AssetError(path, f"no such file; PyCRAM's own are pr2.urdf, {', '.join(known)}")
 
 
-def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
+def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:
     """Check a model and make it canonical.
 
     Args:
         path: A .urdf, .stl, .obj or .dae file, as :func:`find` takes it.
         color: RGBA 0..1 for a mesh; None keeps the colours of the file.
+        packages: Folders of ROS packages that a URDF names, or folders in which these are; see
+            :mod:`pycram.models.packages`.
 
     Raises:
+        BadArgument: A folder of packages doesn't exist.
         AssetError: The file or one of its meshes is missing, broken or of an unknown type.
     """
     file = find(path)
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
         if kind == ".urdf":
-            return _canonical(file, read_text(file), file.stem)
+            return _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages))
         if kind in _MESH_SUFFIXES:
-            return _canonical(file, mesh.as_urdf(file, color, _decompose), file.stem)
+            return _canonical(file, mesh.as_urdf(file, color, _decompose).encode(), file.stem)
+    if kind == ".xacro":
+        canonical.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
@@ -136,23 +141,22 @@ def _decompose(content: bytes) -> bytes:
     return pieces.read_bytes()
 
 
-def _canonical(source: Path, text: str, stem: str) -> Model:
-    return _cached_model(source, text, stem, tuple(_version(source, name) for name in _mesh_names(source, text)))
+def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
+    found = {name: packages_of.find_mesh(source, name, packages) for name in _mesh_names(source, content)}
+    versions = ((name, file, file.stat()) for name, file in found.items())
+    return _cached_model(
+        source,
+        content,
+        stem,
+        tuple(_MeshVersion(name, file, of.st_mtime_ns, of.st_size) for name, file, of in versions),
+    )
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def _mesh_names(source: Path, text: str) -> tuple[str, ...]:
+def _mesh_names(source: Path, content: bytes) -> tuple[str, ...]:
     """Check a URDF's links and return the file names of its meshes."""
-    root = _parsed(source, text)
-    _check_links(source, root)
+    root = canonical.read(source, content)
     return tuple(dict.fromkeys(element.get("filename", "") for element in root.iter("mesh")))
-
-
-def _parsed(source: Path, text: str) -> ET.Element:
-    try:
-        return ET.fromstring(text)  # noqa: S314  a model of the user's own, and expat limits entity expansion
-    except ET.ParseError as error:
-        raise AssetError(source, f"is not well-formed XML: {error}") from error
 
 
 class _MeshVersion(NamedTuple):
@@ -164,76 +168,22 @@ class _MeshVersion(NamedTuple):
     size: int
 
 
-def _version(source: Path, name: str) -> _MeshVersion:
-    found = _find_mesh(source, name)
-    about = found.stat()
-    return _MeshVersion(name, found, about.st_mtime_ns, about.st_size)
-
-
 @lru_cache(maxsize=_CACHED_MODELS)
-def _cached_model(source: Path, text: str, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
+def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
     """Return the model of a URDF with these versions of its meshes; most of a world's loading time would be this."""
-    root = _parsed(source, text)
+    root = canonical.read(source, content)
     meshes = {version.name: _checked_mesh(*version[1:]) for version in versions}
     for element in root.iter("mesh"):
         element.set("filename", meshes[element.get("filename", "")].key)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
             material.remove(texture)  # the software renderer shows plain colours
-    moved = {
-        child.get("link")
-        for joint in root.findall("joint")
-        if joint.get("type") != "fixed"
-        for child in joint.findall("child")
-    }
-    for link in root.findall("link"):
-        links.give_inertia(link, moved=link.get("name") in moved)
-    _normalize_axes(root, parse_urdf(ET.tostring(root, encoding="unicode"), source))
-    content = ET.tostring(root, encoding="unicode")
-    tree = parse_urdf(content, source)
-    path, asset = store.write_urdf(f"{stem}.urdf", content.encode())
+    text, tree = canonical.write(source, root)
+    path, asset = store.write_urdf(f"{stem}.urdf", text)
     return Model(path, tree, (asset, *{mesh.key: mesh for mesh in meshes.values()}.values()))
-
-
-def _check_links(source: Path, root: ET.Element) -> None:
-    if root.tag != "robot":
-        raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
-    names = [link.get("name", "") for link in root.iter("link")]
-    if not names:
-        raise AssetError(source, "has no links")
-    if not root.get("name", "").strip():
-        raise AssetError(source, "its <robot> has no name")
-    for link in root.iter("link"):
-        links.check(source, link)
-
-
-def _find_mesh(source: Path, name: str) -> Path:
-    """Find a mesh as a URDF names it: absolute, relative, file:// or package:// (in all folders above the URDF)."""
-    if not name:
-        raise AssetError(source, "has a <mesh> without filename")
-    relative = name.removeprefix("file://")
-    if name.startswith("package://"):
-        relative = name.removeprefix("package://")
-        without_package = relative.partition("/")[2]
-        candidates = (folder / part for folder in source.parents for part in (relative, without_package))
-    else:
-        candidates = (folder / relative for folder in (source.parent, store.folder()))
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise AssetError(source, f"its mesh {name} doesn't exist")
 
 
 @cache
 def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
     return store.write_mesh(*mesh.convert(file))
-
-
-def _normalize_axes(root: ET.Element, tree: Urdf) -> None:
-    """Give axes unit length: PyBullet multiplies joint values by it, so that a drawer would open too far."""
-    for joint in root.iter("joint"):
-        axis = joint.find("axis")
-        name = joint.get("name", "")
-        if axis is not None and tree.joints[name].movable:
-            axis.set("xyz", " ".join(map(repr, tree.joints[name].axis)))

@@ -47,6 +47,8 @@ class Object:
         world: The current world by default.
         color: RGBA 0..1 for a mesh; None keeps its own colours.
         description: Of a robot; by default found by the name in its URDF.
+        packages: Folders of ROS packages that the URDF's meshes are in (``package://``), or folders that hold these;
+            others are looked for as :mod:`pycram.models.packages` says.
         model: The loaded model, where it doesn't come from the path but from a recording.
 
     Raises:
@@ -66,6 +68,7 @@ class Object:
         color: Sequence[float] | None = None,
         *,
         description: RobotDescription | None = None,
+        packages: Sequence[str | Path] = (),
         model: Model | None = None,
     ) -> None:
         from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds hold objects
@@ -83,7 +86,7 @@ class Object:
         self.path = str(path)
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         self.color = None if color is None else checks.color("color", color)
-        self.model = model or load.load(path, self.color)
+        self.model = model or load.load(path, self.color, packages)
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | None = None
         if self.is_robot:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
+_CHAINS: Final = ("planar", "floating")  # which become chains of the others
 
 
 class UrdfError(ValueError):
@@ -94,16 +95,22 @@ class Joint:
         return self.origin[0], geometry.product(self.origin[1], (x * s, y * s, z * s, math.cos(half)))
 
 
-def read_joint(robot: str, element: ET.Element) -> Joint:
-    """Reads the element of a joint; the robot's name is for errors.
+def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Joint:
+    """Reads the element of a joint.
+
+    Args:
+        robot: its name.
+        element: the joint's.
+        chains: whether it may be planar or floating.
 
     Raises:
         UrdfError: something is missing, or no number.
     """
     name = element.get("name", "")
     kind = element.get("type", "")
-    if kind not in _KINDS:
-        raise UrdfError(robot, f"joint {name or '(without name)'} is {kind!r}, not one of {', '.join(_KINDS)}")
+    if kind not in _KINDS and not (chains and kind in _CHAINS):
+        known = ", ".join((*_KINDS, *_CHAINS) if chains else _KINDS)
+        raise UrdfError(robot, f"joint {name or '(without name)'} is {kind!r}, not one of {known}")
     ends = {}
     for role in ("parent", "child"):
         end = element.find(role)
@@ -123,7 +130,7 @@ def read_joint(robot: str, element: ET.Element) -> Joint:
         parent=ends["parent"],
         child=ends["child"],
         origin=pose,
-        axis=_axis(robot, name, element) if kind != "fixed" else (1.0, 0.0, 0.0),
+        axis=_axis(robot, name, element) if kind not in ("fixed", "floating") else (1.0, 0.0, 0.0),
         lower=lower,
         upper=upper,
         effort=effort,
@@ -157,7 +164,7 @@ def _limits(robot: str, joint: str, kind: str, limit: ET.Element | None) -> tupl
     effort, velocity = number("effort", math.inf), number("velocity", math.inf)
     if kind == "fixed":
         return 0.0, 0.0, effort, velocity
-    if kind == "continuous":
+    if kind in ("continuous", *_CHAINS):
         return -math.inf, math.inf, effort, velocity
     if limit is None:
         raise UrdfError(robot, f"{kind} joint {joint} has no limits")

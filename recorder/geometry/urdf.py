@@ -44,8 +44,13 @@ class Urdf:
     movable: tuple[str, ...] = field(repr=False)
 
     @classmethod
-    def parse(cls, text: str | bytes) -> Urdf:
+    def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
         """Reads a URDF document.
+
+        Args:
+            text: the document.
+            chains: whether planar and floating joints may be in it, which have no kinematics of their own: in models
+                that are loaded they are chains of other joints.
 
         Raises:
             UrdfError: it isn't XML, or not one tree of named links with joints of known types.
@@ -60,7 +65,7 @@ class Urdf:
         links = _unique(name, "link", (element.get("name", "") for element in document.findall("link")))
         if not links:
             raise UrdfError(name, "it has no links")
-        joints = [read_joint(name, element) for element in document.findall("joint")]
+        joints = [read_joint(name, element, chains=chains) for element in document.findall("joint")]
         _unique(name, "joint", (joint.name for joint in joints))
         parents, children = _ends(name, links, joints)
         roots = [link for link in links if link not in parents]

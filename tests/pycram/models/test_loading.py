@@ -45,7 +45,9 @@ def arm(folder: Path, limit: str, extra: str = "") -> Path:
 
 @pytest.mark.parametrize("dynamics", ["", '<dynamics damping="2e10" friction="100"/>', '<dynamics damping="0.5"/>'])
 @pytest.mark.parametrize("limit", ['lower="-2" upper="2"', 'lower="0.4" upper="2"', 'lower="-2" upper="-0.4"'])
-def test_a_robot_that_nothing_touches_holds_still(tmp_path: Path, world: BulletWorld, dynamics: str, limit: str) -> None:
+def test_a_robot_that_nothing_touches_holds_still(
+    tmp_path: Path, world: BulletWorld, dynamics: str, limit: str
+) -> None:
     file = arm(tmp_path, f'<limit {limit} effort="0.001" velocity="0.1"/>{dynamics}')
     robot = Object("arm", "robot", file, [0, 0, 1], [0, 0.6, 0, 0.8])
     start = robot.get_joint_positions()
@@ -74,7 +76,9 @@ GRIPPER = (
     '<link name="palm"/>'
     + "".join(f'<link name="{name}"/>' for name in ("leader", "follower", "second", "guided"))
     + joint("lead", "palm", "leader", '<limit lower="0" upper="1"/>')
-    + joint("follow", "palm", "follower", '<limit lower="-3" upper="3"/><mimic joint="lead" multiplier="-2" offset="0.5"/>')
+    + joint(
+        "follow", "palm", "follower", '<limit lower="-3" upper="3"/><mimic joint="lead" multiplier="-2" offset="0.5"/>'
+    )
     + joint("chained", "palm", "second", '<limit lower="-1" upper="3"/><mimic joint="follow" multiplier="0.5"/>')
     + joint("guide", "palm", "guided", '<limit lower="0" upper="0.2"/><mimic joint="lead"/>', "prismatic")
 )
@@ -103,7 +107,9 @@ def test_mimic_joints_move_with_the_joint_that_they_mimic(tmp_path: Path, world:
 def test_joints_that_mimic_each_other_can_t_be_torn_apart(tmp_path: Path, world: BulletWorld) -> None:
     robot = Object("hand", "robot", hand(tmp_path))
     before = robot.get_joint_positions()
-    with pytest.raises(BadArgument, match=r"follow = 1.* expected 0\.3, as it mimics lead, which goes to 0\.1; set lead"):
+    with pytest.raises(
+        BadArgument, match=r"follow = 1.* expected 0\.3, as it mimics lead, which goes to 0\.1; set lead"
+    ):
         robot.set_joint_positions({"lead": 0.1, "follow": 1.0})
     with pytest.raises(BadArgument, match=r"joint lead of hand = -1\.0: expected a value from 0 to 1"):
         robot.set_joint_position("follow", 2.5)
