@@ -7,6 +7,8 @@ The same store can be built again from a recording's attachments on another mach
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -172,18 +174,57 @@ class _MeshVersion(NamedTuple):
 def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
     """Return the model of a URDF with these versions of its meshes; most of a world's loading time would be this."""
     root = canonical.read(source, content)
-    meshes = {version.name: _checked_mesh(*version[1:]) for version in versions}
-    for element in root.iter("mesh"):
-        element.set("filename", meshes[element.get("filename", "")].key)
+    files = {version.name: version[1:] for version in versions}
+    used: dict[str, AssetFile] = {}
+    for link in root.findall("link"):
+        for collision in link.findall("collision"):
+            for element in collision.iter("mesh"):
+                asset = _collision_mesh(*files[element.get("filename", "")])
+                element.set("filename", used.setdefault(asset.key, asset).key)
+        for visual in link.findall("visual"):
+            shown = visual.find("geometry/mesh")
+            if shown is not None:
+                _color(link, visual, shown, _visual_meshes(*files[shown.get("filename", "")]), used)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
-            material.remove(texture)  # the software renderer shows plain colours
+            material.remove(texture)  # they are for meshes, which have their own
     text, tree = canonical.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text)
-    return Model(path, tree, (asset, *{mesh.key: mesh for mesh in meshes.values()}.values()))
+    return Model(path, tree, (asset, *used.values()))
+
+
+def _color(
+    link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
+) -> None:
+    """Put a visual for each colour of a mesh in its place: the mesh's own colours win over the URDF's, as in RViz."""
+    place = list(link).index(visual)
+    link.remove(visual)
+    for number, (asset, rgba) in enumerate(parts):
+        shown.set("filename", used.setdefault(asset.key, asset).key)
+        part = deepcopy(visual)
+        if rgba is not None:
+            for material in part.findall("material"):
+                part.remove(material)
+            material = ET.SubElement(part, "material", name=f"{asset.name} {asset.sha256[:8]}")
+            ET.SubElement(material, "color", rgba=" ".join(f"{value:.6g}" for value in rgba))
+        link.insert(place + number, part)
+
+
+class _Painted(NamedTuple):
+    """A mesh in the store, and its colour RGBA 0..1 if it has one."""
+
+    asset: AssetFile
+    rgba: Sequence[float] | None
 
 
 @cache
-def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
+def _collision_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
-    return store.write_mesh(*mesh.convert(file))
+    return store.write_mesh(*mesh.convert_collision(file))
+
+
+@cache
+def _visual_meshes(file: Path, _modified: int, _size: int) -> tuple[_Painted, ...]:
+    """Write what is seen of a mesh into the store, by colour; checked once per version of the file."""
+    parts = mesh.convert_visual(file)
+    return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)

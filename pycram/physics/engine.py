@@ -95,6 +95,8 @@ class Engine:
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
+        if not self._window:  # nobody sees them: pictures are drawn from the model itself
+            flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
         number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
