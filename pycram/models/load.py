@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import canonical, mesh, store
-from pycram.models import packages as packages_of
+from pycram.models import canonical, mesh, packages as packages_of, store
 from pycram.models.files import parse_urdf, read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile

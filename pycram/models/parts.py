@@ -16,7 +16,7 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.models import texture
-from recorder.extras import needed
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from recorder.extras import needed
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

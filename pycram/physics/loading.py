@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import LoadBody
-from recorder.records import Loading as LoadingRecord
+from recorder.records import LoadBody, Loading as LoadingRecord
 
 if TYPE_CHECKING:
     from recorder.geometry.urdf import Urdf
