@@ -13,6 +13,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
+def read_bytes(file: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        AssetError: It can't be read.
+    """
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise AssetError(file, f"can't be read: {error}") from error
+
+
 def read_text(file: Path) -> str:
     """Return the content of a UTF-8 file.
 
@@ -37,13 +49,20 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
         raise AssetError(source, f"is not TOML: {error}") from error
 
 
-def parse_urdf(text: str | bytes, source: str | Path) -> Urdf:
+def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
     """Return the tree of links and joints of a URDF; errors name its source.
 
+    Args:
+        text: The document.
+        source: Its file.
+        chains: Whether its planar and floating joints are yet to be made chains of others.
+
     Raises:
-        AssetError: It isn't a URDF, or not one tree.
+        AssetError: It isn't a URDF, or not one tree, or a joint mimics itself.
     """
     try:
-        return Urdf.parse(text)
+        tree = Urdf.parse(text, chains=chains)
+        tree.mimics  # noqa: B018  computed once, when first asked for
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
+    return tree

@@ -9,6 +9,8 @@ import math
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from pycram.foundation.failures import AssetError
 
 if TYPE_CHECKING:
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 DENSITY: Final = 700.0  # kg/m^3, of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
+_JOINT_INERTIA: Final = 0.05  # kg m^2, of frames between joints, as of rotors: motors in a row agree sooner
+_ROUNDING: Final = 1e-9  # kg m^2 below 0 that are a rounding error of a mesh tool
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -73,7 +77,7 @@ def _check_inertial(source: Path, where: str, inertial: ET.Element) -> None:
             raise AssetError(source, f"{where}: its <inertial> has no <{name}>")
         for attribute in attributes:
             (value,) = _numbers(source, f"{where}, {name}", element, attribute, 1)
-            if value < 0 and attribute in ("value", "ixx", "iyy", "izz"):
+            if value < -_ROUNDING and attribute in ("value", "ixx", "iyy", "izz"):
                 raise AssetError(source, f"{where}: its {name} is {element.get(attribute)!r}, less than 0")
 
 
@@ -96,9 +100,19 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
     return values
 
 
-def give_inertia(link: ET.Element) -> None:
-    """Give a checked ``<link>`` element without inertia that of a solid of household density."""
-    if link.find("inertial") is not None:
+def give_inertia(link: ET.Element, *, moved: bool) -> None:
+    """Give a checked ``<link>`` element without inertia that of a solid of household density.
+
+    One whose inertia no body can have, such as two moments that don't add up to the third, gets moments that are their
+    mean: the engine would make them 0.
+
+    Args:
+        link: The element.
+        moved: Whether a joint moves it.
+    """
+    inertia = link.find("inertial/inertia")
+    if inertia is not None:
+        _balance(inertia)
         return
     sizes = [size for collision in link.findall("collision") if (size := _box(collision)) is not None]
     if sizes:
@@ -106,11 +120,19 @@ def give_inertia(link: ET.Element) -> None:
         x, y, z = max(sizes, key=lambda size: size[0] * size[1] * size[2])
         moments = [mass / 12 * (b * b + c * c) for b, c in ((y, z), (x, z), (x, y))]
     else:
-        mass, moments = _FRAME_MASS, [_FRAME_INERTIA] * 3
+        mass, moments = _FRAME_MASS, [_JOINT_INERTIA if moved else _FRAME_INERTIA] * 3
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "mass", value=repr(mass))
     tensor = dict.fromkeys(_MOMENTS, "0") | dict(zip(("ixx", "iyy", "izz"), map(repr, moments), strict=True))
     ET.SubElement(inertial, "inertia", attrib=tensor)
+
+
+def _balance(inertia: ET.Element) -> None:
+    ixx, ixy, ixz, iyy, iyz, izz = (float(inertia.get(moment, "0")) for moment in _MOMENTS)
+    low, middle, high = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]).tolist()
+    if low < 0 or high > low + middle:
+        mean = repr(max((ixx + iyy + izz) / 3, 0.0))
+        inertia.attrib.update(dict.fromkeys(_MOMENTS, "0") | {"ixx": mean, "iyy": mean, "izz": mean})
 
 
 def _box(collision: ET.Element) -> tuple[float, float, float] | None:

@@ -8,14 +8,16 @@ The same store can be built again from a recording's attachments on another mach
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import links, mesh, store
-from pycram.models.files import parse_urdf, read_text
+from pycram.models import canonical, mesh, packages as packages_of, store
+from pycram.models.files import parse_urdf, read_bytes
+from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
@@ -36,11 +38,13 @@ class Model:
         path: The canonical URDF in the store.
         urdf: Its tree of links and joints.
         files: All its files, the URDF first, which refers to the others by their keys.
+        loading: How the engine makes a body of it.
     """
 
     path: Path
     urdf: Urdf
     files: tuple[AssetFile, ...]
+    loading: Loading = NOW
 
 
 def resources() -> Path:
@@ -80,31 +84,37 @@ def find(path: str | Path) -> Path:
     raise AssetError(path, f"no such file; PyCRAM's own are pr2.urdf, {', '.join(known)}")
 
 
-def load(path: str | Path, color: Sequence[float] | None = None) -> Model:
+def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:
     """Check a model and make it canonical.
 
     Args:
         path: A .urdf, .stl, .obj or .dae file, as :func:`find` takes it.
         color: RGBA 0..1 for a mesh; None keeps the colours of the file.
+        packages: Folders of ROS packages that a URDF names, or folders in which these are; see
+            :mod:`pycram.models.packages`.
 
     Raises:
+        BadArgument: A folder of packages doesn't exist.
         AssetError: The file or one of its meshes is missing, broken or of an unknown type.
     """
     file = find(path)
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
         if kind == ".urdf":
-            return _canonical(file, read_text(file), file.stem)
+            return _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages))
         if kind in _MESH_SUFFIXES:
-            return _canonical(file, mesh.as_urdf(file, color, _decompose), file.stem)
+            return _canonical(file, mesh.as_urdf(file, color, _decompose).encode(), file.stem)
+    if kind == ".xacro":
+        canonical.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
-def restore(files: Iterable[tuple[str, bytes]]) -> Model:
+def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
     """Load a model from a recording's attachments as they are: they were canonical when recorded.
 
     Args:
         files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
+        loading: How the engine made a body of it.
 
     Raises:
         AssetError: A file's name isn't the hash of its content, or the URDF is broken.
@@ -119,7 +129,7 @@ def restore(files: Iterable[tuple[str, bytes]]) -> Model:
         assets.append(asset)
     tree = parse_urdf(assets[0].content, assets[0].key)
     path, _ = store.write_urdf(assets[0].name, assets[0].content)
-    return Model(path, tree, tuple(assets))
+    return Model(path, tree, tuple(assets), loading)
 
 
 def _decompose(content: bytes) -> bytes:
@@ -132,23 +142,22 @@ def _decompose(content: bytes) -> bytes:
     return pieces.read_bytes()
 
 
-def _canonical(source: Path, text: str, stem: str) -> Model:
-    return _cached_model(source, text, stem, tuple(_version(source, name) for name in _mesh_names(source, text)))
+def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
+    found = {name: packages_of.find_mesh(source, name, packages) for name in _mesh_names(source, content)}
+    versions = ((name, file, file.stat()) for name, file in found.items())
+    return _cached_model(
+        source,
+        content,
+        stem,
+        tuple(_MeshVersion(name, file, of.st_mtime_ns, of.st_size) for name, file, of in versions),
+    )
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def _mesh_names(source: Path, text: str) -> tuple[str, ...]:
+def _mesh_names(source: Path, content: bytes) -> tuple[str, ...]:
     """Check a URDF's links and return the file names of its meshes."""
-    root = _parsed(source, text)
-    _check_links(source, root)
+    root = canonical.read(source, content)
     return tuple(dict.fromkeys(element.get("filename", "") for element in root.iter("mesh")))
-
-
-def _parsed(source: Path, text: str) -> ET.Element:
-    try:
-        return ET.fromstring(text)  # noqa: S314  a model of the user's own, and expat limits entity expansion
-    except ET.ParseError as error:
-        raise AssetError(source, f"is not well-formed XML: {error}") from error
 
 
 class _MeshVersion(NamedTuple):
@@ -160,70 +169,61 @@ class _MeshVersion(NamedTuple):
     size: int
 
 
-def _version(source: Path, name: str) -> _MeshVersion:
-    found = _find_mesh(source, name)
-    about = found.stat()
-    return _MeshVersion(name, found, about.st_mtime_ns, about.st_size)
-
-
 @lru_cache(maxsize=_CACHED_MODELS)
-def _cached_model(source: Path, text: str, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
+def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
     """Return the model of a URDF with these versions of its meshes; most of a world's loading time would be this."""
-    root = _parsed(source, text)
-    meshes = {version.name: _checked_mesh(*version[1:]) for version in versions}
-    for element in root.iter("mesh"):
-        element.set("filename", meshes[element.get("filename", "")].key)
+    root = canonical.read(source, content)
+    files = {version.name: version[1:] for version in versions}
+    used: dict[str, AssetFile] = {}
+    for link in root.findall("link"):
+        for collision in link.findall("collision"):
+            for element in collision.iter("mesh"):
+                asset = _collision_mesh(*files[element.get("filename", "")])
+                element.set("filename", used.setdefault(asset.key, asset).key)
+        for visual in link.findall("visual"):
+            shown = visual.find("geometry/mesh")
+            if shown is not None:
+                _color(link, visual, shown, _visual_meshes(*files[shown.get("filename", "")]), used)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
-            material.remove(texture)  # the software renderer shows plain colours
-    for link in root.iter("link"):
-        links.give_inertia(link)
-    _normalize_axes(root, parse_urdf(ET.tostring(root, encoding="unicode"), source))
-    content = ET.tostring(root, encoding="unicode")
-    tree = parse_urdf(content, source)
-    path, asset = store.write_urdf(f"{stem}.urdf", content.encode())
-    return Model(path, tree, (asset, *{mesh.key: mesh for mesh in meshes.values()}.values()))
+            material.remove(texture)  # they are for meshes, which have their own
+    text, tree = canonical.write(source, root)
+    path, asset = store.write_urdf(f"{stem}.urdf", text)
+    return Model(path, tree, (asset, *used.values()))
 
 
-def _check_links(source: Path, root: ET.Element) -> None:
-    if root.tag != "robot":
-        raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
-    names = [link.get("name", "") for link in root.iter("link")]
-    if not names:
-        raise AssetError(source, "has no links")
-    if not root.get("name", "").strip():
-        raise AssetError(source, "its <robot> has no name")
-    for link in root.iter("link"):
-        links.check(source, link)
+def _color(
+    link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
+) -> None:
+    """Put a visual for each colour of a mesh in its place: the mesh's own colours win over the URDF's, as in RViz."""
+    place = list(link).index(visual)
+    link.remove(visual)
+    for number, (asset, rgba) in enumerate(parts):
+        shown.set("filename", used.setdefault(asset.key, asset).key)
+        part = deepcopy(visual)
+        if rgba is not None:
+            for material in part.findall("material"):
+                part.remove(material)
+            material = ET.SubElement(part, "material", name=f"{asset.name} {asset.sha256[:8]}")
+            ET.SubElement(material, "color", rgba=" ".join(f"{value:.6g}" for value in rgba))
+        link.insert(place + number, part)
 
 
-def _find_mesh(source: Path, name: str) -> Path:
-    """Find a mesh as a URDF names it: absolute, relative, file:// or package:// (in all folders above the URDF)."""
-    if not name:
-        raise AssetError(source, "has a <mesh> without filename")
-    relative = name.removeprefix("file://")
-    if name.startswith("package://"):
-        relative = name.removeprefix("package://")
-        without_package = relative.partition("/")[2]
-        candidates = (folder / part for folder in source.parents for part in (relative, without_package))
-    else:
-        candidates = (folder / relative for folder in (source.parent, store.folder()))
-    for candidate in candidates:
-        if candidate.is_file():
-            return candidate
-    raise AssetError(source, f"its mesh {name} doesn't exist")
+class _Painted(NamedTuple):
+    """A mesh in the store, and its colour RGBA 0..1 if it has one."""
+
+    asset: AssetFile
+    rgba: Sequence[float] | None
 
 
 @cache
-def _checked_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
+def _collision_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
-    return store.write_mesh(*mesh.convert(file))
+    return store.write_mesh(*mesh.convert_collision(file))
 
 
-def _normalize_axes(root: ET.Element, tree: Urdf) -> None:
-    """Give axes unit length: PyBullet multiplies joint values by it, so that a drawer would open too far."""
-    for joint in root.iter("joint"):
-        axis = joint.find("axis")
-        name = joint.get("name", "")
-        if axis is not None and tree.joints[name].movable:
-            axis.set("xyz", " ".join(map(repr, tree.joints[name].axis)))
+@cache
+def _visual_meshes(file: Path, _modified: int, _size: int) -> tuple[_Painted, ...]:
+    """Write what is seen of a mesh into the store, by colour; checked once per version of the file."""
+    parts = mesh.convert_visual(file)
+    return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)

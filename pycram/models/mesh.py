@@ -9,6 +9,7 @@ that a bowl would be solid. So every mesh is parsed here, and concave ones get a
 from __future__ import annotations
 
 import io
+import re
 import struct
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING, Any, Final
@@ -19,6 +20,7 @@ from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_toml, read_text
 from pycram.models.links import DENSITY
+from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, quiet, read_parts, stl
 from pycram.models.store import write_mesh
 from recorder.packages import needed
 
@@ -31,17 +33,16 @@ if TYPE_CHECKING:
 with needed():
     import trimesh
 
-_MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
 _MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
-_STL_HEADER: Final = 84
-_STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
+_LARGE: Final = 5000  # faces
+_HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 
 
 def convert(file: Path) -> tuple[str, bytes]:
     """Return file name and content of a .stl, .obj or .dae mesh as the engine reads it.
 
-    An ASCII STL becomes a binary one, a COLLADA file an OBJ.
+    ASCII STL and COLLADA become binary STL.
 
     Raises:
         AssetError: It is empty, truncated, has no faces or numbers that aren't finite.
@@ -51,15 +52,75 @@ def convert(file: Path) -> tuple[str, bytes]:
     if kind == ".stl" and not _is_ascii(content):
         _check_binary_stl(file, content)
         return file.name, _with_normals(content)
-    shape = parse(file)
-    if kind == ".stl":
-        return file.name, _exported(shape, "stl")
     if kind == ".obj":
+        _all_triangles(file, content)
         # colours come from the URDF's materials: PyBullet has one per mesh
         lines = content.decode("utf-8", "replace").splitlines()
         kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
         return file.name, ("\n".join(kept) + "\n").encode()
-    return f"{file.stem}.obj", _obj(shape)
+    return f"{file.stem}.stl", stl(parse(file).triangles)
+
+
+def convert_collision(file: Path) -> tuple[str, bytes]:
+    """Return file name and content of a mesh that something collides with, as :func:`convert`.
+
+    Of a large one in one piece only the convex hull is left: nothing else collides, and the engine would take long to
+    find it, each time that the model is loaded.
+    """
+    content = _bytes(file)
+    kind = file.suffix.lower()
+    if kind == ".obj" and (len(content) <= _LARGE * STL_FACE.itemsize or _HAS_PIECES.search(content)):
+        return convert(file)
+    if kind in (".obj", ".dae"):
+        triangles = _all_triangles(file, content)
+    else:
+        name, content = convert(file)
+        triangles = stl_faces(content)["numbers"][:, 1:].astype(np.float64)
+        if len(triangles) <= _LARGE:
+            return name, content
+    hull = _hull(triangles) if len(triangles) > _LARGE else None
+    return (f"{file.stem}.stl", stl(triangles)) if hull is None else (f"{file.stem}.hull.stl", stl(hull))
+
+
+def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
+    parts = read_parts(file, content)
+    if not parts:
+        raise AssetError(file, "has no faces")
+    return np.concatenate([part.triangles for part in parts])
+
+
+def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Return the triangles of the convex hull, normals outwards; None of something flat."""
+    with needed():
+        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  not for pictures of recordings
+
+    corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
+    distinct = np.unique(corners.view("V12")).view(np.float32).reshape(-1, 3).astype(np.float64)
+    try:
+        hull = ConvexHull(distinct)
+    except QhullError:
+        return None
+    faces: NDArray[np.float64] = hull.points[hull.simplices]
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    inwards = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards, ::-1]
+    return faces
+
+
+def convert_visual(file: Path) -> list[tuple[str, bytes, Sequence[float] | None]]:
+    """Return what is to be seen of a mesh: file name, content and colour RGBA 0..1 of each part.
+
+    A colour is None where the file gives none. A file without faces has no parts: lines are not shown.
+
+    Raises:
+        AssetError: As for :func:`convert`.
+    """
+    if file.suffix.lower() not in (".dae", ".obj"):
+        return [(*convert(file), None)]
+    parts = read_parts(file, _bytes(file))
+    if file.suffix.lower() == ".obj" and len(parts) == 1:
+        return [(*convert(file), parts[0].rgba)]  # with its normals
+    return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
 
 
 def parse(file: Path) -> trimesh.Trimesh:
@@ -71,24 +132,27 @@ def parse(file: Path) -> trimesh.Trimesh:
     content = _bytes(file)
     if file.suffix.lower() == ".stl" and not _is_ascii(content):
         _check_binary_stl(file, content)
+    if file.suffix.lower() in (".dae", ".obj"):
+        corners = _all_triangles(file, content).reshape(-1, 3)
+        merged = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+        merged.merge_vertices()
+        return merged
     try:
-        loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
+        with quiet():
+            loaded = trimesh.load(io.BytesIO(content), file_type=file.suffix.lower()[1:], force="mesh", process=False)
     except Exception as error:  # the parsers of trimesh raise whatever goes wrong in them
         raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
     if not isinstance(loaded, trimesh.Trimesh) or len(loaded.faces) == 0:
         raise AssetError(file, "has no faces")
-    if not np.isfinite(loaded.vertices).all():
-        raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(loaded.vertices).max() > _MAX_COORDINATE:
-        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
+    check_vertices(file, loaded.vertices)
     loaded.merge_vertices()
     return loaded
 
 
 def stl_faces(content: bytes) -> NDArray[np.void]:
     """Return the faces (n,) of a complete binary STL, with "numbers" (4, 3) each: the normal and three corners."""
-    count = struct.unpack("<I", content[_STL_HEADER - 4 : _STL_HEADER])[0]
-    return np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
+    count = struct.unpack("<I", content[STL_HEADER - 4 : STL_HEADER])[0]
+    return np.frombuffer(content, dtype=STL_FACE, count=count, offset=STL_HEADER)
 
 
 def _bytes(file: Path) -> bytes:
@@ -106,10 +170,10 @@ def _is_ascii(content: bytes) -> bool:
 
 
 def _check_binary_stl(file: Path, content: bytes) -> None:
-    if len(content) < _STL_HEADER:
+    if len(content) < STL_HEADER:
         raise AssetError(file, f"is no STL: {len(content)} bytes are less than its header")
     faces = struct.unpack("<I", content[80:84])[0]
-    wanted = _STL_HEADER + faces * _STL_FACE.itemsize
+    wanted = STL_HEADER + faces * STL_FACE.itemsize
     if faces == 0:
         raise AssetError(file, "is an STL without faces")
     if len(content) < wanted:
@@ -129,7 +193,7 @@ def _with_normals(content: bytes) -> bytes:
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
-    filled: bytes = content[:_STL_HEADER] + table.tobytes()
+    filled: bytes = content[:STL_HEADER] + table.tobytes()
     return filled
 
 
@@ -182,21 +246,7 @@ def _visuals(
         return [(name, content, color if color is not None else _GREY)]
     if isinstance(parts, list):
         return [(*convert(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
-    return _by_material(file)
-
-
-def _by_material(file: Path) -> list[tuple[str, bytes, Sequence[float]]]:
-    """Split an OBJ or COLLADA file by colour: PyBullet has one colour per mesh."""
-    parse(file)
-    scene = trimesh.load_scene(file, process=False)
-    found: list[tuple[str, bytes, Sequence[float]]] = []
-    meshes = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
-    for index, part in enumerate(meshes):
-        material = getattr(part.visual, "material", None)
-        main = getattr(material, "main_color", None)
-        rgba = _GREY if main is None else tuple(float(value) / 255 for value in main)
-        found.append((f"{file.stem}-{index}.obj", _obj(part), rgba))
-    return found
+    return [(name, content, rgba or _GREY) for name, content, rgba in convert_visual(file)]
 
 
 def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:

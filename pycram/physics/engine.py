@@ -17,6 +17,7 @@ import numpy as np
 from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
 from pycram.physics.contacts import ClosestPoint, Contact
+from pycram.physics.loading import NOW
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.packages import needed
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from pycram.physics.loading import Loading
 
 with needed(), silenced(1, 2):  # it prints its build time
     import pybullet as bullet
@@ -70,7 +73,16 @@ class Engine:
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
-    def load(self, urdf: Path, pose: Pose, *, fixed: bool, robot: bool = False) -> Body:
+    def load(
+        self,
+        urdf: Path,
+        pose: Pose,
+        *,
+        fixed: bool,
+        robot: bool = False,
+        loading: Loading = NOW,
+        start: Mapping[str, float] | None = None,
+    ) -> Body:
         """Load a checked URDF file.
 
         Args:
@@ -78,9 +90,14 @@ class Engine:
             pose: Of its base link in the world.
             fixed: Whether its base is fixed to the world.
             robot: Whether its links ignore what a robot holds.
+            loading: How the body is made of the file.
+            start: Positions of its joints in rad or m by name; by default 0.
         """
         c = self._client
-        number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, physicsClientId=c)
+        flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
+        if not self._window:  # nobody sees them: pictures are drawn from the model itself
+            flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
+        number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
         joints = {}
@@ -98,7 +115,15 @@ class Engine:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
         for joint in joints.values():
+            if loading.undamped:
+                bullet.changeDynamics(number, joint.index, jointDamping=0.0, physicsClientId=c)
+            if robot and loading.armature:
+                moments = bullet.getDynamicsInfo(number, joint.index, physicsClientId=c)[2]
+                least = [max(moment, loading.armature) for moment in moments]
+                bullet.changeDynamics(number, joint.index, localInertiaDiagonal=least, physicsClientId=c)
             self._hold(body, joint, 0.0)
+        if start:
+            self.set_joints(body, start)
         return body
 
     def reset_collision_filter(self, body: Body, *, fixed: bool, robot: bool = False) -> None:

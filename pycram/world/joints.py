@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _LIMIT_TOLERANCE: Final = 1e-6  # rad or m, against rounding errors of positions that were read before
+_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss each other's: files and descriptions round
 
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:
@@ -22,6 +23,7 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
         raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
     checked = {name: _checked(body, name, position) for name, position in positions.items()}
     command = records.MoveJoints(body=body.name, joints=list(checked), positions=list(checked.values()))
+    checked = coupled(body, checked)
     engine = body.world.engine
     with body.world.transactions.begin(records.Mutation(move_joints=command)) as transaction:
         links = [] if body.is_robot else carried.moved_links(body.urdf, checked)
@@ -33,6 +35,36 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
         carried.move_attached(body, transaction)
         if body.is_environment:
             transaction.fire(body.world.get_manipulation_event(), body)
+
+
+def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
+    """Return given positions (rad or m, by name) with those of joints that mimic these, or that these mimic.
+
+    Raises:
+        BadArgument: Given positions of a group contradict each other, or a joint's that can't be moved.
+        JointLimitError: The position of the joint that others mimic is outside its limits.
+    """
+    urdf = body.urdf
+    if not (body.model.loading.mimic and urdf.mimics):
+        return given
+    leaders = {name: position for name, position in given.items() if name not in urdf.mimics}
+    for name, position in given.items():
+        mimic = urdf.mimics.get(name)
+        if mimic is None or mimic.leader in leaders:
+            continue
+        if urdf.joints[mimic.leader].movable and mimic.multiplier:
+            leaders[mimic.leader] = _checked(body, mimic.leader, (position - mimic.offset) / mimic.multiplier)
+        else:
+            leaders[mimic.leader] = 0.0
+    followers = urdf.followers(leaders)
+    for name, position in followers.items():
+        wanted = given.get(name, position)
+        if abs(wanted - position) > _MIMIC_TOLERANCE:
+            leader = urdf.mimics[name].leader
+            cause = f"{position:g}, as it mimics {leader}, which goes to {leaders[leader]:g}; set {leader} alone"
+            raise BadArgument(name, wanted, cause)
+    moved = leaders | followers | given
+    return {name: position for name, position in moved.items() if urdf.joints[name].movable}
 
 
 def _checked(body: Object, name: str, position: float) -> float:

@@ -6,6 +6,8 @@ import warnings
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from recorder.tracing.call_site import call_site
+
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.models import load
@@ -13,7 +15,6 @@ from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints, overlaps
 from recorder import records
-from recorder.tracing.call_site import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -49,6 +50,8 @@ class Object:
         world: The current world by default.
         color: RGBA 0..1 for a mesh; None keeps its own colours.
         description: Of a robot; by default found by the name in its URDF.
+        packages: Folders of ROS packages that the URDF's meshes are in (``package://``), or folders that hold these;
+            others are looked for as :mod:`pycram.models.packages` says.
         model: The loaded model, where it doesn't come from the path but from a recording.
 
     Attributes:
@@ -71,6 +74,7 @@ class Object:
         color: Sequence[float] | None = None,
         *,
         description: RobotDescription | None = None,
+        packages: Sequence[str | Path] = (),
         model: Model | None = None,
     ) -> None:
         from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds hold objects
@@ -88,7 +92,7 @@ class Object:
         self.path = str(path)
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         self.color = None if color is None else checks.color("color", color)
-        self.model = model or load.load(path, self.color)
+        self.model = model or load.load(path, self.color, packages)
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | None = None
         if self.is_robot:
@@ -181,6 +185,7 @@ class Object:
             joints=self.joints,
             robot_description=self.description.text if self.description else "",
             overlaps=self.overlaps,
+            loading=model.loading.to_record(),
         )
 
     def get_joint_id(self, name: str) -> int:

@@ -183,11 +183,20 @@ class BulletWorld(metaclass=CurrentWorld):
         with self.transactions.begin(command) as transaction:
             if body.name in self._objects:
                 raise BadArgument("name", body.name, f"a name that no object in {self.name} has")
-            handle = self.engine.load(body.model.path, body.original_pose, fixed=body.fixed, robot=body.is_robot)
+            loading = body.model.loading
+            handle = self.engine.load(
+                body.model.path,
+                body.original_pose,
+                fixed=body.fixed,
+                robot=body.is_robot,
+                loading=loading,
+                start=loading.start(body.urdf),
+            )
             body.handle = handle
             torso = body.description.torso if body.description else None
             if torso is not None:
-                self.engine.set_joints(handle, {torso.joint: torso.default})
+                raised = {torso.joint: torso.default}
+                self.engine.set_joints(handle, raised | (body.urdf.followers(raised) if loading.mimic else {}))
             body.original_joints = dict(zip(body.joints, self.engine.joints(handle)[0], strict=True))
             if body.color is not None:
                 self.engine.set_color(handle, body.color)

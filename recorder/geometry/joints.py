@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import xml.etree.ElementTree as ET
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
+_CHAINS: Final = ("planar", "floating")  # which become chains of the others
 
 
 class UrdfError(ValueError):
@@ -30,6 +31,20 @@ class UrdfError(ValueError):
         super().__init__(f"URDF {robot!r}: {reason}" if robot else f"URDF: {reason}")
         self.robot = robot
         self.reason = reason
+
+
+class Mimic(NamedTuple):
+    """That a joint follows another: its value is ``multiplier * value of the leader + offset``.
+
+    Attributes:
+        leader: name of the joint that it follows.
+        multiplier: without a unit, or m/rad or rad/m.
+        offset: in rad or m.
+    """
+
+    leader: str
+    multiplier: float = 1.0
+    offset: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +62,7 @@ class Joint:
         upper: upper limit in rad or m; inf if continuous, 0 if fixed.
         effort: largest force or torque in N or Nm, inf if not given.
         velocity: largest velocity in rad/s or m/s, inf if not given.
+        mimic: what it follows, if anything.
     """
 
     name: str
@@ -59,6 +75,7 @@ class Joint:
     upper: float = 0.0
     effort: float = math.inf
     velocity: float = math.inf
+    mimic: Mimic | None = None
 
     @property
     def movable(self) -> bool:
@@ -78,16 +95,22 @@ class Joint:
         return self.origin[0], geometry.product(self.origin[1], (x * s, y * s, z * s, math.cos(half)))
 
 
-def read_joint(robot: str, element: ET.Element) -> Joint:
-    """Reads the element of a joint; the robot's name is for errors.
+def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> Joint:
+    """Reads the element of a joint.
+
+    Args:
+        robot: its name.
+        element: the joint's.
+        chains: whether it may be planar or floating.
 
     Raises:
         UrdfError: something is missing, or no number.
     """
     name = element.get("name", "")
     kind = element.get("type", "")
-    if kind not in _KINDS:
-        raise UrdfError(robot, f"joint {name or '(without name)'} is {kind!r}, not one of {', '.join(_KINDS)}")
+    if kind not in _KINDS and not (chains and kind in _CHAINS):
+        known = ", ".join((*_KINDS, *_CHAINS) if chains else _KINDS)
+        raise UrdfError(robot, f"joint {name or '(without name)'} is {kind!r}, not one of {known}")
     ends = {}
     for role in ("parent", "child"):
         end = element.find(role)
@@ -107,12 +130,21 @@ def read_joint(robot: str, element: ET.Element) -> Joint:
         parent=ends["parent"],
         child=ends["child"],
         origin=pose,
-        axis=_axis(robot, name, element) if kind != "fixed" else (1.0, 0.0, 0.0),
+        axis=_axis(robot, name, element) if kind not in ("fixed", "floating") else (1.0, 0.0, 0.0),
         lower=lower,
         upper=upper,
         effort=effort,
         velocity=velocity,
+        mimic=_mimic(robot, name, element) if kind != "fixed" else None,
     )
+
+
+def _mimic(robot: str, joint: str, element: ET.Element) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    multiplier = _number(robot, joint, "mimic multiplier", mimic.get("multiplier", "1"))
+    return Mimic(mimic.get("joint", ""), multiplier, _number(robot, joint, "mimic offset", mimic.get("offset", "0")))
 
 
 def _axis(robot: str, joint: str, element: ET.Element) -> Vector:
@@ -132,7 +164,7 @@ def _limits(robot: str, joint: str, kind: str, limit: ET.Element | None) -> tupl
     effort, velocity = number("effort", math.inf), number("velocity", math.inf)
     if kind == "fixed":
         return 0.0, 0.0, effort, velocity
-    if kind == "continuous":
+    if kind in ("continuous", *_CHAINS):
         return -math.inf, math.inf, effort, velocity
     if limit is None:
         raise UrdfError(robot, f"{kind} joint {joint} has no limits")

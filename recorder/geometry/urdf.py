@@ -4,7 +4,8 @@ Pure arithmetic without any physics engine, for inverse kinematics, viewers' tra
 metres, angles radians, velocities per second; poses are ``(position, quaternion xyzw)`` of the link's frame in the
 frame of the root link.
 
-A joint without a given value is at 0. Every joint has a value of its own, as in PyBullet: ``mimic`` is ignored.
+A joint without a given value is at 0, or where the joint that it mimics has it. Elements of others' namespaces and of
+Gazebo, and all that is in them, are not part of the robot: only a document's own children are read.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose
-from recorder.geometry.joints import Joint, UrdfError, read_joint
+from recorder.geometry.joints import Joint, Mimic, UrdfError, read_joint
 from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
@@ -43,8 +44,13 @@ class Urdf:
     movable: tuple[str, ...] = field(repr=False)
 
     @classmethod
-    def parse(cls, text: str | bytes) -> Urdf:
+    def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
         """Reads a URDF document.
+
+        Args:
+            text: the document.
+            chains: whether planar and floating joints may be in it, which have no kinematics of their own: in models
+                that are loaded they are chains of other joints.
 
         Raises:
             UrdfError: it isn't XML, or not one tree of named links with joints of known types.
@@ -59,7 +65,7 @@ class Urdf:
         links = _unique(name, "link", (element.get("name", "") for element in document.findall("link")))
         if not links:
             raise UrdfError(name, "it has no links")
-        joints = [read_joint(name, element) for element in document.findall("joint")]
+        joints = [read_joint(name, element, chains=chains) for element in document.findall("joint")]
         _unique(name, "joint", (joint.name for joint in joints))
         parents, children = _ends(name, links, joints)
         roots = [link for link in links if link not in parents]
@@ -127,7 +133,7 @@ class Urdf:
         """
         pose = IDENTITY
         for joint in self.chain(self.root, link):
-            pose = geometry.multiply(pose, joint.pose(positions.get(joint.name, 0.0)))
+            pose = geometry.multiply(pose, joint.pose(self._value(joint.name, positions)))
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
@@ -135,8 +141,56 @@ class Urdf:
         poses = {self.root: IDENTITY}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
-            poses[link] = geometry.multiply(poses[joint.parent], joint.pose(positions.get(joint.name, 0.0)))
+            poses[link] = geometry.multiply(poses[joint.parent], joint.pose(self._value(joint.name, positions)))
         return poses
+
+    def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Return where the joints are that mimic one of those given, by name, in rad or m, within their limits.
+
+        Raises:
+            UrdfError: a joint mimics itself.
+        """
+        return {
+            name: self._following(name, mimic, positions[mimic.leader])
+            for name, mimic in self.mimics.items()
+            if mimic.leader in positions
+        }
+
+    def _following(self, name: str, mimic: Mimic, leader: float) -> float:
+        """Where a joint is whose leader is somewhere; it stops at its own limits."""
+        joint = self.joints[name]
+        return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
+
+    def _value(self, joint: str, positions: Mapping[str, float]) -> float:
+        value = positions.get(joint)
+        if value is not None:
+            return value
+        if self.joints[joint].mimic is None or joint not in self.mimics:
+            return 0.0
+        mimic = self.mimics[joint]
+        return self._following(joint, mimic, positions.get(mimic.leader, 0.0))
+
+    @cached_property
+    def mimics(self) -> Mapping[str, Mimic]:
+        """What each joint follows that mimics another, by its name; leaders follow none themselves.
+
+        A joint moves on its own if the one that it mimics doesn't exist, as in some published models.
+
+        Raises:
+            UrdfError: a joint mimics itself.
+        """
+        found = {}
+        for joint in self.joints.values():
+            mimic, seen = joint.mimic, {joint.name}
+            while mimic is not None and mimic.leader in self.joints:
+                found[joint.name] = mimic
+                leader, multiplier, offset = mimic
+                if leader in seen:
+                    raise UrdfError(self.name, f"joint {joint.name} mimics itself, by way of {', '.join(sorted(seen))}")
+                seen.add(leader)
+                above = self.joints[leader].mimic
+                mimic = above and Mimic(above.leader, multiplier * above.multiplier, multiplier * above.offset + offset)
+        return MappingProxyType(found)
 
     @cached_property
     def _parents(self) -> dict[str, Joint]:

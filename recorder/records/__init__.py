@@ -18,6 +18,7 @@ from recorder.records.log_pb2 import (
     HandlerCall as HandlerCall,
     Keyframe as Keyframe,
     LoadBody as LoadBody,
+    Loading as Loading,
     MoveBody as MoveBody,
     MoveJoints as MoveJoints,
     Mutation as Mutation,

@@ -99,8 +99,22 @@ class CloseWorld(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Loading(_message.Message):
+    __slots__ = ("undamped", "clamped", "mimic", "inertia", "armature")
+    UNDAMPED_FIELD_NUMBER: _ClassVar[int]
+    CLAMPED_FIELD_NUMBER: _ClassVar[int]
+    MIMIC_FIELD_NUMBER: _ClassVar[int]
+    INERTIA_FIELD_NUMBER: _ClassVar[int]
+    ARMATURE_FIELD_NUMBER: _ClassVar[int]
+    undamped: bool
+    clamped: bool
+    mimic: bool
+    inertia: bool
+    armature: float
+    def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ...) -> None: ...
+
 class LoadBody(_message.Message):
-    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "overlaps")
+    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "loading", "overlaps")
     BODY_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     PATH_FIELD_NUMBER: _ClassVar[int]
@@ -111,6 +125,7 @@ class LoadBody(_message.Message):
     FIXED_BASE_FIELD_NUMBER: _ClassVar[int]
     JOINTS_FIELD_NUMBER: _ClassVar[int]
     ROBOT_DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
+    LOADING_FIELD_NUMBER: _ClassVar[int]
     OVERLAPS_FIELD_NUMBER: _ClassVar[int]
     body: str
     type: str
@@ -122,8 +137,9 @@ class LoadBody(_message.Message):
     fixed_base: bool
     joints: _containers.RepeatedScalarFieldContainer[str]
     robot_description: str
+    loading: Loading
     overlaps: _containers.RepeatedCompositeFieldContainer[Overlap]
-    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ..., overlaps: _Optional[_Iterable[_Union[Overlap, _Mapping]]] = ...) -> None: ...
+    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ..., loading: _Optional[_Union[Loading, _Mapping]] = ..., overlaps: _Optional[_Iterable[_Union[Overlap, _Mapping]]] = ...) -> None: ...
 
 class RemoveBody(_message.Message):
     __slots__ = ("body",)

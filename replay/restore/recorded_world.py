@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription
+from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
 from replay.state.fold import state_at
 
@@ -54,7 +55,7 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     missing = next((name for name in names if name not in log.assets), None)
     if missing is not None:
         raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
-    return load.restore((name, log.assets[name]) for name in names)
+    return load.restore(((name, log.assets[name]) for name in names), Loading.of(loaded))
 
 
 @cache

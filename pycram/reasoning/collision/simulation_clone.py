@@ -115,7 +115,8 @@ class SimulationClone:
         now = take_snapshot(body)
         copy = self._copies.get(body.name)
         if copy is None:
-            loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot)
+            loading = body.model.loading
+            loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot, loading=loading)
             copy = self._copies[body.name] = _Copy(body.handle, loaded, None)
             if not self._solid:
                 self.engine.ghost(loaded)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.world.joints import coupled
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def moved(
     }
 
     def depths(share: float) -> Depths:
-        engine.pose_joints(hand, gripper.at(share))
+        engine.pose_joints(hand, coupled(robot, gripper.at(share)))
         return _depths(engine, hand, gripper, others)
 
     try:
@@ -99,7 +100,7 @@ def moved(
             copy = bodies[release.name]
             if pose is not None:
                 engine.set_pose(copy, pose)
-            engine.pose_joints(hand, gripper.at(free))
+            engine.pose_joints(hand, coupled(robot, gripper.at(free)))
             touches = [t for finger in gripper.fingers for t in engine.link_closest_points(hand, finger, copy, gap)]
             gap = min((touch.distance for touch in touches), default=gap)
     finally:
@@ -137,7 +138,7 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
     engine, hand, target = clone.engine, bodies[robot.name], bodies[body.name]
 
     def touches(share: float) -> bool:
-        engine.pose_joints(hand, gripper.at(share))
+        engine.pose_joints(hand, coupled(robot, gripper.at(share)))
         return any(
             touch.distance < -_SLACK
             for finger in gripper.fingers
@@ -155,7 +156,7 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
                 stuck = share
             else:
                 free = share
-        engine.pose_joints(hand, gripper.at(stuck))
+        engine.pose_joints(hand, coupled(robot, gripper.at(stuck)))
         position, turn = engine.link_pose(hand, arm.tool_frame)
         across = geometry.rotate(turn, (0.0, 1.0, 0.0))
         sides = set()

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import pytest
+from replay.file.log import Log
 
 import recorder
 from pycram.bullet_world import BulletWorld, Object
 from pycram.world.overlaps import Overlapping
 from recorder.records import Mutation
 from recorder.records.text import mutation_text
-from replay.file.log import Log
 from replay.restore.verify import verify
 
 if TYPE_CHECKING:

@@ -1,0 +1,169 @@
+"""Parts of a mesh: its triangles by colour, with the materials and textures of COLLADA and OBJ files.
+
+COLLADA files are read by pycollada directly: what trimesh does to them besides takes three times as long.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import warnings
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from pycram.foundation.failures import AssetError
+from pycram.models import texture
+from recorder.packages import needed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+    Rgba = tuple[float, float, float, float]
+
+with needed("executor"):
+    import collada
+    import trimesh
+    from PIL import Image
+
+STL_HEADER: Final = 84
+STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
+_MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
+
+
+class Part(NamedTuple):
+    """Triangles of one colour.
+
+    Attributes:
+        triangles: (n, 3, 3) corners in the mesh's frame, m.
+        rgba: Their colour, 0..1; None where the file gives none.
+    """
+
+    triangles: Array
+    rgba: Rgba | None
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep warnings and logged tracebacks of mesh libraries off the plan's output: errors are raised as AssetError."""
+    log = trimesh.util.log
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.disabled = before
+
+
+@lru_cache(maxsize=2)  # most models collide with what is seen of them, which is asked for next
+def read_parts(file: Path, content: bytes) -> tuple[Part, ...]:
+    """Return the parts of a .dae or .obj file that have triangles, those of one colour together.
+
+    Args:
+        file: Where it is, for textures and materials beside it.
+        content: What it contains.
+
+    Raises:
+        AssetError: It can't be parsed, or a number isn't finite or too large for metres.
+    """
+    try:
+        with quiet():
+            found = list(_dae(file, content) if file.suffix.lower() == ".dae" else _obj(file, content))
+    except Exception as error:  # the parsers raise whatever goes wrong in them
+        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+    by_color: dict[Rgba | None, list[Array]] = {}
+    for triangles, rgba in found:
+        if len(triangles):
+            by_color.setdefault(rgba, []).append(triangles)
+    parts = tuple(Part(np.concatenate(triangles), rgba) for rgba, triangles in by_color.items())
+    for part in parts:
+        check_vertices(file, part.triangles)
+    return parts
+
+
+def check_vertices(file: Path, vertices: Array) -> None:
+    """Refuse corners that aren't finite, or too large for metres."""
+    if not np.isfinite(vertices).all():
+        raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(vertices).max() > _MAX_COORDINATE:
+        raise AssetError(file, f"has vertices more than {_MAX_COORDINATE:g} m away from its origin")
+
+
+def stl(triangles: Array) -> bytes:
+    """Return a binary STL of triangles (n, 3, 3): every reader here takes it many times as fast as text."""
+    table = np.zeros(len(triangles), dtype=STL_FACE)
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    table["numbers"][:, 1:] = triangles
+    content: bytes = b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes()
+    return content
+
+
+def _dae(file: Path, content: bytes) -> Iterator[Part]:
+    """As ROS reads them: in the file's unit of length, whichever axis it says is up."""
+    document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
+    unit = document.assetInfo.unitmeter or 1.0
+    for geometry in document.scene.objects("geometry") if document.scene else ():
+        for primitive in geometry.primitives():
+            mesh = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
+            if not isinstance(mesh, collada.triangleset.BoundTriangleSet) or mesh.vertex is None or not len(mesh):
+                continue  # lines
+            triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
+            diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
+            if isinstance(diffuse, collada.material.Map):
+                image = _image(file, diffuse.sampler.surface.image.path)
+                uv = mesh.texcoordset[0][mesh.texcoord_indexset[0]] if image and mesh.texcoordset else None
+                yield from _textured(triangles, uv, image)
+            else:
+                yield Part(triangles, _rgba(diffuse))
+
+
+def _obj(file: Path, content: bytes) -> Iterator[Part]:
+    has_materials = b"mtllib" in content
+    resolver = trimesh.resolvers.FilePathResolver(str(file))
+    scene = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False)
+    for mesh in scene.dump():
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        triangles = np.asarray(mesh.triangles, dtype=np.float64)
+        material = getattr(mesh.visual, "material", None) if has_materials else None
+        image, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
+        if image is not None and uv is not None:
+            yield from _textured(triangles, np.asarray(uv)[mesh.faces], image)
+        else:
+            color = getattr(material, "diffuse", None)
+            yield Part(triangles, None if color is None else _rgba([float(part) / 255 for part in color]))
+
+
+def _textured(triangles: Array, uv: Array | None, image: Image.Image | None) -> Iterator[Part]:
+    if uv is None or image is None:
+        yield Part(triangles, None)
+        return
+    for some, rgba in texture.bake(triangles, np.asarray(uv, dtype=np.float64)[:, :, :2], image):
+        yield Part(some, rgba)
+
+
+def _image(file: Path, name: str) -> Image.Image | None:
+    """Return a texture; None if it isn't there, as in many published models."""
+    path = file.parent / name.removeprefix("file://").replace("%20", " ")
+    try:
+        image = Image.open(path)
+        image.load()
+    except OSError:
+        return None
+    return image
+
+
+def _rgba(color: Iterable[float] | None) -> Rgba | None:
+    if color is None or isinstance(color, str):
+        return None
+    red, green, blue, *more = (min(max(float(part), 0.0), 1.0) for part in color)
+    alpha = more[0] if more and more[0] > 0 else 1.0  # many exporters write 0 for opaque
+    return red, green, blue, alpha

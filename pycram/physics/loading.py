@@ -1,0 +1,66 @@
+"""How a body is made of its model: decided here, written into the load record, and read from there when it is restored.
+
+Recordings have to come out the same when they are executed again, also those of earlier releases. So whatever changes
+the body that a model becomes is an option here, whose default in records is how 0.1.0 did it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import LoadBody, Loading as LoadingRecord
+
+if TYPE_CHECKING:
+    from recorder.geometry.urdf import Urdf
+
+
+@dataclass(frozen=True, slots=True)
+class Loading:
+    """How the engine makes a body of its model.
+
+    Attributes:
+        undamped: Damping and friction of the URDF's joints don't act. PyBullet applies them against the motors that
+            hold the joints, explicitly in time: a damping that is large for the link's inertia makes it oscillate ever
+            more (2e10 N m s/rad in a published PR2: 4 rad off after 0.5 s).
+        clamped: Joints start at 0 or, where that isn't allowed, at the limit nearest to it: else they would jump there
+            in the first steps.
+        mimic: Joints that mimic another follow it whenever that is set. In simulation each is held where it should be
+            by a motor of its own: PyBullet has no mimic joints.
+        inertia: Links of robots have the moments of inertia that the URDF says. Else PyBullet takes those of the boxes
+            around their collision shapes; a link without one has none, and motors move what hangs on it.
+        armature: Least moment of inertia of a robot's links that move, kg m^2, as the rotors of geared motors add it.
+            Without it the solver's 50 iterations don't bring the motors of wrists and fingers to agree.
+    """
+
+    undamped: bool = True
+    clamped: bool = True
+    mimic: bool = True
+    inertia: bool = True
+    armature: float = 0.001
+
+    @classmethod
+    def of(cls, record: LoadBody) -> Loading:
+        """Return how a recorded body was loaded."""
+        then = record.loading
+        return cls(then.undamped, then.clamped, then.mimic, then.inertia, then.armature)
+
+    def to_record(self) -> LoadingRecord | None:
+        """Return its record; None if it is that of 0.1.0, which had none."""
+        return LoadingRecord(**asdict(self)) if self != _AS_0_1_0 else None
+
+    def start(self, urdf: Urdf) -> dict[str, float]:
+        """Return the values (rad or m) at which joints start, by name; only of those that don't start at 0."""
+        values = {}
+        if self.clamped:
+            joints = (urdf.joints[name] for name in urdf.movable)
+            values = {joint.name: min(max(0.0, joint.lower), joint.upper) for joint in joints}
+        if self.mimic:
+            values |= urdf.followers({name: values.get(name, 0.0) for name in urdf.movable})
+        return {name: value for name, value in values.items() if value}
+
+
+NOW: Final = Loading()
+"""How this release loads models."""
+
+_AS_0_1_0: Final = Loading(undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0)

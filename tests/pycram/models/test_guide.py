@@ -1,0 +1,46 @@
+"""What the guide to models shows is what a reader gets."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pycram.bullet_world import BulletWorld
+from pycram.failures import UsageError
+
+if TYPE_CHECKING:
+    import pytest
+
+GUIDE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
+BLOCK = re.compile(r"```(xml|python|text)\n(.*?)```", re.DOTALL)
+NAMED = re.compile(r"`([\w.]+)`[^`]*:\n\n```xml\n(.*?)```", re.DOTALL)
+
+
+def test_the_guide_to_models_is_real(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name, content in NAMED.findall(GUIDE):
+        Path(name).write_text(content)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["arm.urdf", "cell.urdf.xacro", "hand.urdf"]
+    names: dict[str, object] = {}
+    output = io.StringIO()
+    shown = 0
+    try:
+        for kind, content in BLOCK.findall(GUIDE):
+            if kind == "python":
+                output = io.StringIO()
+                try:
+                    with contextlib.redirect_stdout(output):
+                        exec(content, names)
+                except UsageError as error:
+                    print(f"{type(error).__name__}: {error}".replace(f"{tmp_path}/", ""), file=output)
+            elif kind == "text":
+                assert output.getvalue() == content
+                shown += 1
+    finally:
+        world = names.get("world")
+        if isinstance(world, BulletWorld):
+            world.exit()
+    assert shown == 3
