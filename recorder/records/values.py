@@ -104,9 +104,13 @@ def from_json(text: str) -> Plain:
     return value
 
 
-def argument_values(arguments: Iterable[Argument]) -> dict[str, Plain]:
-    """Return the named values that a record carries."""
-    return {argument.name: from_json(argument.json) for argument in arguments}
+def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
+    """Return the named values that a record carries.
+
+    Raises:
+        ValueError: One isn't JSON, and the reading is strict; else it is taken as it is.
+    """
+    return {argument.name: json.loads(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:

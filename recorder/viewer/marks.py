@@ -86,7 +86,7 @@ class TaskMarks:
         if record.phase == Task.STARTED:
             self._failures.clear(now)
             self._failure = ("", "")
-            values = argument_values(record.parameters)
+            values = argument_values(record.parameters, strict=True)
             target = target_position(self._scene, record.world, values)
             if target is not None:
                 self._targets[record.task] = target
@@ -124,7 +124,9 @@ class TaskMarks:
         shapes: list[rr.AsComponents] = [
             rr.TextLog(numbered(f"{record.name}: {kind}: {message}", now), level="ERROR", color=RED)
         ]
-        position_failed = target_position(self._scene, record.world, argument_values(record.failure.data)) or target
+        position_failed = (
+            target_position(self._scene, record.world, argument_values(record.failure.data, strict=True)) or target
+        )
         if position_failed is None and (robot := self._scene.robot(record.world)) is not None:
             position_failed = geometry.transform(robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
         if position_failed is not None:
@@ -139,7 +141,7 @@ class TaskMarks:
 
     def _show_pairs(self, record: Task, now: TimePoint) -> None:
         """Shows which links would have met, where they are now."""
-        found = argument_values(record.failure.data).get("pairs")
+        found = argument_values(record.failure.data, strict=True).get("pairs")
         pairs = [pair for pair in found if isinstance(pair, dict)] if isinstance(found, list) else []
         for number, pair in enumerate(pairs[:_MAX_PAIRS], 1):
             ends = []
@@ -170,7 +172,7 @@ class QueryMarks:
         self._marks.clear(now)
         if not record.world:
             return
-        values, evidence = argument_values(record.arguments), argument_values(record.evidence)
+        values, evidence = argument_values(record.arguments, strict=True), argument_values(record.evidence, strict=True)
         if not values and not evidence:
             return
         good = not evidence["obstacles"] if "obstacles" in evidence else record.answer_json not in _NO
