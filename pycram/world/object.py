@@ -13,7 +13,7 @@ from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints, overlaps
 from recorder import records
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 import recorder
+import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.world.overlaps import Overlapping
 from recorder.records import Mutation
 from recorder.records.text import mutation_text
-from replay.file.log import Log
 from replay.restore.verify import verify
 
 if TYPE_CHECKING:
@@ -59,5 +59,5 @@ def test_settling_lifts_the_later_one_out_and_both_come_to_rest(tmp_path: Path) 
         before = bowl.get_position()
         world.simulate(1.0)
         assert bowl.get_position() == pytest.approx(before, abs=2e-3)
-    with Log(file) as log:
+    with replay.open(file) as log:
         assert verify(log).problem is None
