@@ -17,6 +17,7 @@ import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.process_module import ProcessModule
+from pycram.world import settling
 from recorder.records import log_pb2
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent.parent / "demos"))
 import set_the_table
 
 QUERIES = ("stable", "contact", "visible", "occluding", "reachable", "reachable_object", "reachable_pose", "blocking")
-CHANGES = {  # public methods, and the command that each call records
+CHANGES = {  # public methods and functions, and the command that each call records
     (Object, "__init__"): "load_body",
     (Object, "set_position_and_orientation"): "move_body",
     (Object, "set_joint_positions"): "move_joints",
@@ -36,6 +37,7 @@ CHANGES = {  # public methods, and the command that each call records
     (BulletWorld, "set_gravity"): "set_gravity",
     (BulletWorld, "set_robot"): "set_robot",
     (BulletWorld, "simulate_steps"): "simulate",
+    (settling, "settle"): "simulate",  # as placing does
     (BulletWorld, "exit"): "close_world",
 }
 
