@@ -99,7 +99,9 @@ class CollisionChecker:
         self._links = links = clone.cached(
             robot,
             (MovingLinks, names, all_links),
-            lambda body: MovingLinks(clone.engine, body, robot, clone.boxes(robot), names, all_links=all_links),
+            lambda: MovingLinks(
+                robot.world.engine, robot.handle, robot, clone.boxes(robot), names, all_links=all_links
+            ),
         )
         self.moving = links.moving
         self._held = _held(robot)
@@ -230,8 +232,9 @@ class CollisionChecker:
         if pair not in candidate.touches:
             self._place(candidate)
             mover, link, body, other = pair
-            bodies = self._bodies[mover.name], self._bodies[body.name]
-            candidate.touches[pair] = self._clone.engine.link_closest_points(bodies[0], link, bodies[1], link_b=other)
+            a = self._bodies[mover.name]
+            b = self._clone.link(body, other) if body.is_environment else self._bodies[body.name]
+            candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
         return candidate.touches[pair]
 
     def _place(self, candidate: Candidate) -> None:
@@ -255,7 +258,7 @@ class CollisionChecker:
             joints: names of some of those that will be moved, one after the other.
         """
         urdf, names = self.robot.urdf, tuple(joints)
-        counts = self._clone.cached(self.robot, (joint_counts, names), lambda _: joint_counts(urdf, names))
+        counts = self._clone.cached(self.robot, (joint_counts, names), lambda: joint_counts(urdf, names))
         return {link for link, count in counts.items() if count == len(names)}
 
     def constant_links(self, link: str | None) -> set[str]:
