@@ -7,6 +7,7 @@ take furniture as its rigid parts, collision checks take single links, and neith
 from __future__ import annotations
 
 import copy
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
 
 _INERTIA: Final = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
+_VISUAL: Final = re.compile(rb"<visual\b[^>]*?/>|<visual\b.*?</visual>", re.DOTALL)  # written by PyCRAM, so escaped
 _CACHED_MODELS: Final = 128
 _CACHED_LINKS: Final = 4096
 
@@ -48,7 +50,8 @@ def rigid_parts(path: Path) -> tuple[Part, ...]:
 
     Links that differ in friction or stiffness are different parts, as these belong to links.
     """
-    elements, urdf = _links(path), Urdf.parse(path.read_bytes())
+    elements = {link.get("name", ""): link for link in store.document(path).findall("link")}
+    urdf = Urdf.parse(path.read_bytes())
     frames: dict[str, str] = {}
     parts: dict[tuple[str, bytes], list[str]] = {}
     for link in urdf.links:  # parents come before their children
@@ -69,23 +72,15 @@ def rigid_parts(path: Path) -> tuple[Part, ...]:
 @lru_cache(maxsize=_CACHED_LINKS)
 def single_link(path: Path, link: str) -> Path:
     """Return a link, which has collision shapes, of the model with a canonical URDF as a model of its own."""
-    return _write(link, [(_links(path)[link], geometry.IDENTITY)])
+    elements = store.document(path).findall("link")
+    return _write(link, [(element, geometry.IDENTITY) for element in elements if element.get("name") == link])
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 def without_visuals(path: Path) -> Path:
     """Return the model with a canonical URDF without what is only seen."""
-    root = ET.fromstring(path.read_bytes())  # noqa: S314  canonical: written by PyCRAM
-    for link in root.iter("link"):
-        for visual in link.findall("visual"):
-            link.remove(visual)
-    return store.write_urdf(f"{path.stem}.urdf", ET.tostring(root))[0]
-
-
-@lru_cache(maxsize=_CACHED_MODELS)
-def _links(path: Path) -> dict[str, ET.Element]:
-    root = ET.fromstring(path.read_bytes())  # noqa: S314  canonical: written by PyCRAM
-    return {link.get("name", ""): link for link in root.findall("link")}
+    content = _VISUAL.sub(b"", path.read_bytes())  # ten times as fast as to write all elements again
+    return store.write_urdf(f"{path.stem}.urdf", content)[0]
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
