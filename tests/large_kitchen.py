@@ -80,7 +80,7 @@ def furnish(world: BulletWorld, folder: Path) -> None:
     """Fill a world with the kitchen, a floor, and a PR2 with parked arms that stands before the first row."""
     Object("floor", "environment", "plane.urdf", world=world)
     for number, yaw in enumerate((0.0, np.pi)):
-        urdf = _write(folder, f"kitchen_{number}", number)
+        urdf = write_row(folder, f"kitchen_{number}", number)
         Object(f"kitchen_{number}", "environment", urdf, [0, 0, 0], geometry.from_rpy(0, 0, yaw), world=world)
     robot = Object("pr2", "robot", "pr2.urdf", [0.4, 0, 0], world=world)
     world.set_robot(robot)
@@ -89,7 +89,7 @@ def furnish(world: BulletWorld, folder: Path) -> None:
     robot.set_joint_position("torso_lift_joint", 0.2)
 
 
-def _write(folder: Path, name: str, seed: int) -> Path:
+def write_row(folder: Path, name: str, seed: int) -> Path:
     """Write the URDF of a row and its meshes; return the URDF."""
     rng = np.random.default_rng(seed)
     writer = _Writer(folder, name)
