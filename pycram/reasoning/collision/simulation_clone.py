@@ -146,8 +146,10 @@ class PosingClone(SimulationClone):
 
     def body(self, name: str) -> Body:
         """Return the copy of an object, as it was synced unless somebody has moved it since."""
-        body: Object = self.world.get_object(name)
         copy = self._copies.get((name, ""))
+        if copy is not None and copy.state is self._states[name]:  # as mostly: it is asked for many times in a query
+            return copy.body
+        body: Object = self.world.get_object(name)
         if copy is None:
             copy = self._load(body, "", parts.without_visuals(body.model.path))
             self.engine.ghost(copy.body)
