@@ -268,11 +268,7 @@ class _Search:
     def _touching(self, candidate: Candidate, value: float) -> list[CollisionPair]:
         """Return what would touch what while the joint is at a value: also the door or drawer itself."""
         robot, container = self._robot.name, self._handle.container
-        pairs = [
-            CollisionPair(robot, deepest.link_a, body.name, deepest.link_b, -deepest.distance)
-            for body, touches in self._checker.collisions(candidate)
-            for deepest in [min(touches, key=lambda touch: touch.distance)]
-        ]
+        pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for link in self._moved if not pairs else ():
             part = self._clone.link(container, link)
             self._clone.engine.set_pose(part, self._handle.pose(value, link))
@@ -280,10 +276,7 @@ class _Search:
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
                     pairs.append(CollisionPair(robot, touch.link_a, container.name, link, -touch.distance))
-        if not pairs:
-            own = self._checker.self_collisions(candidate)
-            pairs = [CollisionPair(robot, link, robot, other) for link, other in own]
-        return pairs
+        return pairs or self._checker.self_collisions(candidate)
 
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
