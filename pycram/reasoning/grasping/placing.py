@@ -78,13 +78,13 @@ def stands_alone(body: Object) -> bool:
     """Return whether an object stays where it is without robots and what they hold: tried for 1 s in a clone."""
     without = [other for other in body.world.objects if not _root(other).is_robot]
     clone = clone_of(body.world, "physics")
-    copies = clone.sync(without, holding=True)
+    copies, _ = clone.sync(without)
     try:
         before = clone.engine.pose(copies[body.name])
         clone.engine.step(_ALONE)
         after = clone.engine.pose(copies[body.name])
     finally:
-        clone.invalidate(*copies)
+        clone.invalidate(*(other.name for other in without))
     moved, turned = math.dist(before[0], after[0]), geometry.angle(before[1], after[1])
     return moved < _STILL[0] and turned < _STILL[1]
 
