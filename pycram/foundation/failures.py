@@ -25,6 +25,7 @@ __all__ = [
     "InCollision",
     "JointLimitError",
     "LookingFailed",
+    "MissingPart",
     "NoWorld",
     "NotDrivable",
     "PerceptionError",
@@ -211,7 +212,7 @@ class Unreachable(PlanFailure):
     """No posture of the arm brings the tool there.
 
     Attributes:
-        arm: "left" or "right" (or the tool frame).
+        arm: its name (or the tool frame).
         target: xyz in m, world frame.
         distance: how near the tool came, in m.
         reason: what else prevented it.
@@ -273,6 +274,20 @@ class PostureInCollision(PlanFailure):
         self.bodies = list(bodies)
 
 
+class MissingPart(PlanFailure):
+    """A robot doesn't have a part that a motion needs; another arm or another robot may.
+
+    Attributes:
+        owner: the robot, or its arm.
+        part: what is missing: "gripper", "camera".
+    """
+
+    def __init__(self, owner: str, part: str) -> None:
+        super().__init__(f"the {owner} has no {part}, says its description")
+        self.owner = owner
+        self.part = part
+
+
 class LookingFailed(PlanFailure):
     """The head can't turn the camera to the target.
 
@@ -291,7 +306,7 @@ class GraspFailed(PlanFailure):
     """The gripper can't take the object.
 
     Attributes:
-        arm: "left" or "right".
+        arm: its name.
         body: name of the object.
         reason: why not.
     """

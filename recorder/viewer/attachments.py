@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
+from recorder import geometry
 from recorder.records import Keyframe
 from recorder.viewer.marks import BLUE, YELLOW
-from recorder.viewer.scene_lookup import camera_of
+from recorder.viewer.scene_lookup import camera_of, camera_offset
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -68,8 +69,11 @@ class AttachmentMarks:
             frame = self._scene.frame(world, name, str(camera["frame"]))
         except (KeyError, TypeError):
             return  # a robot without one
-        corners = [(right * x, down * y, _FRUSTUM) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        strips = [[*corners, corners[0]], *([(0.0, 0.0, 0.0), corner] for corner in corners)]
+        offset = camera_offset(camera)
+        corners = [
+            geometry.transform(offset, (right * x, down * y, _FRUSTUM)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        strips = [[*corners, corners[0]], *([offset[0], corner] for corner in corners)]
         self._columns.set_frame(path, frame)
         self._columns.send(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_LINE]))
 

@@ -7,10 +7,12 @@ import math
 import tomllib
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from recorder import geometry
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from recorder.geometry import Vector
+    from recorder.geometry import Pose, Vector
     from recorder.records import Argument, LoadBody
     from recorder.viewer.scene import Scene, SceneBody
 
@@ -73,6 +75,13 @@ def robot(scene: Scene, world: str, name: str = "") -> tuple[str, SceneBody] | N
         if candidate in bodies:
             return candidate, bodies[candidate]
     return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
+
+
+def camera_offset(camera: Mapping[str, Any]) -> Pose:
+    """Pose of a described camera's optical frame in its link."""
+    offset = camera.get("frame_offset", {})
+    x, y, z = offset.get("xyz", (0.0, 0.0, 0.0))
+    return (x, y, z), geometry.from_rpy(*offset.get("rpy", (0.0, 0.0, 0.0)))
 
 
 def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:

@@ -143,7 +143,7 @@ class Place(SimulatedModule):
     ) -> Mapping[str, float]:
         body_T_tool = geometry.multiply(
             geometry.invert(body.get_position_and_orientation()),
-            robot.get_link_position_and_orientation(arm.tool_frame),
+            arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
         )
         misses: list[float] = []
         blockers: set[str] = set()

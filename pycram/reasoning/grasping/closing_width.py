@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _SLACK: Final = 5e-4  # m of overlap that is a touch
-_HALVINGS: Final = 8  # of the interval between open and closed: 0.4 mm of the PR2's aperture
+_STEPS: Final = 8  # from open to closed, less than a finger's thickness each
+_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
 
 
 def closed_around(
@@ -44,9 +45,12 @@ def closed_around(
 
     try:
         engine.set_joints(hand, posture)
-        if not touches(0.0):
+        # a hollow thing may be touched on the way only: closed, the fingers would be within it
+        tried = (step / _STEPS for step in reversed(range(_STEPS)))
+        stuck = next((share for share in tried if touches(share)), None)
+        if stuck is None:
             return None
-        free, stuck = 1.0, 0.0
+        free = stuck + 1.0 / _STEPS
         for _ in range(_HALVINGS):
             share = (free + stuck) / 2
             if touches(share):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from recorder.geometry import Pose
     from recorder.geometry.urdf import Urdf
 
     Array = NDArray[np.float64]
@@ -33,6 +34,7 @@ class Chain:
         tool_link: the link at the end.
         joints: names of the joints that may move, in order; others of the chain keep their value.
         fixed: values of those others; 0 by default.
+        tool: pose of the tool in the link at the end.
 
     Attributes:
         joints: names of those that move.
@@ -51,6 +53,7 @@ class Chain:
         tool_link: str,
         joints: Sequence[str],
         fixed: Mapping[str, float] | None = None,
+        tool: Pose = geometry.IDENTITY,
     ) -> None:
         self.joints = tuple(joints)
         values = fixed or {}
@@ -64,7 +67,7 @@ class Chain:
             else:
                 before = before @ geometry.pose_matrix(joint.pose(values.get(joint.name, 0.0)))
         self._before = np.array(befores).reshape(-1, 4, 4)
-        self._tool = before
+        self._tool = before = before if tool == geometry.IDENTITY else before @ geometry.pose_matrix(tool)
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
         self.sliding = np.flatnonzero(slides).tolist()

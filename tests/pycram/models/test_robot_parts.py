@@ -1,0 +1,178 @@
+"""Robots with other parts than the PR2's: any names of arms, no gripper, half a head, no camera, a base that is fixed.
+
+They are PR2s whose descriptions leave something out or name it differently: the plan and the URDF are the same.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import DesignatorError, MotionDesignator
+from pycram.failures import AssetError, LookingFailed, MissingPart, NotDrivable
+from pycram.models.robots.description import RobotDescription
+from pycram.process_module import ProcessModule
+from pycram.reasoning.collision.checker import CollisionChecker
+from recorder import geometry
+from tests.pycram.models.test_robot_descriptions import PR2
+
+CAMERA = "wide_stereo_optical_frame"
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def without(table: str) -> str:
+    """The PR2's description without a table and those within it."""
+    kept = re.sub(rf"^\[{re.escape(table)}(\.\w+)*\]\n(?:(?!\[\w).*\n?)*", "", PR2, flags=re.MULTILINE)
+    assert kept != PR2
+    return kept
+
+
+def robot(text: str) -> Object:
+    made = Object("robot", "robot", "pr2.urdf", description=RobotDescription.parse(text))
+    assert BulletWorld.current_bullet_world is not None
+    BulletWorld.current_bullet_world.robot = made
+    return made
+
+
+@pytest.fixture(autouse=True)
+def around(world: BulletWorld) -> None:
+    Object("floor", "environment", "plane.urdf")
+
+
+def test_the_only_arm_is_the_default_whatever_its_name() -> None:
+    made = robot(without("arms.left").replace("[arms.right", "[arms.claw"))
+    perform(type="move-arm-joints", claw_arm="park")
+    assert made.get_joint_position("r_shoulder_pan_joint") == pytest.approx(-1.712)
+    perform(type="move-tcp", target=[0.6, -0.2, 0.9])
+    assert math.dist(made.get_link_position("r_gripper_tool_frame"), [0.6, -0.2, 0.9]) < 0.002
+    with pytest.raises(DesignatorError, match="unknown slot left-arm; did you mean claw-arm") as raised:
+        perform(type="move-arm-joints", left_arm="park")
+    assert "claw-arm (optional)" in raised.value.takes
+
+
+def test_of_several_arms_without_a_left_one_the_plan_names_one() -> None:
+    robot(PR2.replace("[arms.left", "[arms.upper").replace("[arms.right", "[arms.lower"))
+    with pytest.raises(DesignatorError, match="missing slot arm: one of upper, lower"):
+        perform(type="move-tcp", target=[0.6, 0.2, 0.9])
+    perform(type="move-tcp", target=[0.6, 0.2, 0.9], arm="upper")
+    perform(type="move-arm-joints", upper_arm="park", lower_arm="park")
+
+
+def test_the_tool_frame_may_be_away_from_its_link() -> None:
+    offset = (
+        'tool_frame = "l_gripper_tool_frame"\ntool_offset = { xyz = [0.1, 0, 0], rpy = [0, 1.5707963267948966, 0] }'
+    )
+    described = PR2.replace('tool_frame = "l_gripper_tool_frame"', offset)
+    made = robot(described)
+    target = [0.6, 0.3, 0.9]
+    perform(type="move-tcp", target=target, orientation=[0, 0, 0, 1], arm="left")
+    pose = made.get_link_position_and_orientation("l_gripper_tool_frame")
+    assert math.dist(geometry.transform(pose, (0.1, 0.0, 0.0)), target) < 0.002
+    forward = geometry.rotate(pose[1], (0.0, 0.0, -1.0))  # the tool frame's x axis in its link
+    assert forward == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
+
+
+def test_an_arm_without_gripper_moves_and_takes_nothing() -> None:
+    robot(without("arms.left.gripper"))
+    thing = Object("milk", "milk", "milk.stl", [0.7, 0.2, 0.1])
+    perform(type="move-arm-joints", left_arm="park")
+    for slots in ({"type": "pick-up", "object": thing}, {"type": "opening-gripper", "gripper": "left"}):
+        with pytest.raises(MissingPart, match="left arm has no gripper") as raised:
+            perform(**slots)
+        assert raised.value.data["part"] == "gripper"
+
+
+def test_each_joint_of_a_gripper_has_values_of_its_own() -> None:
+    joints, opened = re.findall(r'"(l_gripper_\w+_joint)"', PR2), [0.1, 0.2, 0.3, 0.4]
+    made = robot(PR2.replace("open = 0.548", f"open = {opened}", 1))
+    perform(type="opening-gripper", gripper="left")
+    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx(opened)
+    perform(type="closing-gripper", gripper="left")
+    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx([0.0] * 4)
+    with pytest.raises(AssetError, match="4 numbers for l_gripper_l_finger_joint"):
+        RobotDescription.parse(PR2.replace("open = 0.548", "open = [0.1, 0.2]", 1))
+
+
+@pytest.mark.parametrize(("kept", "moved"), [("pan", "head_pan_joint"), ("tilt", "head_tilt_joint")])
+def test_half_a_head_brings_things_into_the_picture(kept: str, moved: str) -> None:
+    left_out = {"pan": 'tilt = "head_tilt_joint"\n', "tilt": 'pan = "head_pan_joint"\n'}[kept]
+    made = robot(PR2.replace(left_out, ""))
+    before = made.get_joint_positions()
+    aside, above = ([1.5, 1.5, 0.9], [1.5, 0.1, 0.3])
+    seen, unseen = (aside, [0.5, 0, 3]) if kept == "pan" else (above, [-1.5, 0, 1])
+    perform(type="looking", target=seen)
+    x, y, z = geometry.transform(geometry.invert(made.get_link_position_and_orientation(CAMERA)), seen)
+    assert z > 0
+    assert abs((x, y)[kept == "tilt"]) < 0.01, "as near to the middle as that joint can bring it"
+    changed = {joint for joint, value in made.get_joint_positions().items() if value != before[joint]}
+    assert changed == {moved}
+    with pytest.raises(LookingFailed):
+        perform(type="looking", target=unseen)
+
+
+def test_a_fixed_camera_looks_where_it_looks() -> None:
+    made = robot(without("head"))
+    before = made.get_joint_positions()
+    perform(type="looking", target=[2, 0.2, 1.2])
+    with pytest.raises(LookingFailed):
+        perform(type="looking", target=[-1, 0, 1])
+    assert made.get_joint_positions() == before
+
+
+def test_without_a_camera_nothing_is_looked_at_or_detected() -> None:
+    robot(without("camera"))
+    for slots in ({"type": "looking", "target": [1, 0, 1]}, {"type": "detecting", "object_type": "milk"}):
+        with pytest.raises(MissingPart, match="robot has no camera"):
+            perform(**slots)
+
+
+def test_a_base_that_is_fixed_does_not_drive() -> None:
+    made = robot(PR2.replace('base_link = "base_footprint"', 'base_link = "base_footprint"\ndrives = false'))
+    with pytest.raises(NotDrivable, match="its base is fixed") as raised:
+        perform(type="moving", target=[0.5, 0, 0])
+    assert raised.value.position == [0.5, 0, 0]
+    assert made.get_position() == [0, 0, 0]
+
+
+def test_fingers_close_around_the_tool_frames_x_axis() -> None:
+    urdf = Object("any", "thing", "pr2.urdf").urdf
+    frame = 'tool_frame = "l_gripper_tool_frame"'
+    for rpy, axis in (("[0, 0, 1.5708]", "x"), ("[1.5708, 0, 0]", "z")):
+        turned = PR2.replace(frame, f"{frame}\ntool_offset = {{ rpy = {rpy} }}")
+        with pytest.raises(AssetError, match=f"closes along the tool frame's {axis} axis, not along y"):
+            RobotDescription.parse(turned).check(urdf)
+    one_side = re.sub(r'"l_gripper_r_finger\w*",?', "", PR2)
+    with pytest.raises(AssetError, match="all close from one side"):
+        RobotDescription.parse(one_side).check(urdf)
+    swapped = PR2.replace("closed = 0.0\nopen = 0.548", "closed = 0.0\nopen = 0.0", 1)
+    with pytest.raises(AssetError, match="move none of its fingers"):
+        RobotDescription.parse(swapped).check(urdf)
+
+
+def test_pairs_of_links_that_may_touch_are_no_collision() -> None:
+    folded = [-0.31, 1.1, 2.18, -1.73, -0.03, -1.15, 0.94]
+
+    def overlaps(text: str) -> set[frozenset[str]]:
+        made = robot(text)
+        arm = made.description.arm("left")
+        with CollisionChecker(made, arm.joints) as checker:
+            (candidate,) = checker.predict([dict(zip(arm.joints, folded, strict=True))])
+            pairs = checker.self_collisions(candidate)
+        made.remove()
+        return {frozenset(pair) for pair in pairs}
+
+    found = overlaps(PR2)
+    assert found
+    allowed = min(found, key=sorted)
+    tolerant = PR2.replace('robot = "pr2"', f'robot = "pr2"\nmay_touch = [{sorted(allowed)}]')
+    assert overlaps(tolerant) == found - {allowed}
+    with pytest.raises(AssetError, match="two different links"):
+        RobotDescription.parse(tolerant.replace(str(sorted(allowed)), '["torso_lift_link"]'))
+    with pytest.raises(AssetError, match="torso_lyft_link"):
+        robot(tolerant.replace(str(sorted(allowed)), '["torso_lyft_link", "base_link"]'))
