@@ -33,6 +33,7 @@ class Gripper:
         open: the value of each when open.
         fingers: links of the fingers.
         aperture: m between the finger tips when open.
+        gap: m between them when closed: thinner things slip through.
         depth: m that it may take in of an object, from the tool frame back towards the palm.
         tips: m from the tool frame on to the finger tips when closed; open ones reach less far.
         underside: m from the tool frame down to the gripper's lowest point when it lies level.
@@ -48,6 +49,7 @@ class Gripper:
     depth: float
     tips: float
     underside: float
+    gap: float = 0.0
     suction: float = 0.0
 
     def positions(self, motion: str) -> dict[str, float]:
@@ -121,12 +123,14 @@ def read_gripper(table: tables.Table) -> Gripper:
             underside=checks.in_range("underside", table["underside"], *_SIZES),
             suction=checks.in_range("suction", table["suction"], 1e-3, 1.0),
         )
-    tables.only(table, "palm", "joints", "closed", "open", "fingers", "aperture", "depth", "tips", "underside")
+    tables.only(table, "palm", "joints", "closed", "open", "fingers", "aperture", "gap", "depth", "tips", "underside")
     joints = tables.texts("joints", table["joints"])
     fingers = tables.texts("fingers", table["fingers"])
     for name, values in (("joints", joints), ("fingers", fingers)):
         if not values:
             raise BadArgument(name, list(values), 'at least one; a suction cup has "suction" instead')
+    aperture = checks.in_range("aperture", table["aperture"], 1e-3, 1.0)
+    gap = checks.in_range("gap", table.get("gap", 0.0), 0.0, aperture)
     sizes = {key: checks.in_range(key, table[key], *_SIZES) for key in ("depth", "tips", "underside")}
     return Gripper(
         palm=checks.text("palm", table["palm"]),
@@ -134,7 +138,8 @@ def read_gripper(table: tables.Table) -> Gripper:
         closed=_values("closed", table["closed"], joints),
         open=_values("open", table["open"], joints),
         fingers=fingers,
-        aperture=checks.in_range("aperture", table["aperture"], 1e-3, 1.0),
+        aperture=aperture,
+        gap=gap,
         **sizes,
     )
 

@@ -84,6 +84,7 @@ class PickUp(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
+        gripper = arm.gripper
         with robot.world.lock:
             self._check_free(robot, arm, body)
             names = (solution["grasp"],) if "grasp" in solution else None
@@ -99,10 +100,10 @@ class PickUp(SimulatedModule):
                 blockers = ", ".join(other.name for other in plan.obstacles)
                 raise Unreachable(arm.name, center(body), None, f"{blockers} would be in the way")
             posture = plan.posture.positions
-            closed = closing_width.closed_around(robot, arm.gripper, posture, body)
+            closed = closing_width.closed_around(robot, gripper, posture, body)
             if closed is None:
                 raise GraspFailed(arm.name, body.name, "its fingers would close on nothing")
-            robot.set_joint_positions(arm.gripper.positions("open"))
+            robot.set_joint_positions(gripper.positions("open"))
             robot.set_joint_positions(posture)
             robot.set_joint_positions(closed)
             robot.attach(body, arm.tool_frame)

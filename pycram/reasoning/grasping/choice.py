@@ -67,6 +67,8 @@ def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = N
         names: the sides that are allowed; all by default.
     """
     arm = robot.description.arm_of(link) if robot.description else None
+    if arm is not None and arm.hand is None:  # it takes nothing, and gets to places as any link does
+        arm = None
     solver = Solver(robot, link)
     if arm is None:
         grasps: Sequence[Grasp] = [Grasp("any", center(body), IDENTITY[1], 0.0)]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _SLACK: Final = 5e-4  # m of overlap that is a touch
+_AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
 _STEPS: Final = 8  # from open to closed, less than a finger's thickness each
 _HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
 
@@ -20,7 +21,7 @@ _HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
 def closed_around(
     robot: Object, gripper: Gripper, posture: Mapping[str, float], body: Object
 ) -> dict[str, float] | None:
-    """Return the joint values of a gripper that has closed on an object.
+    """Return the joint values of a gripper that has closed on an object; a suction cup has none.
 
     Args:
         robot: the robot.
@@ -29,7 +30,7 @@ def closed_around(
         body: the object, which stays where it is.
 
     Returns:
-        The values; None if nothing is between the fingers.
+        The values; None if nothing is between the fingers, or at the cup.
     """
     clone = clone_of(robot.world, "reach")
     bodies = clone.sync()
@@ -45,6 +46,9 @@ def closed_around(
 
     try:
         engine.set_joints(hand, posture)
+        if gripper.suction:
+            near = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
+            return {} if near else None
         # a hollow thing may be touched on the way only: closed, the fingers would be within it
         tried = (step / _STEPS for step in reversed(range(_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)

@@ -7,17 +7,23 @@ from __future__ import annotations
 
 import math
 import re
+from typing import TYPE_CHECKING
 
 import pytest
 
+from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
-from pycram.failures import AssetError, LookingFailed, MissingPart, NotDrivable
+from pycram.failures import AssetError, GraspFailed, LookingFailed, MissingPart, NotDrivable
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 from pycram.reasoning.collision.checker import CollisionChecker
 from recorder import geometry
+from tests.pycram.models import gantry
 from tests.pycram.models.test_robot_descriptions import PR2
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 CAMERA = "wide_stereo_optical_frame"
 
@@ -176,3 +182,26 @@ def test_pairs_of_links_that_may_touch_are_no_collision() -> None:
         RobotDescription.parse(tolerant.replace(str(sorted(allowed)), '["torso_lift_link"]'))
     with pytest.raises(AssetError, match="torso_lyft_link"):
         robot(tolerant.replace(str(sorted(allowed)), '["torso_lyft_link", "base_link"]'))
+
+
+def test_a_suction_cup_takes_flat_things_from_above(world: BulletWorld, tmp_path: Path) -> None:
+    world.set_gravity([0, 0, -9.8])
+    made = Object("gantry", "robot", gantry.write(tmp_path), description=RobotDescription.parse(gantry.DESCRIPTION))
+    world.robot = made
+    box, spoon = (
+        Object(kind, kind, f"{kind}.stl", at)
+        for kind, at in (("breakfast_cereal", [0.4, 0.3, 0.13]), ("spoon", [-0.3, -0.3, 0.05]))
+    )
+    world.simulate(1.0)
+    with pytest.raises(GraspFailed):
+        perform(type="pick-up", object=spoon)
+    perform(type="pick-up", object=box, grasp="top")
+    cup = made.get_link_position("cup")
+    top = box.get_AABB()[1][2]
+    assert cup[2] - 0.04 == pytest.approx(top, abs=0.005), "its rim is on the carton"
+    perform(type="move-arm-joints", **{"z-axis-arm": "park"})
+    assert box.get_position()[2] > 1.0
+    perform(type="place", object=box, target=[-0.2, 0.4, 0.13])
+    perform(type="move-arm-joints", **{"z-axis-arm": "park"})
+    assert math.dist(box.get_position()[:2], [-0.2, 0.4]) < 0.01
+    assert btr.stable(box)
