@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
+from pycram.models import robot_urdfs
 from recorder import RecordingError, record
 from recorder.extras import NotInstalled
 from recorder.mcap.sink import versions
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from recorder import Recording
 
+_WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
 _SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
@@ -54,6 +56,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
+    if options.command == "demo" and options.robot:
+        if options.name != _WITH_ROBOTS:
+            parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
+        arguments = ["--robot", options.robot, *arguments]
     log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
     return run(plan, log, arguments, options.rerun)
 
@@ -65,6 +71,8 @@ def _parser() -> argparse.ArgumentParser:
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
+    robots = sorted(Path(name).stem for name in robot_urdfs.NAMES)
+    demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {_WITH_ROBOTS} (default: pr2)")
     plan = commands.add_parser(
         "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
     )
