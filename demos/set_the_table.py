@@ -1,9 +1,9 @@
 """Sets the table: the thesis' pick-and-place plan (5.1), on a PR2 in a kitchen, or on another robot.
 
 Milk, bowl and cereal stand on the counter, the spoon lies in a drawer. The robot carries each to the kitchen island;
-whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Arms that are bolted
-down have the same things on a table, and carry them to its other side. Run it with ``pycram demo``, on another robot
-with ``pycram demo --robot panda``, or record any variation of it with ``pycram run my_plan.py``.
+whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Arms that are
+bolted down have the same things on a table, and carry them to its other side. Run it with ``pycram demo``, on another
+robot with ``pycram demo --robot panda``, or record any variation of it with ``pycram run my_plan.py``.
 """
 
 from __future__ import annotations

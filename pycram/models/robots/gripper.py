@@ -65,7 +65,7 @@ class Gripper:
         """Yield what is wrong with how the fingers close: they have to, from both sides, along the tool frame's y axis.
 
         A finger that stands still is one side. Only the kinematics are looked at; what is between the fingers, the
-        whole check (:mod:`pycram.models.robots.check`) looks at.
+        whole check (``pycram describe --check``) looks at.
 
         Args:
             urdf: of the robot.

@@ -85,6 +85,10 @@ class Chain:
         poses: Array = self._transforms(postures)[-1] @ self._tool
         return poses
 
+    def frames(self, postures: Array) -> Array:
+        """Return frames (joints, n, 4, 4) behind the joints in the base link for postures (n, joints)."""
+        return self._transforms(postures)[1:]
+
     def at_zero(self) -> tuple[Array, Array, Array]:
         """Return for joints at zero points (joints, 3) of axes, axes (joints, 3), and the pose of the tool."""
         poses, axes = self._frames(np.zeros((1, len(self.joints))))
@@ -117,7 +121,7 @@ class Chain:
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
         """Return frames (joints, n, 4, 4) behind the joints, and their axes (n, 3, joints)."""
-        poses = self._transforms(postures)[1:]
+        poses = self.frames(postures)
         return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # no joint turns its own axis
 
     def _transforms(self, postures: Array) -> Array:
