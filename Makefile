@@ -23,7 +23,7 @@ test-lowest: .venv-lowest/ready  ## the inner loop with the lowest versions that
 	.venv-lowest/bin/pytest -n auto --dist worksteal -m "not slow and not long"
 
 test-reading: .venv-reading/ready  ## reading recordings where neither engine nor viewer is installed
-	.venv-reading/bin/pytest --noconftest tests/replay/test_reading_alone.py
+	.venv-reading/bin/pytest --noconftest -m "not slow" tests/replay/test_reading_alone.py
 
 lint: .venv/ready-dev
 	$(BIN)/ruff check
@@ -37,8 +37,9 @@ bench: .venv/ready-dev  ## measures, and prints the tables
 resources: .venv/ready-dev  ## makes kitchen, floor and objects anew
 	$(BIN)/python resources/make_resources.py
 
-proto: .venv/ready-dev  ## compiles recorder/records/log.proto
-	$(BIN)/python -m recorder.records.compile_proto
+PROTO_OUT := .
+proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part of the descriptor's name, hence from here
+	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
 
 system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
 	.ci/system-packages

@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING
 from pycram.foundation.failures import PlanFailure, PycramError
 from pycram.models import robot_urdfs
 from recorder import RecordingError, record
-from recorder.extras import NotInstalled
-from recorder.mcap.sink import versions
+from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
-from recorder.viewer.connection import Kind, Target
+from recorder.viewer.address import Kind, Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

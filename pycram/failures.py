@@ -1,56 +1,8 @@
 """All failures, in two families: :class:`PlanFailure` (the world refused) and :class:`UsageError`."""
 
-from pycram.foundation.failures import (
-    AccessFailed,
-    AssetError,
-    AttachmentError,
-    BadArgument,
-    ChangeRefused,
-    DisplayError,
-    GraspFailed,
-    InCollision,
-    JointLimitError,
-    LookingFailed,
-    MissingPart,
-    NotDrivable,
-    NoWorld,
-    PerceptionError,
-    PlaceFailed,
-    PlanFailure,
-    PostureInCollision,
-    PycramError,
-    ReasoningError,
-    UnknownName,
-    Unreachable,
-    UsageError,
-    WorldClosed,
-)
+from pycram.foundation import failures
+from pycram.foundation.failures import *  # noqa: F403  what it exports is listed there
 from pycram.language.failures import BranchesFailed, NotCleanedUp
 
-__all__ = [
-    "AccessFailed",
-    "AssetError",
-    "AttachmentError",
-    "BadArgument",
-    "BranchesFailed",
-    "ChangeRefused",
-    "DisplayError",
-    "GraspFailed",
-    "InCollision",
-    "JointLimitError",
-    "LookingFailed",
-    "MissingPart",
-    "NoWorld",
-    "NotCleanedUp",
-    "NotDrivable",
-    "PerceptionError",
-    "PlaceFailed",
-    "PlanFailure",
-    "PostureInCollision",
-    "PycramError",
-    "ReasoningError",
-    "UnknownName",
-    "Unreachable",
-    "UsageError",
-    "WorldClosed",
-]
+__all__ = ["BranchesFailed", "NotCleanedUp"]
+__all__ += failures.__all__

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Iterable
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.errors import RecordingError
-from recorder.extras import hint
 from recorder.mcap.sink import McapSink
+from recorder.packages import hint
 from recorder.records import Run, failure
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_name
 from recorder.tracing.journal import Journal
-from recorder.tracing.uncaught import recording_uncaught
-from recorder.viewer.sink import RerunSink
+from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -82,7 +83,7 @@ def record(
     log, viewer = _begin(file, live, title, arguments, program)
     owner = os.getpid()
     try:
-        with recording_uncaught(log, title):
+        with _recording_uncaught(log, title):
             yield Recording(file, log, viewer)
     except BaseException as error:
         try:
@@ -123,7 +124,7 @@ def _begin(
         undoing.callback(sink.close)
         log = Journal([sink] if viewer is None else [sink, viewer])
         _leave_to_parent(sink, log)
-        log.append(Run(phase=Run.STARTED, name=title))
+        log.append(Run(phase=Run.STARTED, name=title, thread=current_name()))
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
         journal.open_journal(log)
@@ -131,9 +132,39 @@ def _begin(
     return log, viewer
 
 
+@contextmanager
+def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
+    """Records the errors that end threads while its block runs; the hook that was set before is called too."""
+    before = threading.excepthook
+    ended = False
+
+    def hook(args: threading.ExceptHookArgs) -> None:
+        try:
+            if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
+                name = (args.thread or threading.current_thread()).name
+                with suppress(OSError):  # the next record raises it
+                    log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failure(args.exc_value)))
+        finally:
+            before(args)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        ended = True
+        if threading.excepthook is hook:  # else it stays in the chain of who came later
+            threading.excepthook = before
+
+
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
     succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
-    end = Run(phase=Run.FINISHED, name=title, succeeded=succeeded, duration_ns=time.perf_counter_ns() - start)
+    end = Run(
+        phase=Run.FINISHED,
+        name=title,
+        thread=current_name(),
+        succeeded=succeeded,
+        duration_ns=time.perf_counter_ns() - start,
+    )
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure(error))
     try:

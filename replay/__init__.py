@@ -6,9 +6,10 @@ every world after one. Needs neither the plan nor the physics engine.
 
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.recording import Recording
-from replay.recording import open_recording as open  # noqa: A004  replay.open reads well
 from replay.state.fold import fold
 from replay.state.state import Attachment, Body, State, World
+
+open = Recording  # noqa: A001  replay.open reads well
 
 __all__ = [
     "Attachment",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from recorder.errors import PortableError
 from recorder.suggestions import suggestion
 
 if TYPE_CHECKING:
@@ -11,7 +12,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class ReplayError(Exception):
+class ReplayError(PortableError):
     """Base of the errors of this package."""
 
 

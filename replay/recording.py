@@ -9,30 +9,32 @@ from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
 from replay.explain.step_names import step_of
-from replay.explain.tree import tree
+from replay.explain.task_tree import tree
 from replay.explain.why import why
-from replay.file.log import Log
+from replay.file.record_reader import RecordReader
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from pathlib import Path
 
     from PIL import Image
 
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
     from replay.explain.blame import Blame
-    from replay.explain.explanation import Why
+    from replay.explain.why_data import Why
     from replay.restore.ask import Answer, Move
     from replay.restore.question import Question
     from replay.state.state import State
 
 
-class Recording(Log):
-    """A recording; opened by ``replay.open``. Not for several threads at once.
+class Recording(RecordReader):
+    """A recording; ``replay.open(path)`` opens it. Not for several threads at once.
 
     Steps are numbers, or names as :meth:`step` takes them.
+
+    Raises:
+        NotALog: the file isn't one, or nothing of it can be read.
     """
 
     def step(self, name: int | str) -> int:
@@ -92,12 +94,3 @@ class Recording(Log):
         from replay.restore.world import world_at  # noqa: PLC0415
 
         return world_at(self, self.step(step), world, exact=exact, mode=mode)
-
-
-def open_recording(path: str | Path) -> Recording:
-    """Open a recording.
-
-    Raises:
-        NotALog: it isn't one, or nothing of it can be read.
-    """
-    return Recording(path)

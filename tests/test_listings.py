@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram import bullet_world_reasoning as btr
-from pycram import tasks
+from pycram import bullet_world_reasoning as btr, tasks
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.language import par

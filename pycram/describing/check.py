@@ -115,7 +115,9 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
         with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
             (candidate,) = checker.predict([arm.posture(name)])
             pairs = checker.self_collisions(candidate)
-        text = "; ".join(f"{a} would be in {b}" for a, b in pairs) or "the robot doesn't touch itself"
+        text = (
+            "; ".join(f"{pair.link} would be in {pair.body_link}" for pair in pairs) or "the robot doesn't touch itself"
+        )
         yield Finding(not pairs, f"{arm.name} arm, {name}", text)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pycram.vision.camera import Camera, drawable
 from recorder import geometry
-from recorder.extras import needed
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -37,7 +37,10 @@ def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
     chain = chain_of(robot, arm)
     postures = [dict(zip(arm.joints, row, strict=True)) for row in spread(chain, 0, _SAMPLED).tolist()]
     with CollisionChecker(robot, arm.joints) as checker:
-        found = [set(checker.self_collisions(candidate)) for candidate in checker.predict(postures)]
+        found = [
+            {(pair.link, pair.body_link) for pair in checker.self_collisions(candidate)}
+            for candidate in checker.predict(postures)
+        ]
     return set.intersection(*found) if found else set()
 
 

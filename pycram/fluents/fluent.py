@@ -193,8 +193,8 @@ class Fluent:
         state = self.expression.state()
         values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
         with span("wait", self.name, values | ({} if limit is None else {"timeout": limit})) as task:
-            task.result = found = first_value(self.expression, limit) is not None
-            return found
+            task.result = happened = first_value(self.expression, limit) is not None
+            return happened
 
     # --- pulses ----------------------------------------------------------------------------------------------------
 

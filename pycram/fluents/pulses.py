@@ -42,7 +42,9 @@ class PulseCounter(Leaf):
         super().__init__((of,), 0)
         self.missed = missed
         with lock:
-            for expression in _below(of):
+            for expression in _reachable(
+                (of,), lambda below: () if isinstance(below, PulseCounter) else below.operands
+            ):
                 known = expression.counters if isinstance(expression.counters, weakref.WeakSet) else weakref.WeakSet()
                 known.add(self)
                 expression.counters = known
@@ -72,28 +74,20 @@ class PulseCounter(Leaf):
                 notify((self,))
 
 
-def _below(expression: Expression) -> list[Expression]:
-    """Return an expression and all from which its value comes, each once; counters have their own pulses."""
-    found = {expression: None}
-    queue = [expression]
-    for one in queue:
-        if not isinstance(one, PulseCounter):
-            new = [operand for operand in one.operands if operand not in found]
-            found.update(dict.fromkeys(new))
-            queue += new
+def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
+    """Return the given expressions and all that are next to them, or to those, each once."""
+    queue = list(dict.fromkeys(given))
+    reached = set(queue)
+    for expression in queue:
+        new = [each for each in dict.fromkeys(next_to(expression)) if each not in reached]
+        reached.update(new)
+        queue += new
     return queue
 
 
-def counters_on(pulsed: Iterable[Expression]) -> list[PulseCounter]:
+def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
     """Return the counters of pulses of these expressions, and those of pulses of these counters, each once."""
-    queue = list(pulsed)
-    given = len(queue)
-    reached = set(queue)
-    for expression in queue:
-        new = [counter for counter in expression.counters if counter not in reached]
-        reached.update(new)
-        queue += new
-    return cast("list[PulseCounter]", queue[given:])
+    return cast("list[PulseCounter]", _reachable(pulsed, lambda expression: expression.counters)[len(pulsed) :])
 
 
 def pulse(pulsed: Collection[Expression]) -> None:

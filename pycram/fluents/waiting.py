@@ -12,7 +12,8 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from pycram.fluents.expressions import lock
-from pycram.scheduling.cancellation import Condition, checkpoint, wait
+from pycram.scheduling.cancellation import checkpoint, wait
+from pycram.scheduling.schedule import Condition
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -7,21 +7,28 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
-from pycram.foundation.names import did_you_mean, export, nearest_names
+from pycram.foundation.names import export
+from recorder.suggestions import nearest, suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
+
+    from recorder.geometry import PoseLike
 
 __all__ = [
     "AccessFailed",
     "AssetError",
     "AttachmentError",
     "BadArgument",
+    "Blocked",
     "ChangeRefused",
+    "CollisionPair",
     "DisplayError",
     "GraspFailed",
+    "GripperBlocked",
     "InCollision",
     "JointLimitError",
     "LookingFailed",
@@ -39,8 +46,6 @@ __all__ = [
     "UsageError",
     "WorldClosed",
 ]
-
-_MAX_LISTED = 10  # names that fit into a message
 
 
 def _point(coordinates: Sequence[float]) -> str:
@@ -96,12 +101,11 @@ class UnknownName(UsageError, LookupError):
 
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
-        listed = (", ".join(names) or "none") if len(names) <= _MAX_LISTED else f"{len(names)} of them"
-        super().__init__(f"{owner} has no {kind} {name!r}{did_you_mean(name, names) or f'; it has {listed}'}")
+        super().__init__(f"{owner} has no {kind} {name!r}; {suggestion(name, names)}")
         self.kind = kind
         self.name = name
         self.owner = owner
-        self.nearest = nearest_names(name, names)
+        self.nearest = nearest(name, names)
 
 
 class AssetError(UsageError):
@@ -209,10 +213,10 @@ class PerceptionError(PlanFailure):
 
 
 class Unreachable(PlanFailure):
-    """No posture of the arm brings the tool there.
+    """No posture of the arm brings the tool there; if one does, but something is in its way, it is :class:`Blocked`.
 
     Attributes:
-        arm: its name (or the tool frame).
+        arm: name of the arm (or the tool frame).
         target: xyz in m, world frame.
         distance: how near the tool came, in m.
         reason: what else prevented it.
@@ -227,20 +231,43 @@ class Unreachable(PlanFailure):
         self.reason = reason
 
 
+class Blocked(Unreachable):
+    """The arm reaches there, but something is in the way.
+
+    Attributes:
+        bodies: names of what it would touch; of the robot, if it would touch itself.
+        pairs: the links that would overlap most, one pair an object.
+    """
+
+    def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
+        super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
+        self.pairs = list(pairs)
+        self.bodies = list(dict.fromkeys(pair.body for pair in pairs))
+
+
 class InCollision(PlanFailure):
-    """The robot would touch something there.
+    """The robot, or what it holds, would touch something there.
 
     Attributes:
         position: xyz of the refused base pose in m.
         orientation: xyzw of the refused base pose.
-        bodies: names of what it would touch.
+        bodies: names of what would be touched.
+        pairs: the links that would overlap most, one pair an object.
     """
 
-    def __init__(self, position: Sequence[float], orientation: Sequence[float], bodies: Sequence[str]) -> None:
-        super().__init__(f"the robot at {_point(position)} would touch {', '.join(bodies)}; it stays where it is")
+    def __init__(
+        self,
+        position: Sequence[float],
+        orientation: Sequence[float],
+        bodies: Sequence[str],
+        pairs: Sequence[CollisionPair] = (),
+    ) -> None:
+        touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
+        super().__init__(f"the robot can't be at {_point(position)}: {touched}; it stays where it is")
         self.position = [float(x) for x in position]
         self.orientation = [float(x) for x in orientation]
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
 
 
 class NotDrivable(PlanFailure):
@@ -265,13 +292,15 @@ class PostureInCollision(PlanFailure):
     Attributes:
         arms: names of the arms.
         bodies: names of what they would touch.
+        pairs: the links that would overlap most, one pair an object.
     """
 
-    def __init__(self, arms: Sequence[str], bodies: Sequence[str]) -> None:
-        sides = " and ".join(arms)
-        super().__init__(f"in that posture the {sides} arm would touch {', '.join(bodies)}; it stays where it is")
+    def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:
+        touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
+        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
         self.arms = list(arms)
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
 
 
 class MissingPart(PlanFailure):
@@ -306,7 +335,7 @@ class GraspFailed(PlanFailure):
     """The gripper can't take the object.
 
     Attributes:
-        arm: its name.
+        arm: "left" or "right".
         body: name of the object.
         reason: why not.
     """
@@ -318,20 +347,58 @@ class GraspFailed(PlanFailure):
         self.reason = reason
 
 
+class GripperBlocked(PlanFailure):
+    """The fingers can't open far enough to let go of what they hold.
+
+    Attributes:
+        arm: name of the arm.
+        body: name of the object that it holds.
+        pairs: the links that would meet, deepest first.
+    """
+
+    def __init__(self, arm: str, body: str, pairs: Sequence[CollisionPair]) -> None:
+        super().__init__(f"{arm} gripper can't let go of {body}: {phrases(pairs)}; it stays as it is")
+        self.arm = arm
+        self.body = body
+        self.pairs = list(pairs)
+
+
 class PlaceFailed(PlanFailure):
-    """The object can't be set down there.
+    """The object can't be set down there, or didn't come to rest where it was set down.
 
     Attributes:
         body: name of the object.
         target: xyz in m, world frame.
         reason: why not.
+        orientation: xyzw that was asked for; None for upright.
+        pairs: links that would meet, if that is why it wasn't set down.
+        wanted: position and orientation in which it was let go; None if it was not.
+        rest: position and orientation in which it is now; None if it was not let go.
+        touching: what it touches there.
     """
 
-    def __init__(self, body: str, target: Sequence[float], reason: str) -> None:
-        super().__init__(f"{body} can't be placed at {_point(target)}: {reason}")
+    def __init__(
+        self,
+        body: str,
+        target: Sequence[float],
+        reason: str,
+        *,
+        orientation: Sequence[float] | None = None,
+        pairs: Sequence[CollisionPair] = (),
+        wanted: PoseLike | None = None,
+        rest: PoseLike | None = None,
+        touching: Sequence[CollisionPair] = (),
+    ) -> None:
+        verb = "can't be placed" if rest is None else "doesn't stand"
+        super().__init__(f"{body} {verb} at {_point(target)}: {reason or phrases(pairs)}")
         self.body = body
         self.target = [float(x) for x in target]
-        self.reason = reason
+        self.reason = reason or phrases(pairs)
+        self.orientation = None if orientation is None else [float(x) for x in orientation]
+        self.pairs = list(pairs)
+        self.wanted = wanted
+        self.rest = rest
+        self.touching = list(touching)
 
 
 class AccessFailed(PlanFailure):

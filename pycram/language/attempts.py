@@ -13,10 +13,9 @@ from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import PlanFailure, UsageError
 from pycram.language.body import sequential
 from pycram.language.nesting import Scope
-from pycram.scheduling.binding import Binding
-from pycram.scheduling.cancellation import current_scope
+from pycram.scheduling.cancellation import Binding, current_scope
 from recorder.records import format_error
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:

@@ -11,13 +11,9 @@ Two things fail any block, decided or not: a usage error, in a branch or in the 
 never collected, retried or outvoted; and the failed cleanup of a cancelled branch, as the state of the world is then
 unknown.
 
-A block in the body of another one, its *host*, is one of the host's branches:
-
-- In ``try_in_order`` it runs where it stands; the host keeps its failure and goes on with what follows.
-- In a concurrent block it runs beside its siblings, but a ``with`` statement runs where it stands. So its body is only
-  *read* there, and a branch of the host runs the actions while the statements after it are read. Using a future in that
-  body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs where it
-  stands, after the actions before it in a sequence.
+A block in the body of another one, its *host*, is one of the host's branches. In ``try_in_order`` it runs where it
+stands; the host keeps its failure and goes on with what follows. In a concurrent block a branch runs it
+(:mod:`pycram.language.read_block`).
 
 Code in a body adds branches to the block around it, which its context carries. A branch's context carries none, and
 actions run in order. A decided ``try_in_order`` ends its body at the next block in it; variables that this block would
@@ -27,7 +23,7 @@ have set are not set then.
 from __future__ import annotations
 
 import threading
-from collections import deque
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -39,27 +35,17 @@ from pycram.language.attempts import Retry
 from pycram.language.body import current_block, in_block, leave_body
 from pycram.language.branch import Branch
 from pycram.language.failures import BranchesFailed, leaves_uncleaned
-from pycram.scheduling.cancellation import (
-    Cancelled,
-    CancelScope,
-    current_scope,
-    enter,
-    entered,
-    join,
-    raise_if_cancelled,
-    wait,
-)
+from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled
 from pycram.scheduling.future import Future
 from pycram.scheduling.locks import LockHeld, refuse_held
 from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
-from recorder.threads import current_branch, enter_branch
 from recorder.tracing import interrupts
-from recorder.tracing.span import Span, current_call_stack
+from recorder.tracing.branch_identity import current_branch, enter_branch
+from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from contextlib import AbstractContextManager
     from types import TracebackType
     from typing import Self
 
@@ -111,6 +97,10 @@ class Block:
         failures: Collects its failures; without a list, they are raised.
 
     Attributes:
+        name: Its kind: "par", ...
+        immediate: Whether an action starts regardless of those added before it.
+        reads_blocks: Whether branches of it run the blocks in its body.
+        adds_actions: Whether actions in its body become branches; else they run in order, and their failures rise.
         branches: Its branches, in the order in which they were added.
         scope: Cancel scope of its body and its branches; cancelled when the block is decided.
         decider: The branch that decided it; None as long as none has.
@@ -119,14 +109,16 @@ class Block:
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
+        self.name = policy.name
+        self.immediate = self.reads_blocks = policy.concurrent
+        self.adds_actions = not policy.propagates
         self.branches: list[Branch] = []
         self.scope = CancelScope(current_scope())
         self.decider: Branch | None = None
         self.state = State.CREATED
         self._around = current_scope()
         self._collected = failures
-        self._host = host = current_block()
-        self._is_read: bool = host is not None and (host.policy.concurrent or host._is_read)  # noqa: SLF001  same class
+        self._host = current_block()
         self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
         self._closing = threading.Lock()  # a plan's own threads may add branches while it ends
         self._scheduler = scheduler()
@@ -134,23 +126,8 @@ class Block:
         self._joined = 0  # number of leading branches known to have ended
         self._decided = False  # by its decider, or by a failure of the body
         self._body_failures: list[PlanFailure] = []
-        self._bindings: tuple[AbstractContextManager[None], ...] = ()  # active while its body runs
+        self._entered = ExitStack()  # what its body runs in
         self._span = Span("block", policy.name)
-        # only for a body that is read:
-        self._pending: deque[Branch] = deque()
-        self._dropping = False
-        self._body_ended = False
-        self._body_error: Exception | None = None
-
-    @property
-    def name(self) -> str:
-        """Its kind: "par", ..."""
-        return self.policy.name
-
-    @property
-    def immediate(self) -> bool:
-        """Whether an action starts regardless of those added before it."""
-        return self.policy.concurrent and not self._is_read
 
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
@@ -159,6 +136,9 @@ class Block:
         failures = [error for error in errors if isinstance(error, PlanFailure)]
         known = {id(failure) for failure in failures}
         return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
+
+    def await_turn(self) -> None:
+        """Wait until its body itself may act; where it runs as it stands, that is always so."""
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
@@ -191,15 +171,14 @@ class Block:
         """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
         branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
         branch.span.source = current_call_stack()
-        if self._is_read:
-            self.branches.append(branch)
-            self._pending.append(branch)
-            self._changed.notify_all()
-            if self._dropping:  # nothing runs it any more
-                self._drop()
-        else:
-            self._take(branch)
+        self._add(branch)
         return Future(branch)
+
+    def _add(self, branch: Branch) -> None:
+        with self._closing:
+            if self.state is State.RUNNING:
+                self.branches.append(branch)
+        self._take(branch)
 
     def _take(self, branch: Branch) -> None:
         """Schedule a branch or, in a sequential block, run it here; a decided block cancels it instead.
@@ -210,27 +189,27 @@ class Block:
             Cancelled: The block around this one is cancelled.
         """
         branch.span.parent = self._span.id
-        with self._closing:
-            closed = self.state is not State.RUNNING
-            if not closed and not self._is_read:
-                self.branches.append(branch)
-            self._taken += 1
-        if closed:
+        self._taken += 1
+        if self.state is not State.RUNNING:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        if self._decided or self.scope.is_cancelled:
-            branch.settle(State.CANCELLED)
-            branch.span.ask()
-            branch.span.finish(Cancelled())
-        elif self.policy.concurrent:
-            name = f"{self.name}-{self._taken} {branch.name}"
-            self._scheduler.begin(name, branch.context, partial(self._run, branch))
-        else:
-            branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
-            branch.context.run(self._run, branch)
-            error = branch.error
-            if error is not None and (self.policy.propagates or not isinstance(error, PlanFailure)):
-                raise error
+        try:
+            if self._decided or self.scope.is_cancelled:
+                branch.settle(State.CANCELLED)
+                branch.span.ask()
+                branch.span.finish(Cancelled())
+            elif self.policy.concurrent:
+                name = f"{self.name}-{self._taken} {branch.name}"
+                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon)
+            else:
+                branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
+                branch.context.run(self._run, branch)
+        except BaseException as error:
+            branch.abandon(error)
+            raise
+        ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
+        if branch.error is not None and ends_body and not self.policy.concurrent:
+            raise branch.error
         if self._around is not None and self._around.is_cancelled:
             raise Cancelled
 
@@ -264,7 +243,7 @@ class Block:
             self._decided = True
             self.scope.cancel()
 
-    def _add(self, nested: str, raised: BaseException | None) -> None:
+    def _add_ended(self, nested: str, raised: BaseException | None) -> None:
         """Add a block of its body that has ended, as a branch."""
         state = State.SUCCEEDED if raised is None else State.FAILED
         if isinstance(raised, Cancelled):
@@ -278,64 +257,34 @@ class Block:
     def __enter__(self) -> Self:
         if self.policy.concurrent:  # its end yields, and must not fail
             refuse_held()
-        if self._is_read and self._host is not None:
-            try:
-                self._host.start(self.name, self._work, dropped=self._drop, span=self._span)
-            except BaseException:  # cancelled: there will be no body
-                self._body_ended = True
-                self._changed.notify_all()
-                raise
-            self._bind(self._span.entered(), entered(self.scope), in_block(self))
-        else:
-            raise_if_cancelled()
-            self._span.__enter__()
-            self._bind(entered(self.scope), in_block(None if self.policy.propagates else self))
-            self.state = State.RUNNING
+        with ExitStack() as entering:
+            self._begin(entering)
+            entering.enter_context(entered(self.scope))
+            entering.enter_context(in_block(self if self.adds_actions else None))
+            self._entered = entering.pop_all()
         return self
+
+    def _begin(self, entering: ExitStack) -> None:
+        raise_if_cancelled()
+        entering.enter_context(self._span)
+        self.state = State.RUNNING
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        if self._is_read:
-            return self._end_body(error)
-        ended = error
-        try:
-            try:
-                raised = ended = self._close(error)
-            finally:
-                self._unbind()
-        except BaseException as wrong:  # it can't wait for its branches, or this is another context than it began in
-            ended = wrong
-            raise
-        finally:
-            self._span.__exit__(type(ended) if ended is not None else None, ended, None)
+        with self._entered:  # fails where it can't wait for its branches, or in another context than it began in
+            raised = self._close(error)
+            self._span.error = raised or self._span.error
         if self._host is not None:
-            self._host._add(self.name, raised)  # noqa: SLF001  same class
+            self._host._add_ended(self.name, raised)  # noqa: SLF001  same class
             if isinstance(raised, PlanFailure):
                 return True
         if raised is not None and raised is not error:
             raise_unchanged(raised)
         return raised is None
 
-    def _bind(self, *bindings: AbstractContextManager[None]) -> None:
-        """Enter the context of its body."""
-        self._bindings = bindings
-        for binding in bindings:
-            binding.__enter__()
-
-    def _unbind(self) -> None:
-        bindings, self._bindings = self._bindings, ()
-        for binding in reversed(bindings):
-            binding.__exit__(None, None, None)
-
     def _close(self, error: BaseException | None) -> BaseException | None:
         """Wait for the branches, set the outcome, and return what is to be raised."""
-        ended = self._end(error)
-        if ended is None and self.state is State.FAILED:  # collected instead of raised, and still in the task tree
-            self._span.error = BranchesFailed(self.name, self.failures)
-        return ended
-
-    def _end(self, error: BaseException | None) -> BaseException | None:
         if isinstance(error, PlanFailure):
             self._body_failed(error)
         elif error is not None:
@@ -358,7 +307,11 @@ class Block:
         if self.state is State.SUCCEEDED:
             self._record_body_failures()
             return None
-        return None if self._collected is not None else BranchesFailed(self.name, failures)
+        failed = BranchesFailed(self.name, failures)
+        if self._collected is None:
+            return failed
+        self._span.error = failed  # not raised, but in the task tree
+        return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
         """Return the block's final state, given the error of its body; usage errors are handled before."""
@@ -389,7 +342,7 @@ class Block:
             The last interrupt: that one; or a KeyboardInterrupt, or another signal handler's error, that was raised
             meanwhile and has cancelled the branches.
         """
-        own = scheduler()
+        own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
@@ -413,64 +366,3 @@ class Block:
         while self._joined < len(self.branches) and self.branches[self._joined].done:
             self._joined += 1
         return self._joined == len(self.branches)
-
-    # --- a body that is read ------------------------------------------------------------------------------------------
-
-    def await_turn(self) -> None:
-        """Wait, in a body that is read, until the body itself may act: in a sequence, after the actions before.
-
-        Raises:
-            Cancelled: The block is cancelled.
-        """
-        if self._is_read:
-            wait(self._changed, lambda: self.state is not State.CREATED)
-            if not self.policy.concurrent:
-                for branch in self.branches:
-                    branch.wait()
-
-    def _end_body(self, error: BaseException | None) -> bool:
-        """End the reading of the body; return whether its error is handled."""
-        self._unbind()
-        if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
-            self.scope.cancel()  # the program is wrong, or the user interrupts it
-        self._body_error = error if isinstance(error, Exception) else None
-        self._body_ended = True
-        self._changed.notify_all()
-        if isinstance(error, Cancelled):  # by its own block, which is decided: the body around it goes on
-            return self._around is None or not self._around.is_cancelled
-        return error is None or isinstance(error, PlanFailure)
-
-    def _work(self) -> None:
-        """Run the branches of a body that is read, in a branch of the host."""
-        stopped: BaseException | None = None
-        enter(self.scope)
-        self.state = State.RUNNING
-        self._changed.notify_all()
-        try:
-            while self._await_pending():
-                self._take(self._pending.popleft())
-        except BaseException as stop:  # noqa: BLE001  raised below
-            self.scope.cancel()  # reading on is pointless
-            stopped = stop
-        self._drop()
-        join(self._changed, lambda: self._body_ended)  # actions of the body itself are part of this block too
-        error = self._body_error
-        if isinstance(error, PlanFailure):
-            self._body_failed(error)
-            error = None
-        raised = self._close(error or stopped)
-        if raised is not None:
-            raise_unchanged(raised)
-
-    def _await_pending(self) -> bool:
-        """Wait for the next branch of the body; return False when the body has ended."""
-        wait(self._changed, lambda: bool(self._pending) or self._body_ended)
-        return bool(self._pending)
-
-    def _drop(self) -> None:
-        """Cancel the branches that haven't started; no more will run."""
-        self._dropping = True
-        if self.state is State.CREATED:
-            self.state = State.CANCELLED
-        while self._pending:
-            self._pending.popleft().settle(State.CANCELLED)

@@ -7,8 +7,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING
 
 from pycram.language.nesting import nothing_open
-from pycram.scheduling.binding import Binding
-from pycram.scheduling.cancellation import raise_if_cancelled
+from pycram.scheduling.cancellation import Binding, raise_if_cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -97,6 +97,11 @@ class Branch:
         self.state = state  # last: other threads may read it
         self._changed.notify_all()
 
+    def abandon(self, error: BaseException) -> None:
+        """Fail it, unless it has ended: an error came between it and its end, such as that of a signal handler."""
+        if not self.done:
+            self.settle(State.FAILED, error=error)
+
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for its end, at most for a timeout in s; return whether it has ended.
 

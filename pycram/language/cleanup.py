@@ -15,8 +15,8 @@ from pycram.language.attempts import Retry
 from pycram.language.body import sequential
 from pycram.language.failures import NotCleanedUp
 from pycram.language.nesting import scope
-from pycram.scheduling.cancellation import Cancelled, shielded
-from recorder.tracing.span import span
+from pycram.scheduling.cancellation import shielded
+from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

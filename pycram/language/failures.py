@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import traceback
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.error_families import PlanFailure, PycramError, slots_of
 from pycram.foundation.names import export
@@ -12,6 +12,10 @@ from recorder.records import format_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+#: A traceback shows at most this many failed blocks within each other, and then what failed in the innermost: each of
+#: them has a record with its traceback, and those of blocks nested deeper would take seconds to write.
+MAX_LEVELS: Final = 8
 
 
 class BranchesFailed(PlanFailure):
@@ -38,8 +42,15 @@ class BranchesFailed(PlanFailure):
             for slot in slots_of(first):
                 if isinstance(self, slot.__objclass__):
                     slot.__set__(self, slot.__get__(first))
-        fields.update(block=block, failures=members)
-        self.__cause__ = members[0] if len(members) == 1 else Tracebacks(members)
+        levels = 1 + max((f._levels for f in members if isinstance(f, BranchesFailed)), default=0)  # noqa: SLF001  as self
+        causes = members
+        if levels > MAX_LEVELS:
+            levels, causes = 1, tuple(_leaves(members))
+        fields.update(block=block, failures=members, _levels=levels)
+        self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
+
+    _levels: int
+    """Number of blocks within each other that its traceback shows."""
 
     @property
     def block(self) -> str:

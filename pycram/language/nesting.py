@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Generic, NamedTuple, ParamSpec, TypeVar
 from pycram.foundation.failures import UsageError
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
-from recorder.tracing.call_site import is_resumable
+from recorder.tracing.call_stack import is_resumable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -15,9 +15,9 @@ from pycram.foundation.checks import number
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.body import sequential
 from pycram.language.nesting import scope
-from pycram.scheduling.cancellation import Cancelled, CancelScope, current_scope, entered, raise_if_cancelled
+from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
 from recorder.records import STEPS_PER_SECOND
-from recorder.tracing.span import span
+from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -10,8 +10,9 @@ from pycram.foundation.failures import BadArgument
 from pycram.language.block import Block, Policy
 from pycram.language.body import current_block
 from pycram.language.nesting import Scope
+from pycram.language.read_block import ReadBlock
 from recorder.tasks import State
-from recorder.tracing.call_site import call_site
+from recorder.tracing.call_stack import call_site
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
@@ -39,6 +40,9 @@ class Opening(Scope[Block]):
 
     def _opened(self) -> Block:
         self._unused_at = None
+        host = current_block()
+        if host is not None and host.reads_blocks:
+            return ReadBlock(self._policy, host, self._failures)
         return Block(self._policy, self._failures)
 
     def __del__(self) -> None:

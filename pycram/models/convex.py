@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models import visual
-from recorder.extras import needed
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from pathlib import Path

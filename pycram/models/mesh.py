@@ -20,7 +20,7 @@ from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_toml, read_text
 from pycram.models.links import DENSITY
 from pycram.models.store import write_mesh
-from recorder.extras import needed
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -11,7 +11,7 @@ from typing import Final
 from pycram.foundation.failures import AssetError
 from pycram.models import store
 from pycram.models.files import read_text
-from recorder.extras import hint
+from recorder.packages import hint
 from recorder.records.asset import AssetFile
 
 _DISTRIBUTION: Final = "example-robot-data"

@@ -11,8 +11,8 @@ import numpy as np
 
 from pycram.models import mesh
 from recorder import geometry
-from recorder.extras import needed
 from recorder.geometry.shapes import read_shapes
+from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
 from pycram.foundation.names import export
-from pycram.scheduling.binding import Binding
+from pycram.scheduling.cancellation import Binding
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -78,8 +78,11 @@ def execution_environment(name: str) -> Iterator[None]:
 
     Args:
         name: "simulated" (the default), or an environment that modules are registered for.
+
+    Raises:
+        BadArgument: It isn't a name.
     """
-    with Binding(_environment, name):
+    with Binding(_environment, checks.text("name", name)):
         yield
 
 

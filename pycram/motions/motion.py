@@ -13,8 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pycram.motions.resources import ResourceQueue, Ticket
-from pycram.scheduling.binding import Binding
-from pycram.scheduling.cancellation import checkpoint
+from pycram.scheduling.cancellation import Binding, checkpoint
 from pycram.scheduling.future import branches_in
 from recorder.tracing.span import Span
 

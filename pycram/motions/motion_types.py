@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from pycram.foundation.failures import BadArgument
-from pycram.foundation.names import did_you_mean
 from pycram.motions import slot_checks
 from pycram.motions.resources import WHOLE_ROBOT, Resources
 from pycram.motions.slots import DesignatorError
 from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
+from recorder.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -20,8 +20,7 @@ from pycram.motions.environments import Module, module_for
 from pycram.motions.motion import Motion
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.resources import ResourceQueue, Resources, Ticket
-from pycram.scheduling.binding import Binding
-from pycram.scheduling.cancellation import checkpoint, uninterruptible
+from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
 from pycram.world.world import BulletWorld
 from recorder.tracing.span import span
 

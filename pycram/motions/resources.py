@@ -11,6 +11,9 @@ Until then it has those of its designator, or the whole robot if these are unkno
 *before* it moves anything. If it needs more, it releases what it has, keeps its place, and also waits for later motions
 that run already. These wait for nothing in this queue, so there is still no deadlock.
 
+Each world has a queue of its own, and a motion may perform others in another world. Where such motions would wait for
+each other, the last one is refused.
+
 In a ``par`` block as in the thesis' Listing 5.3 (park the arms, move the base, look at a place, detect), the base
 starts when the arms are parked, as their posture decides whether the robot fits there; the head turns when the base
 has arrived, as it looks at a place in the world; and detecting, which needs the whole robot at rest, comes last.
@@ -21,15 +24,16 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.scheduling.cancellation import Condition, wait
+from pycram.scheduling.cancellation import Binding, wait
+from pycram.scheduling.schedule import Condition
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from collections.abc import Set as AbstractSet
+    from collections.abc import Iterator, Set as AbstractSet
 
 #: Stands for all resources, also unnamed ones.
 WHOLE_ROBOT: Final = "the whole robot"
@@ -56,6 +60,23 @@ class ResourceError(UsageError):
         self.moves = sorted(excess.moves)
         self.at_rest = sorted(excess.at_rest)
         self.held = held
+
+
+class Deadlock(UsageError):
+    """A motion waits for one that waits, in another world, for a motion that the first one is part of.
+
+    Attributes:
+        motion: Name of the motion that would wait.
+        blocker: Name of the one that it would wait for.
+    """
+
+    def __init__(self, motion: str, blocker: str) -> None:
+        super().__init__(
+            f"{motion} can't wait for {blocker}, which waits for what {motion} is part of: each performs motions in "
+            "the other's world; perform them there before or after the motion, or in a world that none else uses"
+        )
+        self.motion = motion
+        self.blocker = blocker
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +160,10 @@ class ResourceQueue:
         return resources
 
 
+#: The tickets that running code is part of, from the outside in.
+_around: ContextVar[tuple[Ticket, ...]] = ContextVar("pycram_tickets", default=())
+
+
 class Ticket:
     """A motion's place in a queue, taken with :meth:`enqueue` and given up with :meth:`leave`.
 
@@ -160,6 +185,8 @@ class Ticket:
         self.granted = False
         self._queue = queue
         self._motion = motion
+        self._outer = _around.get()
+        self._waiting: dict[Ticket, None] = {}  # parts of this motion that wait for their turn
 
     def enqueue(self) -> None:
         """Take the last place, unless it has one, without waiting; leave it also if Ctrl-C interrupts this."""
@@ -172,12 +199,14 @@ class Ticket:
         """Enqueue if need be, wait for the turn, run the ``with`` block, and leave.
 
         Raises:
+            Deadlock: It would wait for ever.
             Cancelled: The branch was cancelled while it waited.
         """
         try:
             self.enqueue()
             self._wait()
-            yield
+            with Binding(_around, (*self._outer, self)):
+                yield
         finally:
             self.leave()
 
@@ -186,6 +215,7 @@ class Ticket:
 
         Raises:
             ResourceError: The outer motion doesn't hold all of this.
+            Deadlock: It would wait for ever.
             Cancelled: The branch was cancelled while it waited.
         """
         given = self._queue.within(resources, self._motion)
@@ -206,15 +236,37 @@ class Ticket:
 
     def _wait(self) -> None:
         """Wait until no earlier ticket conflicts, and no granted later one."""
-        wait(self._queue.changed, self._grant)
+        for outer in self._outer:
+            outer._waiting[self] = None  # noqa: SLF001  same class
+        try:
+            if not self._grant():
+                self._refuse_deadlock()
+                wait(self._queue.changed, self._grant)
+        finally:
+            for outer in self._outer:
+                outer._waiting.pop(self, None)  # noqa: SLF001  same class
 
     def _grant(self) -> bool:
-        earlier = True
         with self._queue.lock:  # of two that conflict with each other only, one is granted
-            for other in self._queue.tickets:
-                if other is self:
-                    earlier = False
-                elif (earlier or other.granted) and other.resources.conflicts(self.resources):
-                    return False
-            self.granted = True
-        return True
+            self.granted = next(self._blockers(), None) is None
+            return self.granted
+
+    def _blockers(self) -> Iterator[Ticket]:
+        """Yield the tickets that it has to wait for."""
+        earlier = True
+        for known in list(self._queue.tickets):
+            if known is self:
+                earlier = False
+            elif (earlier or known.granted) and known.resources.conflicts(self.resources):
+                yield known
+
+    def _refuse_deadlock(self) -> None:
+        reached = dict.fromkeys(self._blockers())
+        pending = list(reached)
+        for blocker in pending:
+            if blocker is self or blocker in self._outer:
+                raise Deadlock(self._motion, pending[0]._motion)  # noqa: SLF001  same class
+            parts = list(blocker._waiting)  # noqa: SLF001  same class
+            further = [ticket for part in parts for ticket in part._blockers() if ticket not in reached]  # noqa: SLF001
+            reached.update(dict.fromkeys(further))
+            pending += further

@@ -18,8 +18,8 @@ from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
 from pycram.physics.contacts import ClosestPoint, Contact
 from recorder import geometry
-from recorder.extras import needed
 from recorder.geometry import IDENTITY, Pose, Vector
+from recorder.packages import needed
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:

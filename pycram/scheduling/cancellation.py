@@ -11,31 +11,34 @@ import threading
 import time
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from pycram.scheduling.binding import Binding
 from pycram.scheduling.locks import held
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextvars import Token
 
-__all__ = [
-    "CancelScope",
-    "Cancelled",
-    "Condition",
-    "before_change",
-    "checkpoint",
-    "current_scope",
-    "enter",
-    "entered",
-    "join",
-    "raise_if_cancelled",
-    "shielded",
-    "uninterruptible",
-    "wait",
-]
+Value = TypeVar("Value")
+
+
+class Binding(Generic[Value]):
+    """Sets a context variable for a ``with`` block; a class, as each branch enters several and generators are slow."""
+
+    __slots__ = ("_token", "_value", "_variable")
+    _token: Token[Value]
+
+    def __init__(self, variable: ContextVar[Value], value: Value) -> None:
+        self._variable = variable
+        self._value = value
+
+    def __enter__(self) -> None:
+        self._token = self._variable.set(self._value)
+
+    def __exit__(self, *_: object) -> None:
+        self._variable.reset(self._token)
 
 
 class CancelScope(Condition):
@@ -114,7 +117,7 @@ _uninterruptible: ContextVar[bool] = ContextVar("pycram_uninterruptible", defaul
 
 @contextmanager
 def uninterruptible() -> Iterator[None]:
-    """Run the ``with`` block so that changes of a world in it are no checkpoints."""
+    """Run the ``with`` block, or the decorated function, so that changes of a world in it are no checkpoints."""
     with Binding(_uninterruptible, value=True):
         yield
 

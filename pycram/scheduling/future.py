@@ -103,29 +103,13 @@ def _reflected(function: Callable[[Any, Any], Result]) -> Callable[[Any, Any], R
 
 
 _BINARY: Final = "add sub mul matmul truediv floordiv mod pow and or xor lshift rshift"
-_OTHERS: Final = "lt le gt ge neg pos abs invert index"
+_OTHERS: Final = "lt le gt ge neg pos abs invert index contains delitem"
+_BUILTIN: Final = (bool, delattr, divmod, float, format, int, iter, len, next, reversed, round, str)
 _FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
-    **{name: getattr(operator, f"__{name}__") for name in _BINARY.split()},
+    **{name: getattr(operator, f"__{name}__") for name in f"{_BINARY} {_OTHERS}".split()},
     **{f"r{name}": _reflected(getattr(operator, f"__{name}__")) for name in _BINARY.split()},
-    **{name: getattr(operator, f"__{name}__") for name in _OTHERS.split()},
-    "divmod": divmod,
+    **{function.__name__: function for function in (*_BUILTIN, copy.copy, copy.deepcopy, os.fspath)},
     "rdivmod": _reflected(divmod),
-    "bool": bool,
-    "contains": operator.contains,
-    "copy": copy.copy,
-    "deepcopy": copy.deepcopy,
-    "delattr": delattr,
-    "delitem": operator.delitem,
-    "float": float,
-    "format": format,
-    "fspath": os.fspath,
-    "int": int,
-    "iter": iter,
-    "len": len,
-    "next": next,
-    "reversed": reversed,
-    "round": round,
-    "str": str,
 }
 """Functions behind ``__add__``, ``__len__``, ..., applied to the result and to those of other futures."""
 

@@ -3,6 +3,10 @@
 A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
 ready. If none is, the thread sleeps until another thread rings its bell or the first deadline has passed. The code
 outside of all branches takes turns with them; a thread without branches just sleeps.
+
+The handler of any signal may raise an error between two instructions (a plan's own time limit by ``signal.alarm``), and
+a deep recursion may end in any call. Then the loop ends, the code outside of all branches gets the error, and the next
+loop gives everybody a turn again: so nobody's turn is lost, and waits check their predicates anyway.
 """
 
 from __future__ import annotations
@@ -11,16 +15,17 @@ import _thread
 import sys
 import threading
 import time
-from collections import deque
+from collections import OrderedDict
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from recorder.threads import enter_branch, new_branch
 from recorder.tracing import interrupts
-from recorder.tracing.call_site import plan_frame
+from recorder.tracing.branch_identity import enter_branch, new_branch
+from recorder.tracing.call_stack import plan_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -34,19 +39,16 @@ _OWN: Final = ("pycram.language", "pycram.scheduling")
 class Waiter:
     """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends."""
 
-    __slots__ = ("_greenlet", "_scheduler", "_sources", "_woken")
+    __slots__ = ("_greenlet", "_scheduler", "_sources")
 
     def __init__(self, sources: Collection[Condition] = ()) -> None:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
-        self._woken = False
 
     def wake(self) -> None:
         """Schedule it to check its predicate again; from any thread."""
-        if not self._woken:
-            self._woken = True
-            self._scheduler.add(self)
+        self._scheduler.add(self)
 
     def resume(self) -> None:
         """Switch to the waiting code; for the scheduler's loop."""
@@ -55,7 +57,6 @@ class Waiter:
     def sleep(self, deadline: float | None = None) -> None:
         """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic()."""
         self._scheduler.park(self, deadline)
-        self._woken = False
 
     def __enter__(self) -> Self:
         for source in self._sources:
@@ -67,38 +68,48 @@ class Waiter:
             source.waiters.pop(self, None)
 
 
+@dataclass(slots=True, eq=False)
 class _Branch:
     """A branch that hasn't started, or hasn't ended."""
 
-    __slots__ = ("_action", "_context", "_scheduler", "name")
+    scheduler: Scheduler
+    name: str
+    context: Context
+    action: Callable[[], None]
+    failed: Callable[[BaseException], None]
+    _greenlet: greenlet | None = None
+    _started: bool = False  # whether its greenlet will also end it
 
-    def __init__(self, owner: Scheduler, name: str, context: Context, action: Callable[[], None]) -> None:
-        self.name = name
-        self._scheduler = owner
-        self._context = context
-        self._action = action
+    @property
+    def ended(self) -> bool:
+        """Whether its greenlet has ended."""
+        return self._started and self._greenlet is not None and self._greenlet.dead
 
     def resume(self) -> None:
-        """Start it; for the scheduler's loop."""
-        stack = greenlet(self._run)
-        stack.gr_context = self._context
-        stack.switch()
+        """Start it, or have it check what it waits for; for the scheduler's loop."""
+        if not self._started or self._greenlet is None:
+            self._greenlet = greenlet(self._run)
+            self._greenlet.gr_context = self.context
+        self._greenlet.switch()
 
     def _run(self) -> None:
         try:
+            self._started = True
             enter_branch(new_branch(self.name))
-            self._action()
+            self.action()
+        except BaseException as error:
+            self.failed(error)
+            raise
         finally:
-            del self._scheduler.branches[self]
-            self._scheduler.leave()
+            self.scheduler.leave(self)
 
 
 Ready: TypeAlias = "Waiter | _Branch"
 
 
-def schedule(ready: deque[Ready]) -> Ready:
+def schedule(ready: OrderedDict[Ready, None]) -> Ready:
     """Remove and return what runs next: what has been ready longest. Nothing else decides the order of a plan."""
-    return ready.popleft()
+    return ready.popitem(last=False)[0]
 
 
 class Condition:
@@ -128,25 +139,38 @@ class Scheduler:
     def __init__(self) -> None:
         self.branches: dict[_Branch, None] = {}
         self.joining = False
-        self._ready: deque[Ready] = deque()
+        self._ready: OrderedDict[Ready, None] = OrderedDict()
         self._deadlines: dict[Waiter, float] = {}
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
         self._loop: greenlet | None = None
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
 
-    def begin(self, name: str, context: Context, action: Callable[[], None]) -> None:
-        """Schedule a new branch, run in this very context; from any thread. The action must not raise."""
-        branch = _Branch(self, name, context, action)
-        self.branches[branch] = None
-        self.add(branch)
+    def begin(
+        self, name: str, context: Context, action: Callable[[], None], failed: Callable[[BaseException], None]
+    ) -> None:
+        """Schedule a new branch, or raise; from any thread.
+
+        Args:
+            name: Its name in records.
+            context: The context that it runs in, this very one.
+            action: Runs the branch. An error of it ends the loop; it has none of its own.
+            failed: Called with that error first.
+        """
+        branch = _Branch(self, name, context, action, failed)
+        try:
+            self.branches[branch] = None
+            self.add(branch)
+        except BaseException:
+            self.branches.pop(branch, None)
+            self._ready.pop(branch, None)
+            raise
 
     def add(self, ready: Ready, *, first: bool = False) -> None:
-        """Append to what is ready, or prepend; from any thread."""
+        """Append to what is ready, unless it is, or move it to the front; from any thread."""
+        self._ready[ready] = None
         if first:
-            self._ready.appendleft(ready)
-        else:
-            self._ready.append(ready)
+            self._ready.move_to_end(ready, last=False)
         self.ring()
 
     def ring(self) -> None:
@@ -171,32 +195,33 @@ class Scheduler:
         """Run others until the waiter is woken; see :meth:`Waiter.sleep`."""
         refuse_held()
         outside = self._is_outside()
-        if deadline is not None:
-            self._deadlines[waiter] = deadline
         try:
+            if deadline is not None:
+                self._deadlines[waiter] = deadline
             if not self.branches:
                 self._sleep_alone()
-            elif outside:
-                self._outside = waiter
-                if self._loop is None:
+            else:
+                if outside:
+                    self._outside = waiter
+                if not self._loop:
                     self._loop = greenlet(self._run)
-                self._loop.switch()
-                self._outside = None
-            elif self._loop is not None:
                 self._loop.switch()
         finally:
             self._deadlines.pop(waiter, None)
+            if outside:
+                self._outside = None
         if outside and not self.joining:
             interrupts.raise_pending()
 
-    def leave(self) -> None:
+    def leave(self, branch: _Branch) -> None:
         """Have a branch that ends return to the current loop: an error may have ended the one that started it."""
         if self._loop is not None:
             getcurrent().parent = self._loop
+        self.branches.pop(branch, None)
 
     def _is_outside(self) -> bool:
         """Whether the running code is outside of all branches."""
-        return self._loop is None or getcurrent() is self._loop.parent
+        return not self._loop or getcurrent() is self._loop.parent
 
     def _run(self) -> None:
         """Loop as long as there are branches."""
@@ -207,14 +232,26 @@ class Scheduler:
                     schedule(self._ready).resume()
                 else:
                     self._sleep()
+        except BaseException:
+            self._resume_all()
+            raise
         finally:
             self._loop = None
+
+    def _resume_all(self) -> None:
+        """Schedule all branches: the one that was to run next, or that was being woken, may have been lost."""
+        for branch in list(self.branches):
+            if branch.ended:
+                self.branches.pop(branch, None)
+            else:
+                self.add(branch)
 
     def _sleep_alone(self) -> None:
         if not self._ready:
             self._sleep()
-        while self._ready and isinstance(self._ready[0], Waiter):  # its wait checks the predicate anyway
-            self._ready.popleft()
+        for ready in list(self._ready):
+            if isinstance(ready, Waiter):  # its wait checks the predicate anyway
+                self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
@@ -228,6 +265,7 @@ class Scheduler:
             for waiter, deadline in list(self._deadlines.items()):
                 if deadline <= now:
                     waiter.wake()
+                    self._deadlines.pop(waiter, None)
 
     def defers(self, frame: FrameType) -> bool:
         """Whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""

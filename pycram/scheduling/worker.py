@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeVar
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
 from pycram.scheduling.schedule import Condition
-from recorder import threads
+from recorder.tracing.branch_identity import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,7 +41,7 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
             errors.append(error)
         ended.notify_all()
 
-    name = f"{threads.name()} {getattr(function, '__name__', 'function')}"
+    name = f"{current_name()} {getattr(function, '__name__', 'function')}"
     # a daemon: only Ctrl-C outside of all branches abandons it, and then the process may end
     threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
     join(ended, lambda: bool(results or errors))

@@ -2,7 +2,8 @@
 
 The one that was opened last is current; when it ends, the one before it is current again. A thread that opens a world
 or makes one current does so for itself and its branches, and for all threads that haven't done so themselves: each
-thread keeps its own world. Names are unique among open worlds, since records refer to worlds by name.
+thread keeps its own world. A branch does so for itself and its own branches, not for the rest of its thread. Names are
+unique among open worlds, since records refer to worlds by name.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, WorldClosed
 from pycram.world.object import Object
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_ident
 
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
@@ -25,7 +27,8 @@ _lock = threading.Lock()
 _numbers = itertools.count(1)
 _names: set[str] = set()
 _open: tuple[BulletWorld, ...] = ()
-_chosen: ContextVar[weakref.ref[BulletWorld] | None] = ContextVar("pycram_world", default=None)
+_branch_threads: dict[str, int] = {}  # the threads of the branches that made worlds current, by the worlds' names
+_chosen: ContextVar[tuple[weakref.ref[BulletWorld], ...]] = ContextVar("pycram_world", default=())
 
 
 def reserve_name(name: str | None) -> str:
@@ -53,8 +56,9 @@ def make_current(world: BulletWorld) -> None:
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")
-        _open = (*(other for other in _open if other is not world), world)
-    _chosen.set(weakref.ref(world))
+        _open = (*(known for known in _open if known is not world), world)
+        _branch_threads[world.name] = threading.get_ident() if current_ident() < 0 else 0
+    _chosen.set((*(chosen for chosen in _chosen.get() if chosen() in _open[:-1]), weakref.ref(world)))
     journal.make_current(world)
 
 
@@ -64,20 +68,22 @@ def remove(name: str) -> None:
     with _lock:
         _names.discard(name)
         _open = tuple(world for world in _open if world.name != name)
+        _branch_threads.pop(name, None)
 
 
 def open_worlds() -> tuple[BulletWorld, ...]:
-    """Return the open worlds; the last one is current for threads that haven't chosen another one."""
+    """Return the open worlds, the one that was made current last at the end."""
     return _open
 
 
 def current() -> BulletWorld | None:
-    """Return the current world of this thread; None if none is open."""
-    chosen = _chosen.get()
-    world = chosen() if chosen is not None else None
-    if world is not None and not world.closed:
-        return world
-    return _open[-1] if _open else None
+    """Return the current world of this branch or thread; None if it has none."""
+    for chosen in reversed(_chosen.get()):
+        world = chosen()
+        if world is not None and not world.closed:
+            return world
+    thread = threading.get_ident()
+    return next((world for world in reversed(_open) if _branch_threads.get(world.name) != thread), None)
 
 
 class CurrentWorld(type):

@@ -11,6 +11,8 @@ from recorder import records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 
@@ -19,17 +21,23 @@ _SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples
 _MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m by which a joint of the environment has to move to fire the event
 
 
-def simulate(world: BulletWorld, steps: int, transaction: Transaction) -> bool:
+def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
     """Step a world's engine as part of a transaction.
 
     Ctrl-C or the world's exit end it early, between two samples; the record then has the steps that were done.
 
+    Args:
+        world: The world.
+        steps: How many.
+        transaction: The transaction.
+        until: Called after each 1/30 s of simulated time, and at the end; ends it when true.
+
     Returns:
-        Whether all steps were done.
+        Whether all steps were done, or those that were needed.
     """
     engine = world.engine
     joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
-    done = _step(world, steps, transaction)
+    done, ended = _step(world, steps, transaction, until)
     transaction.command.simulate.steps = done
     transaction.mark_modified(*world.objects)
     transaction.callbacks.append(world.prepare_time_listeners)
@@ -37,14 +45,17 @@ def simulate(world: BulletWorld, steps: int, transaction: Transaction) -> bool:
         after = engine.joints(body.handle)[0]
         if any(not math.isclose(a, b, abs_tol=_MANIPULATION_TOLERANCE) for a, b in zip(before, after, strict=True)):
             transaction.fire(world.get_manipulation_event(), body)
-    return done == steps
+    return ended or done == steps
 
 
-def _step(world: BulletWorld, steps: int, transaction: Transaction) -> int:
+def _step(
+    world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None
+) -> tuple[int, bool]:
+    """Return how many steps were done, and whether no more were needed."""
     recording = journal.recording()
     last = {body.name: take_snapshot(body) for body in world.objects} if recording else {}
     observer = world.transactions.observer
-    done = 0
+    done, ended = 0, False
     while done < steps and not (transaction.interrupts.noted or world.exiting):
         chunk = min(_SAMPLE_STEPS - world.sim_step % _SAMPLE_STEPS, steps - done)
         world.engine.step(chunk)
@@ -53,7 +64,8 @@ def _step(world: BulletWorld, steps: int, transaction: Transaction) -> int:
                 carried.move_attached(body, transaction)
         world.sim_step += chunk
         done += chunk
-        if done == steps:  # the effect itself has the last state
+        ended = until is not None and until()
+        if ended or done == steps:  # the effect itself has the last state
             break
         if observer is not None:
             observer.time_passed()
@@ -61,7 +73,7 @@ def _step(world: BulletWorld, steps: int, transaction: Transaction) -> int:
             sample = _sample(world, last)
             if sample.bodies:
                 transaction.samples.append(sample)
-    return done
+    return done, ended
 
 
 def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:

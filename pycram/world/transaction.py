@@ -22,8 +22,8 @@ from pycram.scheduling.cancellation import before_change
 from pycram.world.lock import WorldLock
 from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
 from recorder import records
-from recorder.tracing import journal, span
-from recorder.tracing.call_site import call_site
+from recorder.tracing import journal, span, stack_room
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -123,7 +123,9 @@ class TransactionManager:
             ChangeRefused: A reasoning query runs in this world.
             RecordingError: The record can't be written.
             Cancelled: The branch of the plan that asks for it is cancelled.
+            RecursionError: There is no room on the stack for making and recording it.
         """
+        stack_room.require(stack_room.FOR_TASK)
         before_change()
         with self.lock, Uninterrupted() as interrupts:
             self.check(str(command.WhichOneof("command")).replace("_", " "))

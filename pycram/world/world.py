@@ -1,7 +1,8 @@
 """Worlds: a physics simulation, the objects in it, and its events (thesis 4.2, table 4.1).
 
 Any number of worlds may be open. The one that was opened last is current; when it ends, the one before it is current
-again. Physics runs in :meth:`BulletWorld.simulate` and in real time only, 240 steps a second.
+again. Physics runs in :meth:`BulletWorld.simulate`, :meth:`BulletWorld.settle` and in real time only, 240 steps a
+second.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.realtime import RealtimeClock
+from pycram.world.settling import RestDetector
 from pycram.world.transaction import TransactionManager
-from recorder import records, threads
+from recorder import records
 from recorder.tracing import journal
+from recorder.tracing.branch_identity import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -273,6 +276,28 @@ class BulletWorld(metaclass=CurrentWorld):
         if self.exiting and not completed:
             raise WorldClosed(self.name, "simulate on")
 
+    def settle(self, timeout: float = 5.0) -> bool:
+        """Simulate until everything is at rest; see :mod:`pycram.world.settling` for what that means.
+
+        Args:
+            timeout: Simulated seconds after which it gives up, at most a year.
+
+        Returns:
+            Whether everything is at rest.
+
+        Raises:
+            WorldClosed: Another thread has ended the world meanwhile.
+        """
+        steps = round(checks.in_range("timeout", timeout, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND)
+        command = records.Simulate(steps=steps, settled=False)
+        with self.transactions.begin(records.Mutation(simulate=command)) as transaction:
+            detector = RestDetector(self)
+            completed = simulation.simulate(self, steps, transaction, detector.sample)
+            transaction.command.simulate.settled = detector.at_rest
+        if self.exiting and not completed:
+            raise WorldClosed(self.name, "simulate on")
+        return detector.at_rest
+
     def prepare_time_listeners(self) -> Callable[[], None]:
         """Return the call of all present time listeners."""
         listeners = tuple(self.time_listeners)
@@ -307,7 +332,7 @@ class BulletWorld(metaclass=CurrentWorld):
                 journal.attach(body.model.files)
             frame = self.transactions.keyframe()
             frame.world, frame.sim_step = self.name, self.sim_step
-            frame.thread = threads.name()
+            frame.thread = current_name()
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:

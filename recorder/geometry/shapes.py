@@ -47,12 +47,12 @@ def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
     """The "visual" or "collision" shapes of a URDF by link; only of links that have any."""
     root = ET.fromstring(model)  # noqa: S314  canonical: written by PyCRAM
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
-    found = {}
+    by_link = {}
     for link in root.findall("link"):
         shapes = [shape for element in link.findall(role) if (shape := _shape(element, palette))]
         if shapes:
-            found[link.get("name", "")] = shapes
-    return found
+            by_link[link.get("name", "")] = shapes
+    return by_link
 
 
 def _shape(element: ET.Element, palette: Mapping[str, Color]) -> Shape | None:

@@ -61,10 +61,6 @@ class Urdf:
             raise UrdfError(name, "it has no links")
         joints = [read_joint(name, element) for element in document.findall("joint")]
         _unique(name, "joint", (joint.name for joint in joints))
-        return cls._of(name, links, joints)
-
-    @classmethod
-    def _of(cls, name: str, links: list[str], joints: list[Joint]) -> Urdf:
         parents, children = _ends(name, links, joints)
         roots = [link for link in links if link not in parents]
         if not roots:

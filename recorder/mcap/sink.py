@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-import platform
-import sys
 import threading
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -22,6 +19,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from recorder.errors import RecordingError
 from recorder.mcap.output_file import HINT, open_output, reason
 from recorder.mcap.writer import McapWriter
+from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
@@ -48,23 +46,6 @@ _TASKS: Final = (TOPICS[Task], "", 0)
 _FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
 _MAX_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
-_PACKAGES: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
-
-
-def versions() -> dict[str, str]:
-    """Versions of what a recording depends on, the platform and the arguments of the process."""
-    installed = {}
-    for package in _PACKAGES:
-        try:
-            installed[package] = version(package)
-        except PackageNotFoundError:
-            installed[package] = "not installed"
-    return installed | {
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "machine": platform.machine(),
-        "arguments": " ".join(sys.argv),
-    }
 
 
 class McapSink:

@@ -184,10 +184,12 @@ class SetRobot(_message.Message):
     def __init__(self, body: _Optional[str] = ...) -> None: ...
 
 class Simulate(_message.Message):
-    __slots__ = ("steps",)
+    __slots__ = ("steps", "settled")
     STEPS_FIELD_NUMBER: _ClassVar[int]
+    SETTLED_FIELD_NUMBER: _ClassVar[int]
     steps: int
-    def __init__(self, steps: _Optional[int] = ...) -> None: ...
+    settled: bool
+    def __init__(self, steps: _Optional[int] = ..., settled: bool = ...) -> None: ...
 
 class Reset(_message.Message):
     __slots__ = ()

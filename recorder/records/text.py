@@ -15,7 +15,7 @@ from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from recorder.records import Argument, MoveJoints, Record
+    from recorder.records import Argument, MoveJoints, Record, Simulate
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
@@ -116,6 +116,13 @@ def _joints(command: MoveJoints) -> str:
     return f"{command.body} {details}"
 
 
+def _simulated(command: Simulate) -> str:
+    steps = f"{command.steps} steps"
+    if not command.HasField("settled"):
+        return steps
+    return f"{steps} until all was at rest" if command.settled else f"{steps}; not all is at rest yet"
+
+
 def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
     name, after = f"fluent {record.name}", record.after_json
     if record.before_json == after:
@@ -145,7 +152,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
     "set_realtime": lambda command: "on" if command.enabled else "off",
     "set_color": lambda command: command.body,
     "set_robot": lambda command: command.body,
-    "simulate": lambda command: f"{command.steps} steps",
+    "simulate": _simulated,
 }
 
 

@@ -9,23 +9,17 @@ from __future__ import annotations
 import json
 import math
 import traceback
-from collections.abc import Callable, Mapping
-from collections.abc import Set as AbstractSet
+from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-
-@runtime_checkable
-class _Array(Protocol):
-    """NumPy's arrays and scalars, recognized by their method: whoever only reads records need not import numpy."""
-
-    def tolist(self) -> object:
-        """Returns plain numbers, nested as the array is."""
+Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
+"""What JSON holds."""
 
 
 def _plain(value: object) -> object:
@@ -38,6 +32,9 @@ def _plain(value: object) -> object:
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
+    to_list = getattr(type(value), "tolist", None)  # NumPy's; whoever only reads records need not import numpy
+    if to_list is not None:
+        return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
     return {"callable": f"{module}.{name}"} if module and name else {"repr": repr(value)}
 
@@ -73,7 +70,6 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
     (Mapping, _mapping),
     (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
     ((list, tuple), _sequence),
-    (_Array, lambda value: _plain(value.tolist())),
 )
 
 
@@ -97,6 +93,20 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
     """Named values as a record carries them, in the given order."""
     pairs = values.items() if isinstance(values, Mapping) else values
     return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+
+
+def from_json(text: str) -> Plain:
+    """Return a value that a record has as JSON; what isn't JSON (another program's, or damaged) as it is."""
+    try:
+        value: Plain = json.loads(text)
+    except ValueError:
+        return text
+    return value
+
+
+def argument_values(arguments: Iterable[Argument]) -> dict[str, Plain]:
+    """Return the named values that a record carries."""
+    return {argument.name: from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:

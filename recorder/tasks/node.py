@@ -5,18 +5,17 @@ Children are in the order in which they were asked for, which is that of their i
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Task
+from recorder.records import STEPS_PER_SECOND, Task, argument_values
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from recorder.records import Failure
+    from recorder.records import Failure, Plain
 
 BY_ID: Final = attrgetter("id")
 
@@ -109,15 +108,14 @@ class Node:
         return self.started.attempt
 
     @property
-    def parameters(self) -> Mapping[str, Any]:
+    def parameters(self) -> dict[str, Plain]:
         """What it was given, by name, as recorded."""
-        return {argument.name: json.loads(argument.json) for argument in self.started.parameters}
+        return argument_values(self.started.parameters)
 
     @property
-    def solution(self) -> Mapping[str, Any]:
+    def solution(self) -> dict[str, Plain]:
         """How that was resolved; empty unless it was recorded."""
-        resolved = self.finished.solution if self.finished is not None else ()
-        return {argument.name: json.loads(argument.json) for argument in resolved}
+        return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
     def status(self) -> State:
@@ -140,6 +138,37 @@ class Node:
     def failure(self) -> Failure | None:
         """What it failed with: type, message, data and, if it was recorded, the traceback."""
         return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
+
+    @property
+    def error(self) -> tuple[str, str] | None:
+        """Type and message of what it failed with; None if it didn't fail."""
+        return (self.finished.failure.type, self.finished.failure.message) if self.finished and self.failed else None
+
+    @property
+    def origin(self) -> Node:
+        """The task in which its failure began: down the children with the same error, else the last that failed."""
+        node = self
+        while failed := [child for child in node.children if child.failed]:
+            node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
+        return node
+
+    @property
+    def outermost_failed(self) -> Node:
+        """The outermost task around it that failed too, without one between them that didn't."""
+        node = self
+        while node.parent is not None and node.parent.failed:
+            node = node.parent
+        return node
+
+    @property
+    def motion(self) -> Node:
+        """The motion that it is part of, or is; itself if there is none."""
+        return next((node for node in self.around() if node.kind == "motion"), self)
+
+    @property
+    def last_step(self) -> int:
+        """The step of its end; of its start if it has not ended."""
+        return (self.finished or self.started).seq
 
     @property
     def created(self) -> Moment:
@@ -180,7 +209,7 @@ class Node:
     @property
     def dealt_with(self) -> bool:
         """Whether a task around it ended without failing: then its failure decided nothing."""
-        return is_dealt_with(node.finished for node in self.around())
+        return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
     def path(self) -> str:
@@ -202,35 +231,11 @@ class Node:
             yield depth, node
             stack += [(depth + 1, child) for child in reversed(node.children)]
 
-    def same(self, other: Node) -> bool:
-        """Whether another node and all below it have the same records."""
-        records, other_records = (
-            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
-            for tree in (self, other)
-        )
-        return records == other_records
-
     def __repr__(self) -> str:
         return f"Node({self.id}, {self.kind} {self.name!r}, {self.status.word}, {len(self.parts)} parts)"
 
 
-class Failing(Protocol):
-    """A task that failed, in whatever form it is kept."""
-
-    @property
-    def dealt_with(self) -> bool:
-        """Whether a task around it ended, and didn't fail."""
-
-
-_Failing = TypeVar("_Failing", bound=Failing)
-
-
-def is_dealt_with(ends: Iterable[Task | None]) -> bool:
-    """Whether a failure decided nothing, from the ends of its task and those around it; None if not ended."""
-    return any(end is not None and end.status != Task.FAILED for end in ends)
-
-
-def decisive(origins: Sequence[_Failing]) -> _Failing | None:
+def decisive(origins: Sequence[Node]) -> Node | None:
     """The task whose failure decides a plan, of those in which failures began, in the order of their ends.
 
     It is the last that nothing around it dealt with, else the last.

@@ -13,7 +13,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from recorder.records import Task
-from recorder.tasks import picture, text
+from recorder.tasks import tree_picture, tree_text
 from recorder.tasks.node import BY_ID, Node, State, decisive, walk
 
 if TYPE_CHECKING:
@@ -120,8 +120,8 @@ class Tree:
         return list(began.around())[::-1] if began is not None else []
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-        """Lines of text; see :func:`recorder.tasks.text.rows`."""
-        return text.lines(self.roots, self.failure_path(), depth, whole=whole)
+        """Lines of text; see :func:`recorder.tasks.tree_text.rows`."""
+        return tree_text.lines(self.roots, self.failure_path(), depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
         """The same in one string."""
@@ -129,7 +129,7 @@ class Tree:
 
     def facts(self, depth: int | None = None) -> list[dict[str, object]]:
         """All tasks down to a depth as data for JSON, each before its children."""
-        return text.facts(self.roots, self.failure_path(), depth)
+        return tree_text.facts(self.roots, self.failure_path(), depth)
 
     def to_json(self) -> str:
         """The same as JSON."""
@@ -137,11 +137,11 @@ class Tree:
 
     def to_dot(self) -> str:
         """A graph for Graphviz."""
-        return picture.dot(self.roots, self.failure_path())
+        return tree_picture.dot(self.roots, self.failure_path())
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.text.rows`."""
-        return picture.svg(self.roots, self.failure_path(), depth, whole=whole)
+        """A picture of the tree with its times, as an SVG document; see :func:`recorder.tasks.tree_text.rows`."""
+        return tree_picture.svg(self.roots, self.failure_path(), depth, whole=whole)
 
     def __str__(self) -> str:
         return self.text()
@@ -149,8 +149,11 @@ class Tree:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Tree):
             return NotImplemented
-        roots, other_roots = self.roots, other.roots
-        return len(roots) == len(other_roots) and all(a.same(b) for a, b in zip(roots, other_roots, strict=True))
+        own, others = (
+            [(depth, node.asked, node.started, node.finished, node.forgotten) for depth, node in tree.walk()]
+            for tree in (self, other)
+        )
+        return own == others
 
     def __len__(self) -> int:
         return len(self.nodes)

@@ -7,7 +7,6 @@ in the world.
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
 import weakref
@@ -15,8 +14,9 @@ from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
-from recorder import threads
 from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.tracing import stack_room
+from recorder.tracing.branch_identity import current_ident, current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -98,7 +98,9 @@ class Journal:
 
         Raises:
             RecordingError: a sink can't keep it.
+            RecursionError: there is no room on the stack for it; it isn't numbered.
         """
+        stack_room.require(stack_room.FOR_RECORD)
         topic = TOPICS[type(record)]
         with Uninterrupted(), self._lock:
             if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
@@ -155,11 +157,10 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-_sources: weakref.WeakValueDictionary[int, Source] = weakref.WeakValueDictionary()  # in the order of their opening
-_registered: weakref.WeakSet[Source] = weakref.WeakSet()  # the same; see _find_latest
-_numbers = itertools.count()  # of sources
-_latest: weakref.ref[Source] | None = None
-_chosen: ContextVar[weakref.ref[Source] | None] = ContextVar("pycram_world", default=None)
+# The worlds that live, as they became current, each with the thread of the branch that chose it, or 0; replaced, never
+# changed.
+_sources: dict[weakref.ref[Source], int] = {}
+_chosen: ContextVar[tuple[weakref.ref[Source], ...]] = ContextVar("pycram_world", default=())
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -207,7 +208,7 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.world = world
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
-    record.thread = threads.name()
+    record.thread = current_name()
     publish(record)
 
 
@@ -238,10 +239,10 @@ def attach(assets: Iterable[AssetFile]) -> None:
 
 def register(source: Source) -> None:
     """Makes a world known, for as long as it lives, to journals that open later."""
+    global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
-            _sources[next(_numbers)] = source
-            _find_latest()
+            _sources = {**_without(source), weakref.ref(source): 0}
 
 
 def announce(source: Source) -> None:
@@ -252,40 +253,42 @@ def announce(source: Source) -> None:
 
 
 def make_current(source: Source) -> None:
-    """Makes a registered world current: in this context, and in all that have chosen no other one."""
+    """Makes a registered world current: in this context, and in other threads that have chosen none.
+
+    What a branch chooses is current for itself and its own branches, not for the rest of its thread.
+    """
+    global _sources  # noqa: PLW0603  see open_journal
+    reference = weakref.ref(source)
     with _registry:
-        before = [number for number, other in _sources.items() if other is source]
-        if before:  # one that was opened unrecorded stays unknown
-            _sources[next(_numbers)] = source
-            _chosen.set(weakref.ref(source))
-        for number in before:
-            del _sources[number]
-        _find_latest()
+        if reference in _sources:  # one that was opened unrecorded stays unknown
+            earlier = [chosen for chosen in _chosen.get() if chosen != reference and chosen in _sources]
+            _sources = {**_without(source), reference: threading.get_ident() if current_ident() < 0 else 0}
+            _chosen.set((*earlier, reference))
 
 
 def unregister(source: Source) -> None:
     """Forgets a world that has ended."""
+    global _sources  # noqa: PLW0603  see open_journal
     with _registry:
-        for number in [number for number, other in _sources.items() if other is source]:
-            del _sources[number]
-        _find_latest()
+        _sources = _without(source)
 
 
-def _find_latest() -> None:
-    """Notes the sources and the latest of them: finding it for each task would cost more than all else."""
-    global _latest, _registered  # noqa: PLW0603  see open_journal
-    _registered = weakref.WeakSet(_sources.values())
-    last = next(reversed(list(_sources.values())), None)
-    _latest = weakref.ref(last) if last is not None else None
+def _without(source: Source) -> dict[weakref.ref[Source], int]:
+    """The other worlds that live."""
+    return {reference: thread for reference, thread in _sources.items() if reference() not in (None, source)}
 
 
 def current_world() -> tuple[str, int]:
     """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
-    chosen = _chosen.get()
-    source = chosen() if chosen is not None else None
-    if source is None or source not in _registered:
-        source = _latest() if _latest is not None else None
-    return (source.name, source.sim_step) if source is not None else ("", 0)
+    sources = _sources
+    for reference in reversed(_chosen.get()):
+        if reference in sources and (source := reference()) is not None:
+            return source.name, source.sim_step
+    this_thread = threading.get_ident()
+    for reference, thread in reversed(sources.items()):
+        if thread != this_thread and (source := reference()) is not None:
+            return source.name, source.sim_step
+    return "", 0
 
 
 def recording_number() -> int:
@@ -302,7 +305,7 @@ def open_journal(journal: Journal) -> None:
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     with _registry:
         _opened += 1
-        sources = list(_sources.values())
+        sources = [source for reference in _sources if (source := reference()) is not None]
         journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
     try:
@@ -327,4 +330,4 @@ def close_journal(journal: Journal) -> None:
 def forget_journal(journal: Journal) -> None:
     """Ends recording to a journal without touching its sinks."""
     global _open  # noqa: PLW0603  see open_journal
-    _open = tuple(other for other in _open if other is not journal)
+    _open = tuple(each for each in _open if each is not journal)

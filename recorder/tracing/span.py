@@ -17,11 +17,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from recorder import threads
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
-from recorder.tracing import journal
-from recorder.tracing.call_site import CallStack, plan_frame, walk
+from recorder.tracing import journal, stack_room
+from recorder.tracing.branch_identity import current_name
+from recorder.tracing.call_stack import CallStack, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -37,6 +37,8 @@ MAX_BYTES: Final = 100_000_000
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
+_tree: Final = Tree(MAX_TASKS, MAX_BYTES)
+_tree_of = 0  # number of the recording whose tasks the tree has; 0 before the first
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
@@ -47,30 +49,13 @@ class Cancelled(BaseException):
     """
 
 
-class _RunningPlan:
-    """The tasks of this process: of the latest recording, or since the start where nothing is recorded."""
-
-    def __init__(self) -> None:
-        self.tree = Tree(MAX_TASKS, MAX_BYTES)
-        self._recording = 0
-
-    def begin_task(self) -> None:
-        """Forgets the tasks before the latest recording."""
-        if self._recording != journal.recording_number():
-            self._recording = journal.recording_number()
-            self.tree.forget()
-
-
-_plan = _RunningPlan()
-
-
 def tree() -> Tree:
     """The tasks of this process, which grow as it runs.
 
     Returns:
         Those since the latest recording began; where nothing is recorded, all. The last 20,000.
     """
-    return _plan.tree
+    return _tree
 
 
 @dataclass(slots=True)
@@ -101,6 +86,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     _start_ns: int = 0
+    _begun: bool = False
     _ended: bool = False
     _frame: FrameType | None = field(default=None, init=False, repr=False)  # of the plan, that entered it
     _token: Token[Span | None] = field(init=False, repr=False)
@@ -110,17 +96,22 @@ class Span:
         self._emit_begin(Task.ASKED, Task.CREATED)
 
     def start(self) -> None:
-        """Records its start."""
+        """Records its start.
+
+        Raises:
+            RecursionError: there would be no room for recording its end; nothing is recorded of it.
+        """
+        stack_room.require(stack_room.FOR_TASK)
         self._start_ns = time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Records its end, once.
+        """Records its end, once, if its beginning was recorded.
 
         Args:
             error: what it failed with, or was cancelled by; None if it succeeded.
         """
-        if self._ended:
+        if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
         record = self._record(_FINISHED, status)
@@ -185,6 +176,7 @@ class Span:
         record.callers.extend(self.source.callers)
         if self.parameters:
             record.parameters.extend(arguments(self.parameters))
+        self._begun = True
         self._emit(record)
 
     def _record(self, phase: Task.Phase, status: Task.Status) -> Task:
@@ -194,7 +186,7 @@ class Span:
             world=world,
             sim_step=sim_step,
             task=self.id,
-            thread=threads.name(),
+            thread=current_name(),
             phase=phase,
             status=status,
             parent=self.parent,
@@ -205,15 +197,17 @@ class Span:
 
     def _emit(self, record: Task) -> None:
         """Writes a record to the open journals and into the tree."""
-        if not self.parent and record.phase != _FINISHED:
-            _plan.begin_task()
+        global _tree_of  # noqa: PLW0603  the tree is the process's
+        if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
+            _tree_of = journal.recording_number()
+            _tree.forget()
         size = 0
         try:
             size = journal.publish(record)
         finally:
             if not size and not record.wall_time_ns:  # no journal numbered it
                 record.wall_time_ns = time.time_ns()
-            _plan.tree.apply(record, size)
+            _tree.apply(record, size)
 
 
 def current() -> Span | None:
@@ -227,10 +221,10 @@ def current_call_stack() -> CallStack:
     task = _current.get()
     if task is None:
         return walk(frame)[0]
-    outer, entered, found = task.source, task._frame, None  # noqa: SLF001  same module
+    outer, entered, call_stack = task.source, task._frame, None  # noqa: SLF001  same module
     if outer is not None and entered is not None and plan_frame(frame)[0] is entered:
-        found = outer.at_line(entered.f_lineno)
-    return found or walk(frame, outer)[0]
+        call_stack = outer.at_line(entered.f_lineno)
+    return call_stack or walk(frame, outer)[0]
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

@@ -54,12 +54,6 @@ class Series:
         self.times.append(time)
         self.rows.append(row)
 
-    def take(self) -> tuple[list[TimePoint], list[tuple[Any, ...]]]:
-        """Empties the buffer and returns what was in it."""
-        taken = self.times, self.rows
-        self.times, self.rows = [], []
-        return taken
-
 
 class Columns:
     """Buffers of all entities of a stream, below a root entity if one is named; for one thread."""
@@ -80,10 +74,6 @@ class Columns:
         if maker not in makers:
             makers[maker] = Series(maker)
         return makers[maker]
-
-    def add(self, path: str, maker: ColumnMaker, time: TimePoint, *row: Any) -> None:
-        """Buffers a row."""
-        self.series(path, maker).add(time, row)
 
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
         """Sends one row at once: what the entity is from that time on."""
@@ -112,7 +102,8 @@ class Columns:
     def _flush(self, path: str) -> None:
         for series in self._series.get(path, {}).values():
             if series.rows:
-                times, rows = series.take()
+                times, rows = series.times, series.rows
+                series.times, series.rows = [], []
                 self._send(path, times, series.maker(rows))
 
     def _send(self, path: str, times: Sequence[TimePoint], columns: Iterable[rr.ComponentColumn]) -> None:

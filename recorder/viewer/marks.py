@@ -6,51 +6,42 @@ green where its answer is yes (or nothing blocks), red where it is no.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Task
+from recorder.records import Task, argument_values
 from recorder.records.text import by_name
-from recorder.viewer.scene_lookup import camera_position, name_of, parsed, position, robot, target_position, vector
+from recorder.viewer.cameras import camera_position
+from recorder.viewer.colors import BLUE, GREEN, RED
+from recorder.viewer.log_lines import numbered
+from recorder.viewer.positions import name_of, position, target_position, vector
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Vector
     from recorder.records import Query
+    from recorder.viewer.colors import Color
     from recorder.viewer.columns import Columns, TimePoint
+    from recorder.viewer.positions import Values
     from recorder.viewer.scene import Scene
-    from recorder.viewer.scene_lookup import Values
 
-    Color: TypeAlias = tuple[int, int, int]
-
-BLUE: Final[Color] = (75, 145, 245)  # all can be read on the viewer's dark ground, and on its light one
-GREEN: Final[Color] = (45, 165, 95)
-RED: Final[Color] = (242, 82, 72)
-YELLOW: Final[Color] = (205, 150, 0)
-GREY: Final[Color] = (140, 140, 140)
-
-LOG: Final = "log"
-TARGETS: Final = "targets"
 FAILURES: Final = "failures"
-ANSWERS: Final = "answers"
+_TARGETS: Final = "targets"
+_ANSWERS: Final = "answers"
 _POINT: Final = 0.02  # m, as all lengths below
 _LINE: Final = 0.004
 _LINK: Final = 0.015
 _ARROW: Final = 0.35
+_ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # of a failure, above the words of its target
 _ABOVE_ROBOT: Final = 1.8  # where a failure without a position is shown
 _MAX_LETTERS: Final = 60
 _NO: Final = ("false", "null", "[]", "")
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
-
-
-def numbered(text: str, now: TimePoint) -> str:
-    """A line of the log."""
-    return f"#{now.step} {text}"
 
 
 class Marks:
@@ -91,7 +82,7 @@ class TaskMarks:
         if record.phase == Task.STARTED:
             self._failures.clear(now)
             self._failure = ("", "")
-            values = parsed(record.parameters)
+            values = argument_values(record.parameters)
             target = target_position(self._scene, record.world, values)
             if target is not None:
                 self._targets[record.task] = target
@@ -119,7 +110,7 @@ class TaskMarks:
         name = next(name for name in names if name not in taken)
         marks = Marks(self._columns, self._scene)
         self._running[record.task] = name, marks
-        marks.add(record.world, (TARGETS, name), now, *shapes)
+        marks.add(record.world, (_TARGETS, name), now, *shapes)
 
     def _show_failure(self, record: Task, target: Vector | None, now: TimePoint) -> None:
         failure = kind, message = record.failure.type, record.failure.message
@@ -129,9 +120,9 @@ class TaskMarks:
         shapes: list[rr.AsComponents] = [
             rr.TextLog(numbered(f"{record.name}: {kind}: {message}", now), level="ERROR", color=RED)
         ]
-        position_failed = target_position(self._scene, record.world, parsed(record.failure.data)) or target
-        if position_failed is None and (named_robot := robot(self._scene, record.world)) is not None:
-            position_failed = geometry.transform(named_robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
+        position_failed = target_position(self._scene, record.world, argument_values(record.failure.data)) or target
+        if position_failed is None and (robot := self._scene.robot(record.world)) is not None:
+            position_failed = geometry.transform(robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
         if position_failed is not None:
             x, y, z = position_failed
             top = (x, y, z + _PIN)
@@ -158,12 +149,12 @@ class QueryMarks:
         self._marks.clear(now)
         if not record.world:
             return
-        values, evidence = parsed(record.arguments), parsed(record.evidence)
+        values, evidence = argument_values(record.arguments), argument_values(record.evidence)
         if not values and not evidence:
             return
         good = not evidence["obstacles"] if "obstacles" in evidence else record.answer_json not in _NO
         for name, shape in self._shapes(record, values, evidence, GREEN if good else RED):
-            self._marks.add(record.world, (ANSWERS, record.name, name), now, shape)
+            self._marks.add(record.world, (_ANSWERS, record.name, name), now, shape)
 
     def _shapes(
         self, record: Query, values: Values, evidence: Values, color: Color
@@ -179,8 +170,8 @@ class QueryMarks:
             positions = {name: pose[0] for name, pose in poses.items() if pose is not None}
             if positions:
                 yield fact, _points(list(positions.values()), RED, [f"{name} {verb}" for name in positions])
-        asked_robot = name_of(values.get("robot"))
-        camera = camera_position(scene, world, values["camera"], asked_robot) if "camera" in values else None
+        robot_name = name_of(values.get("robot"))
+        camera = camera_position(scene, world, values["camera"], robot_name) if "camera" in values else None
         if camera is not None and body is not None:
             yield "sight", _line([camera, body], color)
         contacts = [point for value in evidence.get("points") or () if (point := position(value)) is not None]
@@ -188,20 +179,20 @@ class QueryMarks:
             yield "contacts", _points(contacts, color)
         joints, link = evidence.get("joints"), values.get("gripper")
         if isinstance(joints, dict) and isinstance(link, str):
-            posture = scene.posture(world, asked_robot, link, joints)
+            posture = scene.posture(world, robot_name, link, joints)
             if posture:
                 yield "posture", _line(posture, color, _LINK)
 
 
 def _points(
-    points: Sequence[Vector], color: Color, labels: Sequence[str] = (), radius: float = _POINT
+    positions: Sequence[Vector], color: Color, labels: Sequence[str] = (), radius: float = _POINT
 ) -> rr.AsComponents:
-    return rr.Points3D(points, colors=[color], radii=[radius], labels=labels or None)
+    return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None)
 
 
-def _line(points: Sequence[Vector], color: Color, radius: float = _LINE) -> rr.AsComponents:
-    return rr.LineStrips3D([points], colors=[color], radii=[radius])
+def _line(positions: Sequence[Vector], color: Color, radius: float = _LINE) -> rr.AsComponents:
+    return rr.LineStrips3D([positions], colors=[color], radii=[radius])
 
 
 def _arrow(start: Vector, vector: Vector, color: Color) -> rr.AsComponents:
-    return rr.Arrows3D(origins=[start], vectors=[vector], colors=[color], radii=[2 * _LINE])
+    return rr.Arrows3D(origins=[start], vectors=[vector], colors=[color], radii=[_ARROW_RADIUS])

@@ -20,8 +20,8 @@ import rerun as rr
 from recorder import geometry
 from recorder.geometry.shapes import read_shapes
 from recorder.records import Keyframe
-from recorder.records.frames import ROOT, frame_name
-from recorder.viewer.drawing import draw
+from recorder.records.frames import ROOT, FrameTree, frame_name
+from recorder.viewer.link_shapes import draw
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody, Mutation
     from recorder.records.asset import AssetFile
-    from recorder.records.frames import BodyMotion, Frame, FrameTree
+    from recorder.records.frames import BodyMotion, Frame
     from recorder.viewer.columns import Columns, Series, TimePoint
 
 BODIES: Final = "bodies"
@@ -74,10 +74,10 @@ class Scene:
         absent: files that bodies are made of and that were not attached, as ``<sha256>/<file name>``; one a body.
     """
 
-    def __init__(self, columns: Columns, frames: FrameTree, prefix: str = "") -> None:
+    def __init__(self, columns: Columns, prefix: str = "") -> None:
         self._columns = columns
         self._prefix = prefix
-        self._frames = frames
+        self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
         self._transforms: dict[tuple[str, str], Series] = {}  # by world and frame; also of bodies that are gone
         self._first: TimePoint | None = None
@@ -86,7 +86,9 @@ class Scene:
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:
-        """Takes a model or mesh."""
+        """Takes a model or mesh, before the records that use it, or anything else."""
+        if asset.name.endswith(".urdf"):
+            self._frames.add_urdf(asset.sha256, asset.content)
         self._files[asset.sha256] = asset.content
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
@@ -105,6 +107,14 @@ class Scene:
         if model is None or link not in model.links:
             return None
         return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
+
+    def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
+        """The robot of that name, else the one that plans control, else any; None if the world has none."""
+        bodies = self.bodies.get(world, {})
+        for candidate in (name, self.robots.get(world, "")):
+            if candidate in bodies:
+                return candidate, bodies[candidate]
+        return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
 
     def centre(self, world: str) -> Vector:
         """Mean position of objects and robots in m; the origin if there are none."""
@@ -128,6 +138,10 @@ class Scene:
             if points or joint.name in joints:
                 points.append(pose[0])
         return points
+
+    def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
+        """What a record moved, in the order of simulated time; also takes the models of what it adds."""
+        return self._frames.motions(record)
 
     def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         """Shows which bodies a record added or removed; what it moved comes after that."""

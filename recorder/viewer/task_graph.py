@@ -11,8 +11,8 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State, Tree
-from recorder.viewer.marks import BLUE, GREEN, GREY, RED, YELLOW
-from recorder.viewer.timeline import STATUS_MARKS
+from recorder.viewer.colors import BLUE, GREEN, GREY, RED, YELLOW
+from recorder.viewer.task_timeline import STATUS_MARKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

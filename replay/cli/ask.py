@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from recorder.records import Plain
     from replay.recording import Recording
     from replay.restore.ask import Answer, Move
-    from replay.state.json_data import Plain
 
 
 def add(parser: argparse.ArgumentParser) -> None:

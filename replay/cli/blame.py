@@ -7,21 +7,21 @@ from dataclasses import replace
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Keyframe
+from recorder.records import Keyframe, argument_values
+from replay.cli import formatting, record_text
 from replay.cli.console import print_result
-from replay.explain import wording
 from replay.explain.blame import commanded
 from replay.explain.step_names import HINT
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
     from replay.explain.blame import Blame, Carried
-    from replay.explain.causes import Causes
-    from replay.explain.source import Line
+    from replay.explain.causing_tasks import Causes
+    from replay.explain.plan_source import Line
     from replay.recording import Recording
 
 
@@ -76,19 +76,22 @@ def _causes(causes: Causes) -> dict[str, object]:
     return {
         "tasks": [
             {
-                "id": cause.task,
-                "kind": cause.kind,
-                "name": cause.name,
-                "parameters": cause.parameters,
-                "step": cause.step,
-                "line": cause.line and line_facts(cause.line),
-                "callers": [line_facts(line) for line in cause.callers],
+                "id": task.started.task,
+                "kind": task.started.kind,
+                "name": task.started.name,
+                "parameters": argument_values(task.started.parameters),
+                "step": task.started.seq,
             }
-            for cause in causes.tasks
+            | call_stack_facts(task.call_stack)
+            for task in causes.tasks
         ],
-        "line": causes.line and line_facts(causes.line),
-        "callers": [line_facts(line) for line in causes.call_stack[:-1]],
-    }
+    } | call_stack_facts(causes.call_stack)
+
+
+def call_stack_facts(stack: Sequence[Line]) -> dict[str, object]:
+    """Return the plan's lines that led to something as JSON data."""
+    lines = [line_facts(line) for line in stack]
+    return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
 
 
 def line_facts(line: Line) -> dict[str, object]:
@@ -103,12 +106,12 @@ def lines(change: Blame) -> Iterator[str]:
 
 def _lines(change: Blame, printed: list[_CallStack], *, is_earlier: bool) -> Iterator[str]:
     yield _headline(change)
-    yield f"  step {change.record.seq}: {wording.line(change.record)}"
+    yield f"  step {change.record.seq}: {record_text.line(change.record)}"
     yield from _because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)
     if change.other_worlds and not is_earlier:
-        yield f"  ({change.body} is in {wording.names(change.other_worlds)} too: --world chooses one)"
+        yield f"  ({change.body} is in {formatting.names(change.other_worlds)} too: --world chooses one)"
     if change.default_world and not is_earlier:
         yield f"  ({change.default_world}, the world opened last, has no {change.body}: --world chooses one)"
     if change.earlier is not None:
@@ -135,25 +138,26 @@ def _headline(change: Blame) -> str:
         "reset": "moved when the world was reset",
     }
     if isinstance(change.before, float) and isinstance(change.after, float):
-        before, after = wording.apart(change.before, change.after)
+        before, after = formatting.apart(change.before, change.after)
         return f"{name} {by[change.how]}: from {before} to {after}"
     return f"{name} {by[change.how]}: {_size(change)} to {where}"
 
 
 def _value(value: Pose | float) -> str:
-    return wording.number(value) if isinstance(value, float) else wording.vector(value[0])
+    return formatting.number(value) if isinstance(value, float) else formatting.vector(value[0])
 
 
 def _size(change: Blame) -> str:
-    turned = f"turned by {wording.degrees(change.angle)}"
+    turned = f"turned by {formatting.degrees(change.angle)}"
     if change.angle and not change.distance:
         return f"{turned}, not moved away,"
-    return f"by {wording.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
+    return f"by {formatting.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
 
 
 def _because(causes: Causes, indent: str, printed: list[_CallStack]) -> Iterator[str]:
-    for cause in causes.tasks:
-        yield f"{indent}in {wording.task(cause.kind, cause.name, cause.parameters)}  [step {cause.step}]"
+    for started in (task.started for task in causes.tasks):
+        called = formatting.task(started.kind, started.name, argument_values(started.parameters))
+        yield f"{indent}in {called}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"
     yield from (f"{indent}{line}" for line in _call_stack(causes.call_stack, printed))
@@ -166,16 +170,16 @@ def _call_stack(stack: _CallStack, printed: list[_CallStack]) -> Iterator[str]:
     printed.append(stack)
     word = "from"
     for line in reversed(stack[shared:] if shared > 1 else stack):
-        yield f"{word} {wording.location(line)}"
+        yield f"{word} {formatting.location(line)}"
         word = "called from"
     if shared > 1:
-        yield f"{word} {wording.location(replace(stack[shared - 1], text=''))}, as above"
+        yield f"{word} {formatting.location(replace(stack[shared - 1], text=''))}, as above"
 
 
 def _held(carried: Carried, printed: list[_CallStack]) -> Iterator[str]:
     held = carried.held
     if carried.step is None or carried.causes is None:
-        yield f"  {wording.carrier(held)} held {held.body} already when the recording began"
+        yield f"  {formatting.carrier(held)} held {held.body} already when the recording began"
         return
-    yield f"  {wording.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
+    yield f"  {formatting.carrier(held)} held {held.body} since step {carried.step}, where it was attached"
     yield from _because(carried.causes, "    ", printed)

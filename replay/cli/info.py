@@ -6,14 +6,14 @@ import dataclasses
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_result
-from replay.explain.summary import summary
-from replay.explain.wording import one_line
+from replay.cli.formatting import one_line
+from replay.explain.run_summary import summary
 from replay.file.lifetimes import title
 
 if TYPE_CHECKING:
     import argparse
 
-    from replay.explain.summary import Summary
+    from replay.explain.run_summary import Summary
     from replay.recording import Recording
 
 _MAX_WORLDS: Final = 8  # that are listed one by one

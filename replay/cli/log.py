@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from recorder.records import STEPS_PER_SECOND
+from recorder.records import STEPS_PER_SECOND, Task
+from replay.cli import record_text
 from replay.cli.console import print_json, print_message, print_text
-from replay.explain.search import Filter, Search
 from replay.explain.step_names import HINT
 from replay.file.chunks import KINDS
-from replay.state.json_data import kind_of, record_data
+from replay.state.json_data import kind_of, mentions, record_data
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Collection, Iterator
 
     from recorder.records import Record
     from replay.recording import Recording
@@ -36,10 +37,9 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the lines; with ``--json`` one object a line."""
-    criteria = Filter(options.kind or (), options.task, options.object, options.world, options.text)
-    search = Search(log, criteria)
+    wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text)
     start, stop = log.step(options.start), log.step(options.end) + 1
-    matches = follow(log, search, start) if options.follow else search.matches(start, stop)
+    matches = follow(log, wanted, start) if options.follow else wanted.matches(log, start, stop)
     for record, line in matches:
         if options.json:
             print_json(record_data(record) | {"text": line}, flush=options.follow)
@@ -58,17 +58,67 @@ def _world(log: Recording, record: Record) -> str:
 
 
 def follow(
-    log: Recording, search: Search, start: int, pause: Callable[[], object] | None = None
+    log: Recording, wanted: RecordFilter, start: int, pause: Callable[[], object] | None = None
 ) -> Iterator[tuple[Record, str]]:
     """Yield the matching records, and those that will be written, until the recording is closed or its process ends."""
     wait = pause or (lambda: threading.Event().wait(_POLL_PERIOD))
     while True:
         live = log.live  # before the last read, so that nothing is missed
         log.refresh()
-        yield from search.matches(start, len(log))
+        yield from wanted.matches(log, start, len(log))
         start = len(log)
         if log.closed or not live:
             if not log.closed:
                 print_message("the process that wrote this recording has ended without closing it")
             return
         wait()
+
+
+@dataclass(slots=True)
+class RecordFilter:
+    """Picks the records of a recording that match all that is given; it can go on when the recording has grown.
+
+    Attributes:
+        kinds: names of kinds ("task", "mutation", ...); empty for all.
+        task: id of a task, or part of its name; its subtasks match too.
+        body: name of a body that records must be about.
+        world: name of the world that they are about.
+        text: what their line must contain, ignoring case.
+    """
+
+    kinds: Collection[str]
+    task: str | None
+    body: str | None
+    world: str | None
+    text: str | None
+    _tasks: set[int] = field(default_factory=set)  # that match
+    _known: int = 0  # tasks are known up to this step
+
+    def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
+        """Yield the matching records with their lines."""
+        if self.task is not None:
+            for task in log.records(Task, self._known, stop):
+                if task.phase == Task.STARTED and self._is_of_task(task, self.task):
+                    self._tasks.add(task.task)
+            self._known = stop
+        for record in log.records(start=start, stop=stop):
+            line = self._line(record)
+            if line is not None:
+                yield record, line
+
+    def _is_of_task(self, task: Task, pattern: str) -> bool:
+        named = task.task == int(pattern) if pattern.isdecimal() else pattern.casefold() in task.name.casefold()
+        return named or task.parent in self._tasks
+
+    def _line(self, record: Record) -> str | None:
+        """Return the line of a record; None if it doesn't match."""
+        if self.kinds and kind_of(record) not in self.kinds:
+            return None
+        if self.world is not None and record.world != self.world:
+            return None
+        if self.task is not None and record.task not in self._tasks:
+            return None
+        if self.body is not None and not mentions(record, self.body):
+            return None
+        line = record_text.line(record)
+        return line if self.text is None or self.text.casefold() in line.casefold() else None

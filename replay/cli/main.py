@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.extras import NotInstalled, needed
+from recorder.packages import NotInstalled, needed
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
@@ -108,10 +108,10 @@ def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.Arg
 
 
 def _run(verb: ModuleType, options: argparse.Namespace) -> int:
-    from replay.recording import open_recording  # noqa: PLC0415  --help needn't wait for it
+    from replay.recording import Recording  # noqa: PLC0415  --help needn't wait for it
 
     try:
-        with open_recording(options.log) as log:
+        with Recording(options.log) as log:
             try:
                 with needed():
                     code: int = verb.run(log, options)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     import argparse
 
     from pycram.world.world import BulletWorld
+    from recorder.records import Plain
     from replay.recording import Recording
-    from replay.state.json_data import Plain
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Final
 
+from replay.cli import record_text
 from replay.cli.arguments import add_step
 from replay.cli.console import print_result
-from replay.explain import wording
 from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from recorder.records import Plain
     from replay.recording import Recording
-    from replay.state.json_data import Plain
 
 _WIDTH: Final = 100  # characters; longer values are printed on several lines
 
@@ -30,7 +30,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     record = log[log.step(options.step)]
     fields = record_data(record)
     further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
-    lines = [f"step {record.seq}: {kind_of(record)}: {wording.line(record)}", *_lines(further, "  ")]
+    lines = [f"step {record.seq}: {kind_of(record)}: {record_text.line(record)}", *_lines(further, "  ")]
     print_result(lambda: fields, lines, as_json=options.json)
     return 0
 

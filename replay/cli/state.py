@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from replay.cli import formatting
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
-from replay.explain import wording
 from replay.state.json_data import state_data
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def _body(world: World, body: Body, width: int, *, details: bool) -> Iterator[st
     position = ", ".join(f"{part:8.4f}" for part in body.position)
     turn = ", ".join(f"{part:7.4f}" for part in body.orientation)
     held = world.carrier(body.name)
-    by = f"  held by {wording.carrier(held)}" if held else ""
+    by = f"  held by {formatting.carrier(held)}" if held else ""
     yield f"  {body.name:{width}}  [{position}]  [{turn}]{by}"
     if details:
         yield f"    type {body.type}{', fixed base' if body.fixed_base else ''}"

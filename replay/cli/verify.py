@@ -67,7 +67,8 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
         yield from _problem(problem)
         return
     yield f"sound  {_count(verification.steps, 'step')} without a gap"
-    yield f"       {_count(verification.tasks, 'task')}, each begun and ended"
+    ended = f"{verification.unfinished} of them not ended then" if verification.unfinished else "each begun and ended"
+    yield f"       {_count(verification.tasks, 'task')}, {ended}"
     yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
     yield f"       {_count(verification.files, 'file')} as attached"
     changes, worlds = _count(verification.changes, "change"), _count(verification.worlds, "world")

@@ -11,13 +11,11 @@ from typing import TYPE_CHECKING
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_result, print_text
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
-from replay.recording import open_recording
+from replay.recording import Recording
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
-
-    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +34,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError("--web shows the recording in the browser, as it is at its end; give it alone")
     step = log.step(options.at) if options.at is not None else None
     with ExitStack() as opened, native_output_to_stderr():
-        logs = [log, *([opened.enter_context(open_recording(options.other))] if options.other else [])]
+        logs = [log, *([opened.enter_context(Recording(options.other))] if options.other else [])]
         if options.web:
             return _serve(logs, wants_json=options.json)
         shown = _open(logs, step, options)
@@ -66,7 +64,8 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
-    from recorder.viewer.windows import serve_page, stream_to_viewer  # noqa: PLC0415
+    from recorder.viewer.rerun_stream import stream_to_viewer  # noqa: PLC0415
+    from recorder.viewer.web_page import serve_page  # noqa: PLC0415
     from replay.view.translation import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import shlex
 from typing import TYPE_CHECKING, Final
 
-from replay.explain import wording
+from replay.cli import record_text
 from replay.restore.question import BadQuestion, Name, Question, Term, question_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import Query
-    from replay.explain.explanation import Why
+    from replay.explain.why_data import Why
 
 _STEP: Final = 0.35  # m by which an object is moved to ask again
 
@@ -40,7 +40,7 @@ def asked_again(query: Query) -> str:
     try:
         question = question_of(query)
     except BadQuestion:
-        return wording.question(query)
+        return record_text.question(query)
     for name, term in question.keywords.items():
         if name in ("threshold", "margin", "grasp", "collision_free"):
             break

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.cli import diff
-from replay.cli.blame import line_facts
+from replay.cli.blame import call_stack_facts, line_facts
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
-    from replay.explain.explanation import ChangesSince, Why
-    from replay.explain.failed_tasks import TaskExecution
+    from recorder.tasks import Node
+    from replay.explain.why_data import ChangesSince, Why
 
 
 def facts(why: Why) -> dict[str, object]:
@@ -27,8 +27,7 @@ def facts(why: Why) -> dict[str, object]:
         ],
         "task": why.task and _task_facts(why.task),
         "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
-        "line": line_facts(why.call_stack[-1]) if why.call_stack else None,
-        "callers": [line_facts(line) for line in why.call_stack[:-1]],
+        **call_stack_facts(why.call_stack),
         "world": why.world and why.world.name,
         "things": [
             {
@@ -62,11 +61,11 @@ def facts(why: Why) -> dict[str, object]:
     }
 
 
-def _task_facts(task: TaskExecution) -> dict[str, object]:
+def _task_facts(task: Node) -> dict[str, object]:
     return {
-        "id": task.started.task,
-        "kind": task.started.kind,
-        "name": task.started.name,
+        "id": task.id,
+        "kind": task.kind,
+        "name": task.name,
         "parameters": task.parameters,
         "steps": [task.started.seq, task.finished and task.finished.seq],
         "error": task.error,

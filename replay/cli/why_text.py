@@ -8,18 +8,17 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
-from replay.cli import diff
+from replay.cli import diff, formatting, record_text
 from replay.cli.why_advice import asked_again, commands
-from replay.explain import wording
-from replay.explain.explanation import heading
+from replay.explain.why_data import heading
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import Failure
-    from replay.explain.explanation import Attempt, ChangesSince, InvolvedBody, Why
-    from replay.explain.failed_tasks import TaskExecution
-    from replay.explain.source import Line
+    from recorder.tasks import Node
+    from replay.explain.plan_source import Line
+    from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, Why
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
 _MAX_LINES: Final = 12  # of a difference
@@ -54,7 +53,7 @@ def _headline(why: Why) -> Iterator[str]:
         message = run.failure
         if why.exceptions and why.failure is not None and _is_self_explanatory(why.failure):
             message = why.failure.message
-        yield f"{name} failed after {run.seconds:.1f} s: {wording.one_line(message)}"
+        yield f"{name} failed after {run.seconds:.1f} s: {formatting.one_line(message)}"
     elif run.outcome == "succeeded":
         yield f"{name} succeeded{_though(why)}"
     else:
@@ -69,7 +68,7 @@ def _headline(why: Why) -> Iterator[str]:
 
 def _though(why: Why) -> str:
     if why.thread and why.failure is not None:
-        return f", although its thread {why.thread} failed: {wording.one_line(format_failure(why.failure))}"
+        return f", although its thread {why.thread} failed: {formatting.one_line(format_failure(why.failure))}"
     return ", although a task failed." if why.failure is not None else "."
 
 
@@ -78,23 +77,23 @@ def _is_self_explanatory(failure: Failure) -> bool:
     return " " in failure.message and not hasattr(builtins, failure.type)
 
 
-def _summary(why: Why, task: TaskExecution) -> Iterator[str]:
+def _summary(why: Why, task: Node) -> Iterator[str]:
     motion = task.motion
-    error = wording.one_line(task.error[1] or task.error[0]) if task.error else ""
+    error = formatting.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(why.attempts) > 1:
-        name, times = motion.started.name, len(why.attempts)
+        name, times = motion.name, len(why.attempts)
         if why.since_same_success is None:
             yield f"{name} was attempted {times} times and failed each time."
         else:
-            yield f"{name} failed {times} times; it last succeeded at step {why.since_same_success.task.end}."
-        yield f"The last attempt, {_call(motion)}, failed at step {task.end}: {error}"
+            yield f"{name} failed {times} times; it last succeeded at step {why.since_same_success.task.last_step}."
+        yield f"The last attempt, {_call(motion)}, failed at step {task.last_step}: {error}"
         return
     lead = "The cause:" if why.exceptions else "Before that,"
-    yield f"{lead} {_call(motion)} failed at step {task.end}: {error}"
+    yield f"{lead} {_call(motion)} failed at step {task.last_step}: {error}"
 
 
-def _call(task: TaskExecution) -> str:
-    return wording.task(task.started.kind, task.started.name, task.parameters)
+def _call(task: Node) -> str:
+    return formatting.task(task.kind, task.name, task.parameters)
 
 
 def _unfinished(why: Why) -> Iterator[str]:
@@ -127,7 +126,7 @@ def _exceptions_lead_to_task(why: Why) -> bool:
 
 
 def _line(line: Line) -> Iterator[str]:
-    yield f"{wording.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
+    yield f"{formatting.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
     if line.text:
         yield f"    {line.text}"
 
@@ -135,7 +134,7 @@ def _line(line: Line) -> Iterator[str]:
 def _failed(why: Why) -> Iterator[str]:
     yield from _tasks(why)
     for record in why.failed_threads:
-        failure = wording.one_line(format_failure(record.failure))
+        failure = formatting.one_line(format_failure(record.failure))
         yield f"also failed: thread {record.thread}, at step {record.seq}: {failure}"
 
 
@@ -151,19 +150,19 @@ def _tasks(why: Why) -> Iterator[str]:
         if task.finished is None and task is not why.task:
             state = "not finished"
         else:
-            took = wording.seconds(task.finished.duration_ns) if task.finished is not None else ""
-            state = f"failed after {took}" if task.failure is not None else f"went on, {took}"
-        yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.end}, {state}]"
+            took = formatting.seconds(task.finished.duration_ns) if task.finished is not None else ""
+            state = f"failed after {took}" if task.failed else f"went on, {took}"
+        yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
     attempted = {attempt.task for attempt in why.attempts}  # in a section of their own
     siblings = [
         part
-        for part in why.task.outermost.parts
-        if part.failure is not None and part not in path and part.origin not in attempted
+        for part in why.task.outermost_failed.children
+        if part.failed and part not in path and part.origin not in attempted
     ]
     for part in siblings[:_LAST]:
-        yield f"also failed: {_call(part)}: {wording.one_line(part.error[1]) if part.error else ''}"
+        yield f"also failed: {_call(part)}: {formatting.one_line(part.error[1]) if part.error else ''}"
 
 
 def _in_world(why: Why) -> str:
@@ -179,10 +178,10 @@ def _bodies(why: Why) -> Iterator[str]:
 
 def _involved(involved: InvolvedBody) -> str:
     body = involved.body
-    text = f"{body.name} at {wording.vector(body.position)}"
+    text = f"{body.name} at {formatting.vector(body.position)}"
     if involved.is_robot:
         text += f", facing {_degrees(heading(body))}"
-        text += f", holding {wording.names([held.body for held in involved.holds])}"
+        text += f", holding {formatting.names([held.body for held in involved.holds])}"
     elif involved.distance is not None and involved.bearing is not None:
         side = math.degrees(involved.bearing)
         turn = (
@@ -208,9 +207,9 @@ def _attempts(why: Why) -> Iterator[str]:
     differ = len({pose for pose in poses if pose}) > 1
     groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in a row
     for attempt, pose in zip(why.attempts, poses, strict=True):
-        how = [f"{key}={wording.value(attempt.task.motion.parameters.get(key))}" for key in varying]
+        how = [f"{key}={formatting.value(attempt.task.motion.parameters.get(key))}" for key in varying]
         how += [pose] if pose and differ else []
-        error = wording.one_line(attempt.task.error[1]) if attempt.task.error else ""
+        error = formatting.one_line(attempt.task.error[1]) if attempt.task.error else ""
         if not groups or groups[-1][:2] != (", ".join(how), error):
             groups.append((", ".join(how), error, []))
         groups[-1][2].append(attempt.task.motion.started.seq)
@@ -226,7 +225,7 @@ def _attempts(why: Why) -> Iterator[str]:
 
 def _robot_pose(attempt: Attempt) -> str:
     robot = attempt.robot
-    return f"{robot.name} at {wording.vector(robot.position[:2])} facing {_degrees(heading(robot))}" if robot else ""
+    return f"{robot.name} at {formatting.vector(robot.position[:2])} facing {_degrees(heading(robot))}" if robot else ""
 
 
 def _queries(why: Why) -> Iterator[str]:
@@ -234,23 +233,23 @@ def _queries(why: Why) -> Iterator[str]:
         yield f"... {why.earlier_queries} earlier ones ..."
     for relevant in why.queries:
         query = relevant.query
-        reasons = wording.reasons(query)
-        yield f"step {query.seq}: {wording.question(query)}"
-        yield f"    {wording.answer(query)}" + (f": {reasons}" if reasons else "")
+        reasons = record_text.reasons(query)
+        yield f"step {query.seq}: {record_text.question(query)}"
+        yield f"    {record_text.answer(query)}" + (f": {reasons}" if reasons else "")
         if relevant.world:
             yield f"    asked in another world: {relevant.world}"
         if relevant.moved:
-            yield f"    since then {wording.names(relevant.moved)} moved"
+            yield f"    since then {formatting.names(relevant.moved)} moved"
         if relevant.removed:
             were = "was" if len(relevant.removed) == 1 else "were"
-            yield f"    since then {wording.names(relevant.removed)} {were} removed"
+            yield f"    since then {formatting.names(relevant.removed)} {were} removed"
 
 
 def _changes(why: Why) -> Iterator[str]:
     if why.task is not None:
-        started = why.task.motion.started
+        motion = why.task.motion
         if why.since_same_success is None:
-            yield f"No {wording.task(started.kind, started.name, {})} succeeded before."
+            yield f"No {formatting.task(motion.kind, motion.name, {})} succeeded before."
         else:
             yield from _since(why.since_same_success)
     if why.since_last_success is not None and (
@@ -262,7 +261,7 @@ def _changes(why: Why) -> Iterator[str]:
 def _since(since: ChangesSince) -> Iterator[str]:
     task = since.task
     changes = list(diff.lines(since.difference)) if since.difference.notable or since.difference.added else []
-    name = f"{_call(task)} succeeded at step {task.end}"
+    name = f"{_call(task)} succeeded at step {task.last_step}"
     if not changes:
         yield f"{name}; since then nothing in the world has changed."
         return

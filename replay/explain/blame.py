@@ -11,16 +11,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
-from replay.explain.causes import Causes, causes
-from replay.explain.summary import final_step
-from replay.state.diff import turn
+from replay.explain.causing_tasks import Causes, causes
+from replay.state.difference import turn
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
     from replay.state.state import Attachment, State, World
 
 
@@ -84,7 +83,7 @@ class Blame:
     earlier: Blame | None = None
 
 
-def blame(log: Log, target: str, at: int | None = None, world: str | None = None) -> Blame:
+def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
     """Return what last changed a body, or as ``BODY.JOINT`` a joint, until a step.
 
     By default that is the last one before worlds were closed, in the world opened last of those that have the body.
@@ -93,7 +92,7 @@ def blame(log: Log, target: str, at: int | None = None, world: str | None = None
         NoSuchStep: there is no such step.
         NoSuchName: the body or joint wasn't there then, nor was it removed before.
     """
-    step = final_step(log) if at is None else at
+    step = log.final_step() if at is None else at
     state = state_at(log, step)
     try:
         owner, body, joint = _find(state, target, world)
@@ -124,7 +123,7 @@ def _default_world(state: State, world: str, requested: str | None) -> str:
     return default if requested is None and default != world else ""
 
 
-def _removal(log: Log, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
+def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
     """Return the record that removed a body, or the one with that joint, from a world that is still open.
 
     Raises:
@@ -182,7 +181,7 @@ class _Subject(NamedTuple):
 class _Search:
     """A search backwards through a world's changes."""
 
-    def __init__(self, log: Log, subject: _Subject) -> None:
+    def __init__(self, log: RecordReader, subject: _Subject) -> None:
         self._log, self._subject = log, subject
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 

@@ -6,10 +6,10 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from replay.explain.source import Line
+from replay.explain.plan_source import Line
 
 if TYPE_CHECKING:
-    from replay.explain.source import Source
+    from replay.explain.plan_source import Source
 
 _FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')
 _NEXT: Final = re.compile(

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Run
 from recorder.tasks import decisive
-from replay.explain.failed_tasks import failures
+from replay.explain.failures import failed_threads, failures
 from replay.explain.parsed_traceback import ParsedException, parse_traceback
-from replay.explain.source import Source
-from replay.explain.summary import failed_threads, final_step
+from replay.explain.plan_source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from recorder.records import Failure
-    from replay.explain.failed_tasks import Failures, TaskExecution
-    from replay.file.log import Log
+    from recorder.tasks import Node
+    from replay.explain.failures import Failures
+    from replay.file.record_reader import RecordReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,30 +39,30 @@ class RootCause:
     """
 
     step: int
-    task: TaskExecution | None
+    task: Node | None
     failure: Failure | None = None
     thread: str = ""
     exceptions: tuple[ParsedException, ...] = ()
 
 
-def root_cause(log: Log, failed: Failures | None = None) -> RootCause | None:
+def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
     """Return where a recording's plan broke; None if nothing failed."""
     failed = failed if failed is not None else failures(log)
     end = uncaught_failure(log)
     if end is None:
         task = decisive(failed.origins)
-        return RootCause(task.end, task) if task is not None else None
+        return RootCause(task.last_step, task) if task is not None else None
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     exceptions = _exceptions(end.failure, Source(log))
-    earlier = [task for task in failed.origins if task.end < end.seq]  # the plan may go on, and fail alike
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # the plan may go on, and fail alike
     origin = _origin(earlier, exceptions)
     if origin is None:
-        return RootCause(end.seq if thread else final_step(log), None, end.failure, thread, exceptions)
+        return RootCause(end.seq if thread else log.final_step(), None, end.failure, thread, exceptions)
     task, first = origin
-    return RootCause(task.end, task, end.failure, thread, exceptions[first:])
+    return RootCause(task.last_step, task, end.failure, thread, exceptions[first:])
 
 
-def uncaught_failure(log: Log) -> Run | None:
+def uncaught_failure(log: RecordReader) -> Run | None:
     """Return the record of an uncaught failure: of the plan's end, else of the last thread that failed."""
     end = log[-1]
     if isinstance(end, Run) and end.HasField("failure"):
@@ -77,9 +77,7 @@ def _exceptions(failure: Failure, source: Source) -> tuple[ParsedException, ...]
     return (*exceptions, ParsedException(failure.type, failure.message, last.lines))
 
 
-def _origin(
-    origins: Sequence[TaskExecution], exceptions: Sequence[ParsedException]
-) -> tuple[TaskExecution, int] | None:
+def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
     """Return the task that raised the failure or else its nearest cause, and the index of that exception.
 
     What was raised earlier had been handled, even if Python's traceback still has it. Of all that failed in a block it

@@ -11,17 +11,17 @@ from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from recorder.suggestions import suggestion
 from replay.errors import NoSuchStep
 from replay.explain.root_cause import root_cause
-from replay.explain.summary import closes_world
+from replay.file.lifetimes import closes_world
 
 if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 HINT: Final = "number, negative from the end, last, failure, 12.5s of simulated time, or task:PATH@start, @end"
 _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")
 
 
-def step_of(log: Log, name: int | str) -> int:
+def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step.
 
     Names are numbers (negative ones count from the end), ``last``, ``failure`` (the moment that ``why`` explains),
@@ -53,7 +53,7 @@ def step_of(log: Log, name: int | str) -> int:
     return step
 
 
-def task_step(log: Log, text: str) -> int:
+def task_step(log: RecordReader, text: str) -> int:
     """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
     A path is names from the outside in, such as ``par/moving`` or just ``pick-up``, or the task's id; it may leave out
@@ -75,7 +75,7 @@ def task_step(log: Log, text: str) -> int:
     return step
 
 
-def _tasks(log: Log, path: str, number: int) -> list[list[int | None]]:
+def _tasks(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
     """Return start and end of the tasks that fit a path, up to that number."""
     searched = tuple(path.strip("/").casefold().split("/"))
     paths: dict[int, tuple[str, ...]] = {}  # names from the outside in, of the tasks that run
@@ -98,14 +98,14 @@ def _tasks(log: Log, path: str, number: int) -> list[list[int | None]]:
     return executions
 
 
-def _no_task_hint(log: Log, path: str, count: int) -> str:
+def _no_task_hint(log: RecordReader, path: str, count: int) -> str:
     if count:
         return f"{count} tasks fit {path!r}; #1 is the first of them, #-1 the last"
     names = (record.name for record in log.records(Task))
     return f"no task fits {path!r}; {suggestion(path.rpartition('/')[2], names)}"
 
 
-def _at_time(log: Log, seconds: float, text: str) -> int:
+def _at_time(log: RecordReader, seconds: float, text: str) -> int:
     if not math.isfinite(seconds) or seconds < 0 or not log.lifetimes:
         raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
     limit = seconds * STEPS_PER_SECOND
@@ -123,7 +123,7 @@ def _at_time(log: Log, seconds: float, text: str) -> int:
     )
 
 
-def _passing(log: Log, lifetime: Lifetime, limit: float) -> int:
+def _passing(log: RecordReader, lifetime: Lifetime, limit: float) -> int:
     """Return the first step at which a world's clock is past a moment that it does pass."""
 
     def passes(at: int) -> int | None:

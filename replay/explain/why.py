@@ -10,24 +10,25 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query
+from recorder.records import Query, argument_values
 from replay.errors import NoSuchStep
-from replay.explain.explanation import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
-from replay.explain.failed_tasks import failures
+from replay.explain.failures import failed_threads, failures
+from replay.explain.plan_source import Source
 from replay.explain.root_cause import RootCause, root_cause
-from replay.explain.source import Source
-from replay.explain.summary import failed_threads, final_step, summary
-from replay.state.diff import difference
+from replay.explain.run_summary import summary
+from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
+from replay.state.difference import difference
 from replay.state.fold import state_at
-from replay.state.json_data import arguments_data, mentions
+from replay.state.json_data import mentions
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from replay.explain.failed_tasks import Failures, TaskExecution
-    from replay.explain.summary import Summary
-    from replay.file.log import Log
-    from replay.state.json_data import Plain
+    from recorder.records import Plain
+    from recorder.tasks import Node
+    from replay.explain.failures import Failures
+    from replay.explain.run_summary import Summary
+    from replay.file.record_reader import RecordReader
     from replay.state.state import State, World
 
 _MAX_QUERIES: Final = 8
@@ -35,7 +36,7 @@ _FIRST, _LAST = 5, 20  # of many attempts, those for which the robot's state is 
 _MOVED: Final = 0.001  # m from which on a body counts as moved since a query
 
 
-def why(log: Log, step: int | None = None) -> Why:
+def why(log: RecordReader, step: int | None = None) -> Why:
     """Explain the failed task that a step is part of, or the last before it; by default the root cause.
 
     Raises:
@@ -45,11 +46,11 @@ def why(log: Log, step: int | None = None) -> Why:
     run = summary(log)
     if step is not None:
         task = _failed_at(log, failed, step)
-        return _task_failure(log, run, task, RootCause(task.end, task))
+        return _task_failure(log, run, task, RootCause(task.last_step, task))
     cause = root_cause(log, failed)
-    unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.parts))
+    unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
     if cause is None:
-        return Why(run, final_step(log), None, unfinished=unfinished)
+        return Why(run, log.final_step(), None, unfinished=unfinished)
     if cause.task is None:
         explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
     else:
@@ -58,11 +59,11 @@ def why(log: Log, step: int | None = None) -> Why:
     return replace(explained, failed_threads=threads)
 
 
-def _failed_at(log: Log, failed: Failures, step: int) -> TaskExecution:
+def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
     """Return the failed task that a step is part of, or that ended last until then."""
     record = log[step]
     until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
-    of_step = [task for task in failed.origins if any(outer.started.task == record.task for outer in task.around())]
+    of_step = [task for task in failed.origins if any(each.id == record.task for each in task.around())]
     if record.task and of_step:
         return of_step[-1]
     if not until:
@@ -71,18 +72,18 @@ def _failed_at(log: Log, failed: Failures, step: int) -> TaskExecution:
 
 
 def _task_failure(
-    log: Log, run: Summary, task: TaskExecution, cause: RootCause, unfinished: tuple[TaskExecution, ...] = ()
+    log: RecordReader, run: Summary, task: Node, cause: RootCause, unfinished: tuple[Node, ...] = ()
 ) -> Why:
     source, motion = Source(log), task.motion
-    start, end = motion.started.seq, task.end
+    start, end = motion.started.seq, task.last_step
     before = failures(log, end + 1)
     objects = _objects(motion.parameters)
     alike = [attempt for attempt in before.origins if _is_alike(log, attempt.motion, motion, objects)]
     before_it = [attempt for attempt in alike if attempt.motion is not motion and attempt.motion.started.seq < start]
     previous = before_it[-1] if before_it else None
-    same = before.successes.get((motion.started.kind, motion.started.name))
-    window = max((execution.end for execution in (previous, same) if execution is not None), default=0)
-    queries, earlier = _queries(log, window, end, objects, {execution.started.task for execution in task.around()})
+    same = before.successes.get((motion.kind, motion.name))
+    window = max((each.last_step for each in (previous, same) if each is not None), default=0)
+    queries, earlier = _queries(log, window, end, objects, {each.id for each in task.around()})
     state = state_at(log, end)
     world = _world(state, objects, queries)
     names = _of_world(objects, world)
@@ -93,7 +94,7 @@ def _task_failure(
         thread=cause.thread,
         exceptions=cause.exceptions,
         task=task,
-        call_stack=next(filter(None, (source.call_stack(execution.started) for execution in task.around())), ()),
+        call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
         world=world,
         is_default=world is None or world is state.world(),
         bodies=tuple(_bodies(world, [*names, *_failure_bodies(world, task)])),
@@ -108,13 +109,13 @@ def _task_failure(
     )
 
 
-def _plan_failure(log: Log, run: Summary, failed: Failures, cause: RootCause) -> Why:
+def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: RootCause) -> Why:
     """Explain a failure that the plan's own code raised, not a task."""
     state = state_at(log, cause.step)
     last = failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
-    objects = list(dict.fromkeys(body for query in queries for body in _objects(arguments_data(query.arguments))))
+    objects = list(dict.fromkeys(body for query in queries for body in _objects(argument_values(query.arguments))))
     world = _world(state, objects, queries)
     return Why(
         run,
@@ -135,9 +136,9 @@ def _plan_failure(log: Log, run: Summary, failed: Failures, cause: RootCause) ->
 # --- attempts --------------------------------------------------------------------------------------------------------
 
 
-def _is_alike(log: Log, task: TaskExecution, failed: TaskExecution, objects: Iterable[tuple[str, str]]) -> bool:
+def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
     """Return whether a task is the same with one of the same bodies; bodies of a later world are others."""
-    if (task.started.kind, task.started.name) != (failed.started.kind, failed.started.name):
+    if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(_objects(task.parameters))
     now, then = failed.started.seq, task.started.seq
@@ -149,7 +150,7 @@ def _is_alike(log: Log, task: TaskExecution, failed: TaskExecution, objects: Ite
     )
 
 
-def _attempts(log: Log, tasks: Sequence[TaskExecution], world: World | None) -> Iterator[Attempt]:
+def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> Iterator[Attempt]:
     for number, task in enumerate(tasks):
         robot = None
         if world is not None and (number < _FIRST or number >= len(tasks) - _LAST):
@@ -171,7 +172,7 @@ def _objects(parameters: Plain) -> list[tuple[str, str]]:
 
 
 def _queries(
-    log: Log, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
+    log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
     """Return the last queries about some bodies or of some tasks, each question once, and how many are left out."""
     latest: dict[tuple[object, ...], Query] = {}
@@ -185,7 +186,7 @@ def _queries(
     return queries[-_MAX_QUERIES:], max(len(queries) - _MAX_QUERIES, 0)
 
 
-def _with_changes(log: Log, query: Query, world: World | None) -> RelevantQuery:
+def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:
     """Return a query with what has changed of its bodies until the failure in a world."""
     then = state_at(log, query.seq).worlds.get(query.world)
     if then is None or world is None:
@@ -193,7 +194,7 @@ def _with_changes(log: Log, query: Query, world: World | None) -> RelevantQuery:
     if then.title != world.title:
         return RelevantQuery(query, world=then.title)
     moved, removed = [], []
-    for name, _ in dict.fromkeys(_objects(arguments_data(query.arguments))):
+    for name, _ in dict.fromkeys(_objects(argument_values(query.arguments))):
         before, after = then.bodies.get(name), world.bodies.get(name)
         if before is None:
             continue
@@ -237,9 +238,9 @@ def _bodies(world: World | None, names: Iterable[str]) -> Iterator[InvolvedBody]
             yield InvolvedBody(body, world.carrier(name), carried, body is robot, distance, bearing)
 
 
-def _failure_bodies(world: World | None, task: TaskExecution) -> Iterator[str]:
+def _failure_bodies(world: World | None, task: Node) -> Iterator[str]:
     """Yield the names of movable bodies in the data of a task's failure."""
-    data = arguments_data(task.failure.data) if task.failure is not None else {}
+    data = argument_values(task.failure.data) if task.failure is not None else {}
     for value in data.values():
         for name in value if isinstance(value, list) else [value]:
             body = world.bodies.get(name) if world is not None and isinstance(name, str) else None
@@ -247,7 +248,7 @@ def _failure_bodies(world: World | None, task: TaskExecution) -> Iterator[str]:
                 yield body.name
 
 
-def _since(log: Log, task: TaskExecution | None, now: State) -> ChangesSince | None:
+def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | None:
     if task is None or task.finished is None:
         return None
     return ChangesSince(task, difference(state_at(log, min(task.finished.seq, now.step)), now))

@@ -12,7 +12,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 
 from replay.errors import Damaged, NoSuchName
-from replay.file.layout import DAMAGE, describe
+from replay.file.mcap_format import DAMAGE, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

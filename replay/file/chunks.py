@@ -15,7 +15,7 @@ from mcap.opcode import Opcode
 
 from recorder.records import TOPICS, Keyframe, Mutation, Record
 from replay.errors import LogClosed
-from replay.file.layout import HEADER, describe
+from replay.file.mcap_format import HEADER, describe
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -59,7 +59,7 @@ class Chunks:
         return len(self._index.chunks)
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """Return the channels in each chunk, as :class:`replay.file.layout.ChunkExtent` has them."""
+        """Return the channels in each chunk, as :class:`replay.file.mcap_format.ChunkExtent` has them."""
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
 
 from replay.errors import LogClosed
-from replay.file.layout import (
+from replay.file.mcap_format import (
     DAMAGE,
     DATA_END,
     FOOTER,
@@ -28,7 +28,7 @@ from replay.file.layout import (
     Decompressor,
     Extent,
 )
-from replay.file.recover import Scan
+from replay.file.scan import Scan
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 

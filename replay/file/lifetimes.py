@@ -108,6 +108,11 @@ def _opens(record: Record) -> bool:
     return isinstance(record, Mutation) and record.HasField("open_world")
 
 
+def closes_world(record: Record) -> bool:
+    """Return whether a record is the end of a world."""
+    return isinstance(record, Mutation) and record.HasField("close_world")
+
+
 def _lists(chunks_of: dict[Owner, tuple[list[int], list[int]]], marks: Iterable[_Mark]) -> list[list[int]]:
     """Return the lists that a chunk belongs to, by what it has."""
     lists = []

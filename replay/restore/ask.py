@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
     from recorder.geometry import Quaternion, Vector
-    from replay.file.log import Log
-    from replay.state.json_data import Plain
+    from recorder.records import Plain
+    from replay.file.record_reader import RecordReader
 
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
@@ -75,7 +75,12 @@ class Answer:
 
 
 def ask(
-    log: Log, step: int, question: str | Question | None = None, *, world: str | None = None, moves: Sequence[Move] = ()
+    log: RecordReader,
+    step: int,
+    question: str | Question | None = None,
+    *,
+    world: str | None = None,
+    moves: Sequence[Move] = (),
 ) -> Answer:
     """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
 

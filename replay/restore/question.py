@@ -18,8 +18,7 @@ from replay.errors import ReplayError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Query
-    from replay.state.json_data import Plain
+    from recorder.records import Plain, Query
 
 
 @dataclass(frozen=True, slots=True)

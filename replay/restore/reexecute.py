@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.records import AttachBody, DetachBody, MoveBody, MoveJoints, Record
     from recorder.records.asset import AssetFile
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 
 class _LastMutation:
@@ -52,7 +52,7 @@ class Reexecution:
         late: names of those that continue from a keyframe.
     """
 
-    def __init__(self, log: Log, suffix: str, mode: str = "DIRECT") -> None:
+    def __init__(self, log: RecordReader, suffix: str, mode: str = "DIRECT") -> None:
         self._log = log
         self._suffix = suffix
         self._mode = mode
@@ -112,10 +112,12 @@ class Reexecution:
             repeated.callers.extend(record.callers)
             if command == "open_world":
                 repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+            if command == "simulate" and record.simulate.HasField("settled"):  # follows from the states
+                repeated.simulate.settled = record.simulate.settled
         return repeated
 
 
-def executed_again(log: Log, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
+def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
     """Return a world that is open after a step, with all that the engine knew: its future is the original's.
 
     Raises:

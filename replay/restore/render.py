@@ -14,7 +14,7 @@ import numpy as np
 
 from pycram.foundation.failures import PycramError
 from recorder import geometry
-from recorder.extras import needed
+from recorder.packages import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
 
 if TYPE_CHECKING:
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from recorder.geometry import Pose, Vector
-    from replay.explain.explanation import Why
-    from replay.file.log import Log
+    from replay.explain.why_data import Why
+    from replay.file.record_reader import RecordReader
     from replay.state.state import Body
 
 with needed("render"):
@@ -33,7 +33,7 @@ with needed("render"):
 
     from pycram.models.visual import shapes_of
     from pycram.vision.camera import Camera, Drawable
-    from replay.restore.recorded import description_of, model_of, world_state
+    from replay.restore.recorded_world import description_of, model_of, world_state
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
@@ -62,7 +62,7 @@ class Scene:
         Damaged: records or files are lost, or make no sense.
     """
 
-    def __init__(self, log: Log, step: int, world: str | None = None) -> None:
+    def __init__(self, log: RecordReader, step: int, world: str | None = None) -> None:
         state = world_state(log, step, world)
         try:
             self._bodies = {name: _drawn(log, body) for name, body in state.bodies.items()}
@@ -142,7 +142,7 @@ class Scene:
         return _vector(np.array(aim) + distance * direction / np.linalg.norm(direction))
 
 
-def write_pictures(log: Log, why: Why, folder: Path) -> list[Path]:
+def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
     """Write the pictures of an explained failure, and return their files.
 
     Raises:
@@ -171,7 +171,7 @@ def _middle(why: Why) -> Vector:
     return x, y, max(position[2] for position in positions)
 
 
-def _drawn(log: Log, body: Body) -> _Drawn:
+def _drawn(log: RecordReader, body: Body) -> _Drawn:
     model = model_of(log, body.loaded)
     frames = {link: geometry.multiply(body.pose, pose) for link, pose in model.urdf.link_poses(body.joints).items()}
     shapes = shapes_of(model.path)

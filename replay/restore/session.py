@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pycram.world.world import BulletWorld
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _POLL_PERIOD: Final = 1 / 30  # s
 _DONE, _FAILED = 0, 1
 
 
-def variables_of(world: BulletWorld, log: Log, step: int) -> dict[str, object]:
+def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
     """Return the variables of a session: objects by their names, with underscores for what can't be in an identifier.
 
     Beside them ``world``, ``robot``, ``objects`` (by name), ``log``, ``step`` and ``btr`` (the reasoning queries).

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
 from pycram.world.snapshot import restore_snapshot, take_snapshot
-from recorder.mcap.sink import versions
+from recorder.packages import versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.world.world import BulletWorld
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
     from replay.state.state import World
 
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
@@ -48,6 +48,7 @@ class Verification:
     Attributes:
         steps: how many were checked.
         tasks: how many of them start a task.
+        unfinished: how many tasks had not ended when the recording did.
         keyframes: how many were compared with the records before them.
         files: how many are attached.
         changes: how many were made again.
@@ -60,6 +61,7 @@ class Verification:
 
     steps: int
     tasks: int
+    unfinished: int
     keyframes: int
     files: int
     changes: int
@@ -80,14 +82,14 @@ class Verification:
         return self.sound and self.largest is None and not self.late
 
 
-def verify(log: Log, progress: Callable[[int], None] | None = None) -> Verification:
+def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
     """Verify a recording up to the first problem; ``progress`` is called with each step."""
     with Reexecution(log, "again") as reexecution:
         return _Verifier(log, reexecution).run(progress)
 
 
 class _Verifier:
-    def __init__(self, log: Log, reexecution: Reexecution) -> None:
+    def __init__(self, log: RecordReader, reexecution: Reexecution) -> None:
         self._log = log
         self._reexecution = reexecution
         self._integrity = Integrity()
@@ -102,6 +104,7 @@ class _Verifier:
         return Verification(
             self._integrity.steps,
             self._integrity.tasks,
+            self._integrity.unfinished,
             self._integrity.keyframes,
             len(self._log.assets),
             self._changes,
@@ -213,7 +216,7 @@ def _deviations(world: BulletWorld, state: World) -> Iterator[Deviation]:
                 yield Deviation(f"{body.name}.{name}", expected.joint(name), value)
 
 
-def _environment(log: Log) -> tuple[str, ...]:
+def _environment(log: RecordReader) -> tuple[str, ...]:
     """Return how this environment differs from the one that a recording was made in."""
     now, then = versions(), log.metadata
     return tuple(

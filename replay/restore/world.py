@@ -22,20 +22,20 @@ from pycram.world.snapshot import Snapshot, restore_snapshot
 from pycram.world.world import BulletWorld, Object
 from recorder.tracing import journal
 from replay.errors import Damaged
-from replay.restore.recorded import description_of, model_of, world_state
+from replay.restore.recorded_world import description_of, model_of, world_state
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import LoadBody
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
     from replay.state.state import Body, World
 
 __all__ = ["load_body", "open_world", "reading", "rebuild", "unrecorded", "world_at"]
 
 
 def world_at(
-    log: Log, step: int, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
+    log: RecordReader, step: int, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
 ) -> BulletWorld:
     """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and time stands still.
 
@@ -65,7 +65,7 @@ def world_at(
 
 
 @contextmanager
-def unrecorded(log: Log, step: int, world: str | None = None) -> Iterator[BulletWorld]:
+def unrecorded(log: RecordReader, step: int, world: str | None = None) -> Iterator[BulletWorld]:
     """Yield a world as it was, for a question: never the current one, in no recording, closed after the block.
 
     The arguments and errors are those of :func:`world_at`.
@@ -79,7 +79,7 @@ def unrecorded(log: Log, step: int, world: str | None = None) -> Iterator[Bullet
 
 
 @contextmanager
-def _reporting_damage(log: Log, step: int) -> Iterator[None]:
+def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
     """Raise what the executor refuses as damage of the recording; only a window that can't open is no fault of it."""
     try:
         yield
@@ -89,7 +89,7 @@ def _reporting_damage(log: Log, step: int) -> Iterator[None]:
         raise Damaged(log.path, f"the world after step {step}", str(error)) from error
 
 
-def rebuild(log: Log, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
+def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
     """Return a new world ``NAME@SUFFIX`` with a recorded state; to be called unrecorded."""
     world = open_world(f"{state.name}@{suffix}", mode)
     try:
@@ -120,7 +120,9 @@ def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
     return world
 
 
-def load_body(log: Log, loaded: LoadBody, world: BulletWorld, color: tuple[float, ...] | None = None) -> Object:
+def load_body(
+    log: RecordReader, loaded: LoadBody, world: BulletWorld, color: tuple[float, ...] | None = None
+) -> Object:
     """Load a body from its recorded model.
 
     Its color is RGBA 0..1, empty for that of its model; by default the one that it was loaded with.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from replay.state.json_data import Plain
+    from recorder.records import Plain
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recorder import records
     from recorder.geometry import Quaternion, Vector
     from replay.file.lifetimes import Lifetime
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _AT_REST: Final = (0.0,) * 6
 
@@ -36,7 +36,7 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
     return State(step, {name: world.build() for name, world in worlds.items()})
 
 
-def state_at(log: Log, step: int) -> State:
+def state_at(log: RecordReader, step: int) -> State:
     """Return what is true after a step of a recording.
 
     Raises:
@@ -52,7 +52,7 @@ def state_at(log: Log, step: int) -> State:
     return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets)
 
 
-def _fold_lifetime(log: Log, lifetime: Lifetime, step: int, worlds: dict[str, WorldBuilder]) -> int:
+def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dict[str, WorldBuilder]) -> int:
     """Fold a world's records from its last keyframe up to a step; return the first step that was needed."""
     end = log.chunk_of(step)
     base = _last_keyframe(log, lifetime, step)
@@ -70,7 +70,7 @@ def _fold_lifetime(log: Log, lifetime: Lifetime, step: int, worlds: dict[str, Wo
     return start if chunks else step
 
 
-def _last_keyframe(log: Log, lifetime: Lifetime, step: int) -> Keyframe | None:
+def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe | None:
     """Return the last keyframe of a world at or before a step."""
     for at in range(bisect_right(lifetime.keyframes, log.chunk_of(step)) - 1, -1, -1):
         frames = [frame for frame in log.records_of(lifetime, Keyframe, [lifetime.keyframes[at]]) if frame.seq <= step]

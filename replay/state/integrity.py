@@ -1,7 +1,8 @@
 """Checks whether a recording is consistent; for this no world is needed.
 
-Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; every keyframe
-equals the fold of the records before it; the content of every attached file has the hash in its name.
+Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; what began in
+the thread of the task around it, or is a branch, ends before that does; every keyframe equals the fold of the records
+before it; the content of every attached file has the hash in its name.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from replay.state.json_data import world_data
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Record
-    from replay.file.log import Log
+    from recorder.records import Plain, Record
+    from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
-    from replay.state.json_data import Plain
     from replay.state.state import World
 
+_MAIN_THREAD: Final = "MainThread"  # which ends the run, in recordings of release 0.1.0, that don't say it
 #: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     None: (Task.ASKED, Task.STARTED),
@@ -58,6 +59,11 @@ class Integrity:
         keyframes: number of keyframes that were compared with the fold of the records before them.
     """
 
+    @property
+    def unfinished(self) -> int:
+        """Number of tasks that have not ended."""
+        return len(self._running)
+
     def __init__(self) -> None:
         self.steps = 0
         self.tasks = 0
@@ -65,7 +71,8 @@ class Integrity:
         self._time = 0
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
-        self._running: dict[int, int] = {}
+        self._running: dict[int, Task] = {}
+        self._threads: dict[int, str] = {}
         self._worlds: dict[str, WorldBuilder] = {}
 
     def world(self, name: str) -> World:
@@ -124,14 +131,22 @@ class Integrity:
         if record.phase == Task.FINISHED:
             del self._running[number]
         else:
-            self._running[number] = record.seq
+            self._running[number] = record
+            self._threads[number] = record.thread
         return ""
 
     def _check_run(self, record: Run) -> str:
-        if record.phase == Run.FINISHED and self._running:
-            number, start = next(iter(self._running.items()))
-            return f"the run ends, but task {number} ({self._names[number][0]}), which started at step {start}, doesn't"
+        if record.phase != Run.FINISHED:
+            return ""
+        self._threads[0] = record.thread or _MAIN_THREAD
+        for number, began in self._running.items():
+            if began.parent not in self._running and self._ends_with_parent(began):
+                return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
         return ""
+
+    def _ends_with_parent(self, task: Task) -> bool:
+        """Return whether a task can't outlive the one around it, or the run: a daemon thread's or a worker's can."""
+        return task.kind == "branch" or task.thread == self._threads[task.parent]
 
     def _compare(self, frame: Keyframe) -> Deviation | None:
         """Return how a keyframe differs from what the records before it add up to."""
@@ -150,7 +165,7 @@ def _plain(world: World) -> Plain:
     return data | {"attachments": dict(sorted(pairs.items()))}
 
 
-def files_problem(log: Log) -> Problem | None:
+def files_problem(log: RecordReader) -> Problem | None:
     """Return the first attached file that isn't what was attached."""
     for name in log.assets:
         try:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import base64
-import json
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
-from recorder.records import TOPICS, Argument, Keyframe, Mutation
+from recorder.records import TOPICS, Argument, Keyframe, Mutation, argument_values, from_json
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from google.protobuf.descriptor import FieldDescriptor
     from google.protobuf.message import Message
 
-    from recorder.records import Record
+    from recorder.records import Plain, Record
     from replay.state.state import Body, State, World
-
-Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 
 _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread"))
 
@@ -44,7 +41,7 @@ def record_data(record: Record) -> dict[str, Plain]:
 def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
     for field, value in message.ListFields():
         if field.name.endswith("_json"):
-            yield field.name.removesuffix("_json"), to_plain(value)
+            yield field.name.removesuffix("_json"), from_json(value)
         elif field.enum_type is not None:
             enum_value = field.enum_type.values_by_number.get(value)
             yield field.name, enum_value.name.lower() if enum_value else value
@@ -59,24 +56,10 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
     if field.message_type is None:
         return list(value) if is_repeated else value  # type: ignore[call-overload, return-value]
     if field.message_type.full_name == Argument.DESCRIPTOR.full_name:
-        return arguments_data(value)  # type: ignore[arg-type]
+        return argument_values(value)  # type: ignore[arg-type]
     if is_repeated:
         return [dict(_fields(item)) for item in value]  # type: ignore[attr-defined]
     return dict(_fields(value))  # type: ignore[arg-type]
-
-
-def arguments_data(arguments: Iterable[Argument]) -> dict[str, Plain]:
-    """Return named values as records carry them, decoded."""
-    return {argument.name: to_plain(argument.json) for argument in arguments}
-
-
-def to_plain(text: str) -> Plain:
-    """Decode a value that a record has as JSON."""
-    try:
-        value: Plain = json.loads(text)
-    except ValueError:  # another program's, or damaged: shown as it is
-        return text
-    return value
 
 
 def mentions(record: Record, name: str) -> bool:

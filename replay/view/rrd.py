@@ -21,15 +21,16 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
-from recorder.viewer.connection import PORT, Kind, Target, ViewerGone, address, answers
-from recorder.viewer.windows import open_window, stream_to_file
+from recorder.viewer.address import PORT, Kind, Target, ViewerGone, address, answers
+from recorder.viewer.rerun_stream import stream_to_file
+from recorder.viewer.viewer_window import END_TIMEOUT, ViewerWindow
 from replay.errors import ReplayError
 from replay.view.translation import front_world, translate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _LOAD_TIMEOUT: Final = 20.0  # s for the viewer to load a file
 _POLL_PERIOD: Final = 0.1  # s
@@ -37,7 +38,7 @@ _MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that 
 _HEADER: Final = 7
 
 
-def convert(logs: Sequence[Log], path: Path, at: int | None = None) -> None:
+def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
     """Writes recordings into one ``.rrd`` file; a file that is there is replaced when all is written.
 
     Several are shown side by side. The step ``at`` is looked at first, by default the beginning.
@@ -74,7 +75,7 @@ def _without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def cached(log: Log, at: int | None = None) -> Path:
+def cached(log: RecordReader, at: int | None = None) -> Path:
     """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
 
     It is a temporary file where beside the recording nothing can be written, and where the step that is looked at
@@ -172,13 +173,17 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """
     check(url)
     try:
-        viewer = url or open_window()
-        client = ViewerClient.connect(viewer)
-        client.open(str(path.resolve()))
-        if step is not None:
-            _go_to(client, step)
+        window = None if url else ViewerWindow()
+        viewer = window.url if window else str(url)
+        try:
+            client = ViewerClient.connect(viewer)
+            client.open(str(path.resolve()))
+            if step is not None:
+                _go_to(client, step)
+        except (RuntimeError, OSError) as error:
+            if window:
+                window.check(END_TIMEOUT)
+            raise ReplayError(f"{path} can't be shown: {error}") from error
     except ViewerGone as error:
         raise ReplayError(f"{error}; without a screen, use --web or --save FILE") from error
-    except (RuntimeError, OSError) as error:
-        raise ReplayError(f"{path} can't be shown: {error}") from error
     return viewer

@@ -7,8 +7,8 @@ import zlib
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.asset import AssetFile
+from recorder.viewer.active_worlds import acts
 from recorder.viewer.blueprint import ORIGIN, blueprint, side_by_side
-from recorder.viewer.scene_view import acts
 from recorder.viewer.translator import Translator
 from replay.errors import Damaged
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from recorder.geometry import Vector
-    from replay.file.log import Log
+    from replay.file.record_reader import RecordReader
 
 _NO_ROOT: Final = ""  # of a recording that is shown alone
 _NONSENSE: Final = (
@@ -34,7 +34,7 @@ _NONSENSE: Final = (
 """Errors of translating records that no recorder has written."""
 
 
-def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = None) -> None:
+def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
     """Sends recordings to a viewer, several side by side; the step ``at`` is looked at first.
 
     Raises:
@@ -50,7 +50,7 @@ def translate(logs: Sequence[Log], stream: rr.RecordingStream, at: int | None = 
     _lay_out(stream, {root: _translated(log, stream, root) for root, log in roots.items()}, fronts)
 
 
-def front_world(log: Log, at: int | None = None) -> str:
+def front_world(log: RecordReader, at: int | None = None) -> str:
     """The world that is looked at: that of a step, by default the first that the plan acts in; "" if none.
 
     Steps without a world of their own are of that of the step before.
@@ -62,7 +62,7 @@ def front_world(log: Log, at: int | None = None) -> str:
     return next((record.world for record in log if acts(record)), "")
 
 
-def _roots(logs: Sequence[Log]) -> list[str]:
+def _roots(logs: Sequence[RecordReader]) -> list[str]:
     """Root entities of recordings that are shown side by side: names of their files, if these are different."""
     if len(logs) == 1:
         return [_NO_ROOT]
@@ -79,7 +79,7 @@ def _lay_out(
         stream.send_blueprint(side_by_side(recordings, fronts))
 
 
-def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
+def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
     """Sends a recording, and returns the centres of its worlds in m."""
     translator = Translator(stream, root)
     for name in log.assets:
@@ -92,18 +92,18 @@ def _translated(log: Log, stream: rr.RecordingStream, root: str) -> Mapping[str,
             raise _nonsense(log, f"step {record.seq}", error) from error
     with _damage(log, "a record"):  # as a time that is longer than any
         translator.finish()
-    for name in translator.absent:  # filters of other tools leave attachments out
+    for name in translator.scene.absent:  # filters of other tools leave attachments out
         log.assets.damaged.setdefault(name, "it isn't there")
-    return translator.worlds
+    return translator.worlds.centres
 
 
 @contextlib.contextmanager
-def _damage(log: Log, where: str) -> Iterator[None]:
+def _damage(log: RecordReader, where: str) -> Iterator[None]:
     try:
         yield
     except _NONSENSE as error:
         raise _nonsense(log, where, error) from error
 
 
-def _nonsense(log: Log, where: str, error: Exception) -> Damaged:
+def _nonsense(log: RecordReader, where: str, error: Exception) -> Damaged:
     return Damaged(log.path, where, f"it makes no sense: {error}")

@@ -59,7 +59,9 @@ def joints() -> None:
             robot.set_joint_positions({"torso_lift_joint": number * 1e-4, "l_shoulder_pan_joint": number * 1e-4})
 
 
-@pytest.mark.parametrize("plan", [demo, physics, moves, joints])
+@pytest.mark.parametrize(
+    "plan", [moves, *(pytest.param(plan, marks=pytest.mark.long) for plan in (demo, physics, joints))]
+)
 def test_verifying_costs_hardly_more_than_the_run(plan: Callable[[], None], tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
 

@@ -31,11 +31,11 @@ import itertools, json, sys
 import recorder
 from pycram.bullet_world import BulletWorld, Object
 
-def tell():
+def report():
     state = {body.name: body.get_position_and_orientation() for body in world.objects}
     held = cup in box.attachments
-    told = {"length": recording.length, "sim_step": world.sim_step, "bodies": state, "held": held}
-    print(json.dumps(told), flush=True)
+    reported = {"length": recording.length, "sim_step": world.sim_step, "bodies": state, "held": held}
+    print(json.dumps(reported), flush=True)
 
 with recorder.record(sys.argv[1]) as recording, BulletWorld() as world:
     world.set_gravity([0, 0, -9.8])
@@ -53,7 +53,7 @@ with recorder.record(sys.argv[1]) as recording, BulletWorld() as world:
                 box.detach(cup)
                 cup.set_position([0.5, count % 5, 1])
         except KeyboardInterrupt:
-            tell()
+            report()
 """
 
 
@@ -69,17 +69,17 @@ def test_interrupts_never_part_the_world_from_its_log(tmp_path: Path) -> None:
     ) as process:
         assert process.stdout is not None
         chance = random.Random(1)
-        told = []
+        reported = []
         for _ in range(INTERRUPTS):
             assert process.stdout.readline() == "ready\n"
             sum(range(chance.randrange(400_000)))  # some time, so that it hits anywhere
             process.send_signal(signal.SIGINT)
-            told.append(json.loads(process.stdout.readline()))
+            reported.append(json.loads(process.stdout.readline()))
         assert process.wait(60) == 0
     with replay.open(file) as log:
         assert log.complete
         assert [record.seq for record in log] == list(range(len(log)))
-        for live in told:
+        for live in reported:
             world = log.state_at(live["length"] - 1).world()
             assert world.sim_step == live["sim_step"]
             assert bool(world.attachments) == live["held"]
@@ -134,9 +134,9 @@ def test_a_forked_child_may_leave_the_block(tmp_path: Path) -> None:
 
 def test_a_child_that_another_thread_forks_while_ctrl_c_is_held_back_hears_it() -> None:
     def hold_back() -> None:
-        with Uninterrupted() as hold:
+        with Uninterrupted() as section:
             signal.raise_signal(signal.SIGINT)
-            assert hold.noted
+            assert section.noted
 
     def child() -> None:
         with pytest.raises(KeyboardInterrupt):

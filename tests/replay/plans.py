@@ -25,20 +25,20 @@ DRAWERS = ("sink_area_left_upper_drawer_main_joint", "sink_area_left_middle_draw
 
 def everything(world: BulletWorld) -> dict[str, object]:
     """All that is true of a world, in numbers that can be compared."""
-    told: dict[str, object] = {}
+    facts: dict[str, object] = {}
     for body in world.objects:
         now = take_snapshot(body)
-        told[body.name] = {
+        facts[body.name] = {
             "type": body.type,
             "numbers": [*now.pose[0], *now.pose[1], *now.velocity, *now.positions, *now.velocities],
             "color": body.color,
         }
         for held in body.carried:
-            told[f"{body.name} holds {held.body.name}"] = {
+            facts[f"{body.name} holds {held.body.name}"] = {
                 "links": (held.carrier_link, held.body_link),
                 "numbers": [*held.pose[0], *held.pose[1]],
             }
-    return told | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot and world.robot.name}
+    return facts | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot and world.robot.name}
 
 
 class Witness:

@@ -12,8 +12,8 @@ import pytest
 import replay
 from pycram.world import current
 from recorder.records import Query
+from replay.cli import record_text
 from replay.cli.main import main
-from replay.explain import wording
 from replay.restore.ask import QUERIES, Move
 from replay.restore.question import BadQuestion, Name, Question, parse
 from tests.replay.approximately import assert_approximately
@@ -38,15 +38,15 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
         asked = [record for record in log.records(Query) if isinstance(record, Query)]
         assert {"visible", "blocking"} <= {record.name for record in asked}
         for record in asked:
-            found = log.ask(record.seq)
-            where = f"step {record.seq}: {found.question}"
-            assert found.answer == names(record.answer_json), where
-            assert found.world == record.world
+            answer = log.ask(record.seq)
+            where = f"step {record.seq}: {answer.question}"
+            assert answer.answer == names(record.answer_json), where
+            assert answer.world == record.world
             live = {fact.name: json.loads(fact.json) for fact in record.evidence}
             if record.name == "stable":  # its rehearsal's twin has a past of its own: the same but for its creep
-                assert found.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
+                assert answer.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
-                assert_approximately(found.evidence, live, where, within=1e-6)
+                assert_approximately(answer.evidence, live, where, within=1e-6)
     assert not current.open_worlds()
 
 
@@ -60,7 +60,7 @@ def test_a_recorded_query_can_be_typed_as_a_question(
             asked = {record.name: record for record in log.records(Query)}
             assert asked
             for record in asked.values():
-                shown = wording.question(record)
+                shown = record_text.question(record)
                 assert main(["ask", str(file), str(record.seq), shown, "--json"]) == 0, shown
                 assert json.loads(capsys.readouterr().out)["answer"] == names(record.answer_json), shown
 
@@ -130,10 +130,10 @@ def test_changed_conditions_change_the_answer(demo_log: Path) -> None:
 )
 def test_queries_are_asked_as_in_the_thesis(scene_log: Path, question: str, answer: object) -> None:
     with replay.open(scene_log) as log:
-        found = log.ask(first(log, "visible").seq, question)
-    assert isinstance(found.answer, list) if answer is None else found.answer == answer
-    assert found.evidence or answer is False
-    assert parse(str(found.question)) == found.question  # it can be typed again as it is printed
+        result = log.ask(first(log, "visible").seq, question)
+    assert isinstance(result.answer, list) if answer is None else result.answer == answer
+    assert result.evidence or answer is False
+    assert parse(str(result.question)) == result.question  # it can be typed again as it is printed
 
 
 def test_every_query_can_be_asked() -> None:

@@ -11,10 +11,10 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Task
 from recorder.tracing.span import span
+from replay.cli import formatting
 from replay.cli.main import main
-from replay.explain import wording
-from replay.explain.compare import compare
-from replay.state.diff import difference
+from replay.explain.compare_runs import compare
+from replay.state.difference import difference
 from tests.replay.commands import mutation
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def test_a_record_of_only_one_run_is_the_divergence(tmp_path: Path) -> None:
     drop(tmp_path / "a.mcap", [1, 2])
     drop(tmp_path / "b.mcap", [1, 2], extra=True)
     with replay.open(tmp_path / "a.mcap") as first, replay.open(tmp_path / "b.mcap") as second:
-        for one, other, side in ((first, second, "second"), (second, first, "first")):
-            divergence = compare(one, other).divergence
+        for log, second_log, side in ((first, second, "second"), (second, first, "first")):
+            divergence = compare(log, second_log).divergence
             alone = getattr(divergence, side)
             assert isinstance(alone, Task)
             assert alone.name == "look"
@@ -169,4 +169,4 @@ def test_small_changes_are_printed_with_enough_digits(tmp_path: Path, capsys: py
     ],
 )
 def test_different_numbers_are_printed_differently(before: float, after: float, texts: tuple[str, str]) -> None:
-    assert wording.apart(before, after) == texts
+    assert formatting.apart(before, after) == texts

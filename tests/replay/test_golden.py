@@ -17,7 +17,7 @@ import pytest
 import replay
 from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 from replay.cli.main import main
-from replay.explain.tree import tree
+from replay.explain.task_tree import tree
 from replay.restore.verify import verify
 from replay.state.json_data import record_data
 

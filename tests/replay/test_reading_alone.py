@@ -11,7 +11,6 @@ import json
 import os
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -105,8 +104,7 @@ def test_reading_verbs(log: Path) -> None:
         assert not printed.err, call
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("pybullet") is None, reason="nothing to compare with: only the base is installed")
+@pytest.mark.slow  # `make test-reading` leaves it out: where only the base is installed, there is nothing to compare with
 def test_they_say_the_same_as_where_all_is_installed() -> None:
     calls = [replay(verb, LOGS[0], *words) for verb, *words in READING]
     assert run(*calls) == run(*calls, hiding=False)

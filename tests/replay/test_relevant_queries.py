@@ -39,11 +39,11 @@ def test_an_outdated_answer_is_marked(tmp_path: Path) -> None:
     with pytest.raises(PlanFailure):
         take_what_is_gone(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = log.why()
-        (asked,) = found.queries
+        why = log.why()
+        (asked,) = why.queries
         assert asked.query.answer_json == "false"
         assert asked.moved == ("ball",)
-        assert found.warning is None
+        assert why.warning is None
         assert main(["why", str(log.path)]) == 0
 
 
@@ -80,16 +80,16 @@ def taken(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Recording]
 
 @pytest.mark.parametrize("taken", ["nothing"], indirect=True)
 def test_an_answer_that_holds_is_a_warning(taken: Recording) -> None:
-    found = taken.why()
-    assert found.warning is not None
-    assert found.warning.name == "stable"
+    why = taken.why()
+    assert why.warning is not None
+    assert why.warning.name == "stable"
 
 
 @pytest.mark.parametrize("taken", ["removed"], indirect=True)
 def test_a_removed_body_is_not_listed_as_moved(taken: Recording, capsys: pytest.CaptureFixture[str]) -> None:
-    found = taken.why()
-    assert (found.queries[0].removed, found.queries[0].moved, found.removed) == (("ball",), (), ("ball",))
-    assert found.warning is None
+    why = taken.why()
+    assert (why.queries[0].removed, why.queries[0].moved, why.removed) == (("ball",), (), ("ball",))
+    assert why.warning is None
     assert main(["why", str(taken.path)]) == 0
     output = capsys.readouterr().out
     assert "since then ball was removed" in output
@@ -100,10 +100,10 @@ def test_a_removed_body_is_not_listed_as_moved(taken: Recording, capsys: pytest.
 def test_a_query_about_an_earlier_world_of_the_same_name_is_no_warning(
     taken: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = taken.why()
-    assert [asked.world for asked in found.queries] == ["lab"]
-    assert found.world.title == "lab (2nd of that name)"
-    assert found.warning is None
+    why = taken.why()
+    assert [asked.world for asked in why.queries] == ["lab"]
+    assert why.world.title == "lab (2nd of that name)"
+    assert why.warning is None
     assert main(["why", str(taken.path)]) == 0
     assert "asked in another world: lab" in capsys.readouterr().out
 

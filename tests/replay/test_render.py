@@ -34,8 +34,8 @@ def file(tmp_path: Path) -> Path:
 
 def red(picture: Image.Image) -> np.ndarray:
     pixels = np.asarray(picture).astype(int)
-    found: np.ndarray = (pixels[..., 0] > 80) & (pixels[..., 1] < 60) & (pixels[..., 2] < 60)
-    return found
+    reddish: np.ndarray = (pixels[..., 0] > 80) & (pixels[..., 1] < 60) & (pixels[..., 2] < 60)
+    return reddish
 
 
 def test_a_picture_shows_the_step_from_the_viewpoint(file: Path) -> None:

@@ -115,17 +115,17 @@ def test_failure_step_why_and_tree_agree_on_the_root_cause(
         error = raised
     running = tasks.tree().failure_path()
     with replay.open(tmp_path / "x.mcap") as log:
-        found, path = log.why(), log.tree().failure_path()
-        assert log.step("failure") == found.step
-        assert log.state_at("failure").step == found.step
+        why, path = log.why(), log.tree().failure_path()
+        assert log.step("failure") == why.step
+        assert log.state_at("failure").step == why.step
         if name is None:
-            assert found.task is None
+            assert why.task is None
             assert path == []
             assert log.state_at("failure").body("ball")  # while the world was still open
             return
-        assert found.task.started.name == path[-1].name == name
-        assert found.step == found.task.finished.seq == path[-1].finished.seq
-        assert [node.id for node in path] == [task.started.task for task in found.task.around()][::-1]
+        assert why.task.started.name == path[-1].name == name
+        assert why.step == why.task.finished.seq == path[-1].finished.seq
+        assert [node.id for node in path] == [task.started.task for task in why.task.around()][::-1]
         if error is None:
             assert [node.id for node in running] == [node.id for node in path]
 

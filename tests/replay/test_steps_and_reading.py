@@ -269,7 +269,7 @@ def test_reading_a_closed_recording_is_not_reported_as_damage(small_log: Path) -
         with pytest.raises(replay.LogClosed, match="open it again"):
             read()
     assert log.complete
-    assert repr(log) == f"<Log {small_log}: closed>"
+    assert repr(log) == f"<Recording {small_log}: closed>"
 
 
 EACH_VERB = """

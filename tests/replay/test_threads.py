@@ -59,11 +59,11 @@ def test_why_reports_a_failed_thread_with_the_plan_s_line(
     file = recorded("int", tmp_path)
     assert len(quiet) == 1
     with replay.open(file) as log:
-        found = log.why()
+        why = log.why()
         (failed,) = [record for record in log.records(Run) if record.phase == Run.THREAD_FAILED]
-        assert (found.step, found.task, found.thread) == (failed.seq, None, failed.thread)
+        assert (why.step, why.task, why.thread) == (failed.seq, None, failed.thread)
         assert log.step("failure") == failed.seq
-        assert [line.text for line in found.exceptions[-1].lines] == [
+        assert [line.text for line in why.exceptions[-1].lines] == [
             'for work in (lambda: ball.set_position([0, 0, float("nan")]), int):'
         ]
     assert main(["why", str(file)]) == 0
@@ -100,10 +100,10 @@ def test_a_thread_s_failure_is_traced_to_its_task(
 ) -> None:
     file = recorded("lambda: lift(ball)", tmp_path)
     with replay.open(file) as log:
-        found = log.why()
-        assert found.task.started.name == "lift"
-        assert log.tree().began == found.task.started.task
-        assert [record.failure.type for record in found.failed_threads] == ["BadArgument"]
+        why = log.why()
+        assert why.task.started.name == "lift"
+        assert log.tree().began == why.task.started.task
+        assert [record.failure.type for record in why.failed_threads] == ["BadArgument"]
     assert len(quiet) == 2
     assert main(["why", str(file)]) == 0
     assert "also failed: thread helper " in capsys.readouterr().out
@@ -124,9 +124,9 @@ def test_a_plan_s_own_failure_comes_first(quiet: list[threading.ExceptHookArgs],
     with pytest.raises(PlanFailure, match="the plan"):
         fail_twice(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = log.why()
-    assert (found.failure.message, found.thread) == ("the plan", "")
-    assert [record.failure.message for record in found.failed_threads] == ["the thread"]
+        why = log.why()
+    assert (why.failure.message, why.thread) == ("the plan", "")
+    assert [record.failure.message for record in why.failed_threads] == ["the thread"]
     assert len(quiet) == 1
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import random
 import struct
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,9 +61,9 @@ def rewritten(source: Path, target: Path, change: Callable[[Record], Record | No
 
 def problem_of(file: Path) -> Problem:
     with replay.open(file) as log:
-        found = verify(log).problem
-    assert found is not None
-    return found
+        problem = verify(log).problem
+    assert problem is not None
+    return problem
 
 
 @pytest.fixture(scope="module")
@@ -157,11 +159,11 @@ def test_one_wrong_byte_of_a_pose_is_found(run_log: Path, tmp_path: Path, comman
             numbers[1] = flipped(numbers[1])
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", tamper))
-    assert found.step == step
-    assert found.deviation is not None
-    assert found.deviation.field.endswith(".position[1]")
-    assert 0 < found.deviation.size < 1e-12
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", tamper))
+    assert problem.step == step
+    assert problem.deviation is not None
+    assert problem.deviation.field.endswith(".position[1]")
+    assert 0 < problem.deviation.size < 1e-12
 
 
 def flipped(number: float) -> float:
@@ -235,9 +237,9 @@ def test_every_manipulation_is_found_at_its_step(
             steps.extend([] if step is None else [step])
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
-    assert cause in found.cause
-    assert [found.step] == steps
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert cause in problem.cause
+    assert [problem.step] == steps
 
 
 def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
@@ -246,18 +248,18 @@ def test_a_problem_names_its_task(run_log: Path, tmp_path: Path) -> None:
             record.effect.bodies[0].joint_positions[0] += 1e-6
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
-    assert found.task == ("tidy", "open the drawer")
-    assert found.deviation is not None
-    assert found.deviation.size == pytest.approx(1e-6)
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", change))
+    assert problem.task == ("tidy", "open the drawer")
+    assert problem.deviation is not None
+    assert problem.deviation.size == pytest.approx(1e-6)
 
 
 def test_a_removed_record_is_reported(run_log: Path, tmp_path: Path) -> None:
     for step in (10, 60):
         file = rewritten(run_log, tmp_path / f"{step}.mcap", lambda r, gone=step: None if r.seq == gone else r)
-        found = problem_of(file)
-        assert found.step == step
-        assert "is missing" in found.cause
+        problem = problem_of(file)
+        assert problem.step == step
+        assert "is missing" in problem.cause
         assert main(["verify", str(file)]) == 1
 
 
@@ -271,8 +273,8 @@ def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: P
         record.seq -= len(ends)
         return record
 
-    found = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
-    assert "doesn't" in found.cause
+    problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
+    assert "doesn't" in problem.cause
     cut = tmp_path / "cut.mcap"
     content = run_log.read_bytes()
     cut.write_bytes(content[: int(len(content) * 0.97)])
@@ -285,9 +287,9 @@ def test_an_exchanged_attached_file_is_found(run_log: Path, tmp_path: Path) -> N
     at = content.index(b"<robot")
     content[at + 40] ^= 1
     target.write_bytes(content)
-    found = problem_of(target)
-    assert found.step is None
-    assert "damaged" in found.cause
+    problem = problem_of(target)
+    assert problem.step is None
+    assert "damaged" in problem.cause
 
 
 @pytest.mark.slow
@@ -316,8 +318,8 @@ def test_in_another_environment_the_largest_deviation_is_reported(run_log: Path,
     assert verdict.largest is not None
     assert verdict.largest.size == pytest.approx(1e-5)
     assert main(["verify", str(tmp_path / "near.mcap")]) == 0
-    found = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
-    assert "the environment is a different one" in found.cause
+    problem = problem_of(rewritten(run_log, tmp_path / "far.mcap", nudge(0.1), pybullet="3.2.5"))
+    assert "the environment is a different one" in problem.cause
 
 
 def test_worlds_from_before_the_recording_are_compared_without_physics(tmp_path: Path) -> None:
@@ -446,7 +448,130 @@ def test_random_plans_are_verified(tmp_path: Path) -> None:
         check_random_plan(seed, tmp_path)
 
 
-@seeded("random plans, verified", range(2, 200), 22)
+@seeded("random plans, verified", range(2, 200), 9)
 def test_many_random_plans_are_verified(tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         check_random_plan(seed, tmp_path)
+
+
+# --- plans that end otherwise than they should, in processes of their own ----------------------------------------------
+
+
+WORKER_IS_ABANDONED = """
+import os, signal, threading
+import recorder
+from pycram.bullet_world import BulletWorld
+from pycram.language import seq
+from pycram.scheduling.worker import in_thread
+from recorder.tracing.span import span
+
+up = threading.Event()
+
+def watch():
+    with span("plan", "watching"):
+        up.set()
+        threading.Event().wait()
+
+def press():
+    up.wait()
+    os.kill(os.getpid(), signal.SIGINT)
+
+try:
+    with recorder.record(FILE), BulletWorld(), seq:
+        threading.Thread(target=press).start()
+        in_thread(watch)
+except KeyboardInterrupt:
+    os._exit(130)
+"""
+
+THREAD_GOES_ON = """
+import os, signal, threading
+import recorder
+from pycram.bullet_world import BulletWorld
+from pycram.language import par
+from recorder.tracing.span import span
+
+up = threading.Event()
+
+def watch():
+    with span("plan", "watching"):
+        up.set()
+        threading.Event().wait()
+
+def begin():
+    threading.Thread(target=watch, daemon=True).start()
+    up.wait()
+
+try:
+    with recorder.record(FILE), BulletWorld(), par as block:
+        block(begin)
+        block(lambda: signal.raise_signal(signal.SIGINT))
+except KeyboardInterrupt:
+    os._exit(130)
+"""
+
+BLOCKS_WITHOUT_END = """
+import sys
+import recorder
+from pycram.bullet_world import BulletWorld, Object
+from pycram.language import seq
+
+def nested(depth, milk):
+    with seq:
+        milk.set_position([depth, 0, 1])
+        nested(depth + 1, milk)
+
+with recorder.record(FILE), BulletWorld() as world:
+    milk = Object("milk", "milk", "milk.stl")
+    sys.setrecursionlimit(LIMIT)
+    try:
+        nested(0, milk)
+    finally:
+        sys.setrecursionlimit(1000)
+"""
+
+
+def recorded_by(plan: str, file: Path, **values: object) -> subprocess.CompletedProcess[str]:
+    given = "".join(f"{name} = {value!r}\n" for name, value in values.items())
+    program = f"FILE = {str(file)!r}\n{given}{plan}"
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize("plan", [WORKER_IS_ABANDONED, THREAD_GOES_ON], ids=["worker", "daemon thread"])
+def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: str, tmp_path: Path, capfd) -> None:
+    file = tmp_path / "run.mcap"
+    assert recorded_by(plan, file).returncode == 130
+    with replay.open(file) as log:
+        verification = verify(log)
+    assert verification.exact, verification
+    assert verification.unfinished == 1
+    assert main(["verify", str(file)]) == 0
+    assert "1 of them not ended then" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("limit", [200, 201, 203])
+def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    assert "RecursionError" in recorded_by(BLOCKS_WITHOUT_END, file, LIMIT=limit).stderr
+    with replay.open(file) as log:
+        verification = verify(log)
+        changes = sum(1 for record in log.records(Mutation) if record.HasField("move_body"))
+    assert verification.exact, verification
+    assert verification.unfinished == 0
+    assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
+    assert changes >= 3
+
+
+def test_a_branch_without_end_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with recorder.record(file), par as block:
+        block(lambda: None)
+    with replay.open(file) as log:
+        end = next(r.seq for r in log.records(Task) if r.kind == "branch" and r.phase == Task.FINISHED)
+
+    def without_end(record: Record) -> Record | None:
+        kept = record.seq != end
+        record.seq -= record.seq > end
+        return record if kept else None
+
+    assert "doesn't" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause

@@ -24,45 +24,43 @@ if TYPE_CHECKING:
 
 
 def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Recording) -> None:
-    found = small.why()
-    assert found.failure.message == "the milk can't be put anywhere"
-    assert [(error.type, error.message) for error in found.exceptions] == [
+    why = small.why()
+    assert why.failure.message == "the milk can't be put anywhere"
+    assert [(error.type, error.message) for error in why.exceptions] == [
         ("ReasoningError", "milk would fall from 0.5 m"),
         ("ReasoningError", "the milk can't be put anywhere"),
     ]
-    assert [line.text for line in found.exceptions[0].lines] == [
+    assert [line.text for line in why.exceptions[0].lines] == [
         "put(milk, height)",
         'raise btr.ReasoningError(f"{body.name} would fall from {height} m")',
     ]
-    assert (
-        found.exceptions[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
-    )
-    assert found.task.parameters["height"] == 0.5
-    assert [each.task.parameters["height"] for each in found.attempts] == [1.0, 0.5]
-    assert found.step == small.step("task:put#2@end")
+    assert why.exceptions[-1].lines[-1].text == 'raise btr.ReasoningError("the milk can\'t be put anywhere") from last'
+    assert why.task.parameters["height"] == 0.5
+    assert [each.task.parameters["height"] for each in why.attempts] == [1.0, 0.5]
+    assert why.step == small.step("task:put#2@end")
 
 
 def test_why_lists_the_queries_that_the_plan_relied_on(small: Recording) -> None:
-    found = small.why()
-    (asked,) = found.queries
+    why = small.why()
+    (asked,) = why.queries
     assert asked.query.name == "stable"
-    assert asked.query.task == found.task.started.task
+    assert asked.query.task == why.task.started.task
     assert not asked.moved
-    assert found.warning == asked.query
+    assert why.warning == asked.query
 
 
 def test_why_lists_changes_since_the_last_success(small: Recording) -> None:
-    found = small.why()
-    assert found.since_same_success is None
-    assert found.since_last_success.task.started.name == "carry"
-    assert {change.body for change in found.since_last_success.difference.notable} == {"milk", "cereal"}
+    why = small.why()
+    assert why.since_same_success is None
+    assert why.since_last_success.task.started.name == "carry"
+    assert {change.body for change in why.since_last_success.difference.notable} == {"milk", "cereal"}
 
 
 def test_why_of_another_failure(small: Recording) -> None:
     first = small.step("task:put@end")
     for step in (first, first - 1, "failure", "task:put#2@start"):
-        found = small.why(step)
-        assert found.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
+        why = small.why(step)
+        assert why.task.parameters["height"] == (0.5 if step in ("failure", "task:put#2@start") else 1.0)
     with pytest.raises(replay.NoSuchStep, match="no task failed"):
         small.why(5)
 
@@ -114,10 +112,10 @@ def test_a_mistake_in_the_plan_s_own_code(tmp_path: Path, capsys: pytest.Capture
     with pytest.raises(KeyError), recorder.record(tmp_path / "x.mcap", source=__file__), BulletWorld():
         {}["spoon"]
     with replay.open(tmp_path / "x.mcap") as log:
-        found = log.why()
-        assert found.task is None
-        assert found.is_python_error
-        assert '{}["spoon"]' in found.exceptions[0].lines[-1].text
+        why = log.why()
+        assert why.task is None
+        assert why.is_python_error
+        assert '{}["spoon"]' in why.exceptions[0].lines[-1].text
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert "KeyError: 'spoon'" in capsys.readouterr().out.splitlines()[0]
 
@@ -274,10 +272,10 @@ def test_a_handled_failure_is_no_root_cause(tmp_path: Path) -> None:
     with pytest.raises(PlanFailure):
         try_another_way(tmp_path / "x.mcap")
     with replay.open(tmp_path / "x.mcap") as log:
-        found = log.why()
-        assert found.task.parameters == {"arm": "right"}
-        assert [error.message for error in found.exceptions] == ["too high"]
-        assert len(found.attempts) == 2
+        why = log.why()
+        assert why.task.parameters == {"arm": "right"}
+        assert [error.message for error in why.exceptions] == ["too high"]
+        assert len(why.attempts) == 2
 
 
 @pytest.mark.slow

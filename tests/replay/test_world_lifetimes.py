@@ -14,9 +14,9 @@ from recorder.mcap import sink as mcap_sink
 from recorder.mcap.sink import McapSink
 from recorder.records import Mutation
 from replay.cli.main import main
-from replay.explain.summary import summary
+from replay.explain.run_summary import summary
 from replay.file.lifetimes import title
-from replay.state.diff import difference
+from replay.state.difference import difference
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -126,10 +126,10 @@ def test_the_summary_has_the_clock_of_each_lifetime(log: replay.Recording, capsy
 
 def test_a_difference_compares_equal_lifetimes_only(log: replay.Recording) -> None:
     first, hall, _ = openings(log)
-    found = difference(log.state_at(hall - 2), log.state_at("last"))
-    assert found.closed == ("lab",)
-    assert found.opened == ("hall", "lab (2nd of that name)")
-    assert not found.changed
+    delta = difference(log.state_at(hall - 2), log.state_at("last"))
+    assert delta.closed == ("lab",)
+    assert delta.opened == ("hall", "lab (2nd of that name)")
+    assert not delta.changed
     assert difference(log.state_at(first + 2), log.state_at(hall - 2)).changed
 
 

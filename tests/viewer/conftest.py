@@ -36,7 +36,7 @@ from rerun.chunk import RrdReader
 from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
-from recorder.viewer.connection import address, answers
+from recorder.viewer.address import address, answers
 from tests import needs
 
 if TYPE_CHECKING:
@@ -67,18 +67,18 @@ def until() -> Callable[..., None]:
 
 def processes(mark: str, variable: str = MARK) -> list[psutil.Process]:
     """The processes that live and have come of a test, whoever their parents are now."""
-    found = []
+    living = []
     for process in psutil.process_iter():
         try:
             if process.environ().get(variable) == mark and process.status() != psutil.STATUS_ZOMBIE:
-                found.append(process)
+                living.append(process)
         except psutil.Error:  # not ours, or gone
             continue
-    return found
+    return living
 
 
 @pytest.fixture(autouse=True)
-def alone(
+def isolated(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[None]:
     """A folder for temporary files of each test, and nothing that lives on after it."""
@@ -95,7 +95,7 @@ def alone(
             leftover.append(f"{process.pid}: {' '.join(process.cmdline())}")
             process.kill()
     if request.node.get_closest_marker("slow"):  # those start processes; it takes a while
-        gc.collect()  # a file that it left open is told here, not in the middle of another test
+        gc.collect()  # a file that it left open is reported here, not in the middle of another test
     assert not leftover, f"left running: {leftover}"
 
 
@@ -151,14 +151,14 @@ class Server:
 
 def rows_of(file: Path) -> Counter[str]:
     """How many rows each entity has in a file, which may be growing; not what is said of the recording as a whole."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     # nothing may be there yet, or half of it, without an end
     with contextlib.suppress(ValueError, OSError, RuntimeError), warnings.catch_warnings():
         warnings.simplefilter("ignore", RerunWarning)
         for chunk in RrdReader(file).stream():
-            found[chunk.entity_path] += chunk.num_rows
-    del found["/__properties"]
-    return found
+            counts[chunk.entity_path] += chunk.num_rows
+    del counts["/__properties"]
+    return counts
 
 
 @pytest.fixture
@@ -192,8 +192,10 @@ class Headless:
     def complaints(self) -> list[str]:
         """Warnings and errors of the viewer and of its views, but for those about this machine."""
         logs = self.client.get_logs()
-        said = [f"{log.level} {log.message}" for log in logs if log.level != "INFO" and not OURS.search(log.message)]
-        return said + [f"{view.name}: {report.summary}" for view in self.state().views for report in view.reports]
+        complaints = [
+            f"{log.level} {log.message}" for log in logs if log.level != "INFO" and not OURS.search(log.message)
+        ]
+        return complaints + [f"{view.name}: {report.summary}" for view in self.state().views for report in view.reports]
 
     def open(self, file: Path) -> None:
         """Opens a file and waits until it is loaded."""
@@ -206,10 +208,10 @@ class Headless:
 
     def end_of(self, timeline: str) -> int:
         """The last time on a timeline of the recording that it has; -1 if there is none."""
-        found = [
+        ends = [
             line.end for recording in self.state().recordings for line in recording.timelines if line.name == timeline
         ]
-        return max((end for end in found if end is not None), default=-1)
+        return max((end for end in ends if end is not None), default=-1)
 
     def go_to(self, step: int) -> None:
         """Shows a step and stays there."""
@@ -217,7 +219,7 @@ class Headless:
 
     def picture(self, file: Path, view: str = "") -> Image.Image:
         """Draws a view that is in front, or all there is; views are there when something is loaded."""
-        ids = [one.view_id for one in self.state().views if one.name == view]
+        ids = [shown.view_id for shown in self.state().views if shown.name == view]
 
         def drawn() -> bool:
             try:
@@ -289,7 +291,7 @@ class Browser:
 
     def _attach(self) -> None:
         """Takes the page that it has opened with."""
-        (page,) = [one for one in self.call("Target.getTargets")["targetInfos"] if one["type"] == "page"]
+        (page,) = [target for target in self.call("Target.getTargets")["targetInfos"] if target["type"] == "page"]
         attached = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Network", "Runtime", "Log"):
@@ -330,7 +332,7 @@ class Browser:
     def errors(self) -> list[str]:
         """What the viewer in its page complains of."""
         calls = [e["params"]["args"] for e in self.events if e.get("method") == "Runtime.consoleAPICalled"]
-        lines = [str(one.get("value", "")) for arguments in calls for one in arguments]
+        lines = [str(argument.get("value", "")) for arguments in calls for argument in arguments]
         thrown = [str(e["params"]) for e in self.events if e.get("method") == "Runtime.exceptionThrown"]
         return [line for line in lines if line.lstrip().startswith("ERROR")] + thrown
 
@@ -368,10 +370,10 @@ def pycram(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Starts the command line as a process of its own, in ``tmp_path``."""
     with contextlib.ExitStack() as ends:
 
-        def start(*words: str, **environment: str) -> subprocess.Popen[str]:
+        def start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
             kept = {name: os.environ[name] for name in ("PATH", "TMPDIR", MARK)}
             process = subprocess.Popen(
-                [sys.executable, "-m", "pycram", *words],
+                [sys.executable, "-m", "pycram", *arguments],
                 cwd=tmp_path,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 import replay
-from recorder.viewer.connection import free_port
+from recorder.viewer.address import free_port
 from replay.cli.main import main
 from replay.view.rrd import convert
 from tests.viewer.conftest import Headless, wait_until
@@ -41,9 +41,9 @@ def structure(scene: Image.Image) -> np.ndarray:
     return np.asarray(middle.resize(_SIZE, Image.Resampling.BOX), dtype=float)[_SKY:]
 
 
-def alike(one: np.ndarray, other: np.ndarray) -> float:
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Correlation of two pictures: 1 if they are the same but for brightness and contrast."""
-    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
+    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
 
 
 def golden(moment: str) -> np.ndarray:
@@ -72,8 +72,8 @@ def _draw(folder: Path) -> None:
             for moment in MOMENTS:
                 viewer.go_to(log.step(f"task:{moment}"))
                 scene = _at_rest(viewer, folder, WORLD)
-                whole = Image.fromarray(structure(scene).round().astype(np.uint8))
-                whole.save(_file(moment))
+                reduced = Image.fromarray(structure(scene).round().astype(np.uint8))
+                reduced.save(_file(moment))
     finally:
         viewer.end()
     viewer = Headless(free_port(0))

@@ -32,7 +32,7 @@ class Shown:
     """
 
     def __init__(self, file: Path) -> None:
-        found: dict[str, list[tuple[bytes, tuple[int, ...], dict[str, Any]]]] = defaultdict(list)
+        entities: dict[str, list[tuple[bytes, tuple[int, ...], dict[str, Any]]]] = defaultdict(list)
         fixed: list[tuple[bytes, str, dict[str, Any]]] = []
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RerunWarning)
@@ -48,10 +48,10 @@ class Shown:
                 if chunk.is_static:
                     fixed.append((ids[row], chunk.entity_path, values))
                 else:
-                    found[chunk.entity_path].append((ids[row], tuple(line[row] for line in times), values))
+                    entities[chunk.entity_path].append((ids[row], tuple(line[row] for line in times), values))
         self.rows = {
             entity: [(moment, values) for _, moment, values in sorted(rows, key=lambda row: row[0])]
-            for entity, rows in found.items()
+            for entity, rows in entities.items()
         }
 
         self.fixed: dict[str, dict[str, Any]] = defaultdict(dict)
@@ -67,7 +67,7 @@ class Shown:
         return counts
 
     def at(self, entity: str, step: int) -> dict[str, Any]:
-        """An entity's components at a step: the last that each was told, unless the entity was cleared since."""
+        """An entity's components at a step: the last value of each, unless the entity was cleared since."""
         now: dict[str, Any] = {}
         for moment, values in sorted(self.rows.get(entity, []), key=lambda row: row[0][0]):
             if moment[0] > step:
@@ -107,8 +107,8 @@ def looked_for(file: Path) -> set[str]:
         for chunk in reader.stream(store=layout)
         if chunk.entity_path.endswith("/ViewContents")
     ]
-    asked = [row for table in tables for row in table.column("ViewContents:query").to_pylist()]
-    return {one for row in asked for one in row}
+    queries = [row for table in tables for row in table.column("ViewContents:query").to_pylist()]
+    return {path for row in queries for path in row}
 
 
 def in_front(file: Path) -> set[str]:
@@ -133,8 +133,8 @@ def view(log: Path, file: Path) -> Shown:
     return Shown(file)
 
 
-def small(file: Path, place: float = 0.0) -> Path:
+def small(file: Path, x: float = 0.0) -> Path:
     """Records a world with a cup in it."""
     with recorder.record(file), BulletWorld(name="w"):
-        Object("cup", "cup", "cup.stl", [place, 0, 1])
+        Object("cup", "cup", "cup.stl", [x, 0, 1])
     return file

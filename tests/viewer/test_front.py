@@ -52,9 +52,9 @@ def test_the_first_tab_is_the_world_that_is_looked_at(tmp_path: Path, two_worlds
     assert main(["view", str(two_worlds), "--save", str(file)]) == 0
     assert in_front(file) == {"kitchen"}, "where the plan began to do something"
     for world, step in steps.items():
-        for other in ([], [str(small(tmp_path / "other.mcap"))]):
-            assert main(["view", str(two_worlds), *other, "--at", str(step), "--save", str(file)]) == 0
-            assert in_front(file) == {world if not other else f"log {world}", *(["other w"] if other else [])}
+        for beside in ([], [str(small(tmp_path / "beside.mcap"))]):
+            assert main(["view", str(two_worlds), *beside, "--at", str(step), "--save", str(file)]) == 0
+            assert in_front(file) == {world if not beside else f"log {world}", *(["beside w"] if beside else [])}
     assert main(["view", str(two_worlds), "--at", "0", "--save", str(file)]) == 0
     assert in_front(file) == {"kitchen"}, "a step before all worlds"
 
@@ -78,7 +78,7 @@ def test_live_the_first_tab_is_the_world_that_the_plan_acts_in(two_worlds: Path)
         with replay.open(file) as log:
             for record in log:
                 translator.show(record)
-                fronts.append(translator.front)
+                fronts.append(translator.worlds.front)
     assert [world for world, _ in itertools.groupby(fronts)] == ["", "kitchen", "later"]
 
 

@@ -20,8 +20,9 @@ import pytest
 
 import recorder
 import replay
-from recorder.viewer import sink
-from recorder.viewer.connection import LINGER_TIMEOUT, Kind, Target, answers, free_port
+from recorder.viewer import live_sink
+from recorder.viewer.address import Kind, Target, answers, free_port
+from recorder.viewer.live_process import LINGER_TIMEOUT
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
@@ -55,15 +56,15 @@ Path("begun").touch()
 
 
 HURRY = """
-from recorder.viewer import sink
-sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 0.0)
-sink._END_TIMEOUT = 0.0
+from recorder.viewer import live_sink
+live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 0.0)
+live_sink._END_TIMEOUT = 0.0
 """
 
 
 PATIENT = """
-from recorder.viewer import sink
-sink._START_TIMEOUTS = dict.fromkeys(sink.Kind, 60.0)
+from recorder.viewer import live_sink
+live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
 """
 
 
@@ -77,9 +78,9 @@ class Ended:
         self.mark = mark
 
     def missed(self) -> tuple[int, int]:
-        """How many records the viewer missed, and of how many, as it was said."""
-        found = re.search(r"the viewer (?:missed|is) (\d+) of (\d+) records.*; the file has them all", self.err)
-        return (int(found[1]), int(found[2])) if found else (0, 0)
+        """How many records the viewer missed, and of how many, as it was printed."""
+        message = re.search(r"the viewer (?:missed|is) (\d+) of (\d+) records.*; the file has them all", self.err)
+        return (int(message[1]), int(message[2])) if message else (0, 0)
 
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
@@ -124,8 +125,8 @@ def plan(pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> Iterat
         return started[-1]
 
     yield start
-    for one in started:
-        for process in marked(one.mark):
+    for running in started:
+        for process in marked(running.mark):
             process.kill()
 
 
@@ -182,10 +183,10 @@ def test_records_that_can_t_be_shown_are_skipped(
 ) -> None:
     server = serve()
     nonsense = "records.Query(name='visible', picture=records.Picture(width=1, height=1, pixels=b'none'))"
-    telling = f"journal.emit({nonsense}, world=world.name)"
-    code = f"from recorder import records\nfrom recorder.tracing import journal\n{telling}\n{telling}\nmove(50)\nwait_for('shown')"
+    emit = f"journal.emit({nonsense}, world=world.name)"
+    code = f"from recorder import records\nfrom recorder.tracing import journal\n{emit}\n{emit}\nmove(50)\nwait_for('shown')"
     running = plan(code, f"connect:{server.url}")
-    until(lambda: server.rows()["/records/mutation"] > 350, "all is on its way that is told before")
+    until(lambda: server.rows()["/records/mutation"] > 350, "all that was recorded before is on its way")
     (running.folder / "shown").touch()
     ended = running.end()
     assert ended.code == 0
@@ -205,7 +206,7 @@ def test_a_plan_runs_without_a_viewer(plan: Callable[..., Plan], port: int) -> N
 def test_a_short_plan_waits_only_until_no_viewer_answers(
     tmp_path: Path, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sink, "_END_TIMEOUT", 90.0)
+    monkeypatch.setattr(live_sink, "_END_TIMEOUT", 90.0)
     begun = time.monotonic()
     with recorder.record(tmp_path / "log.mcap", live=f"connect:rerun+http://127.0.0.1:{port}/proxy"):
         pass
@@ -302,12 +303,12 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         ends.callback(process.communicate)
         ends.callback(process.kill)
         assert process.stderr is not None
-        said: list[str] = []
-        while not ("the page stays until Ctrl-C" in "".join(said) and "live at" in "".join(said)):
-            said.append(process.stderr.readline())
-            assert said[-1], said
-        address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(said))
-        assert address, said
+        lines: list[str] = []
+        while not ("the page stays until Ctrl-C" in "".join(lines) and "live at" in "".join(lines)):
+            lines.append(process.stderr.readline())
+            assert lines[-1], lines
+        address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(lines))
+        assert address, lines
         assert answers(urllib.request.unquote(address[2]))
         with urllib.request.urlopen(address[1]) as page:
             assert b"rerun" in page.read().lower()
@@ -365,9 +366,9 @@ def test_the_command_line_refuses_an_invalid_target(
     pycram: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     process = pycram("demo", "--rerun=web")
-    _, said = process.communicate(timeout=60)
+    _, printed = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "--rerun: 'web' is no address of a viewer; say spawn, connect" in " ".join(said.split())
+    assert "--rerun: 'web' is no address of a viewer; say spawn, connect" in " ".join(printed.split())
     assert not list(tmp_path.iterdir())
 
 

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from recorder.viewer.windows import Page
+from recorder.viewer.web_page import Page
 
 if TYPE_CHECKING:
     import subprocess
@@ -62,9 +62,9 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     demos = Path(__file__).parent.parent.parent / "demos"
     process = pycram("run", "plan.py", "--rerun=serve", "--", str(demos))
     assert process.stderr is not None
-    said = process.stderr.readline()
-    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/\?\S*url=\S+)\n", said)
-    assert page, said
+    line = process.stderr.readline()
+    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/\?\S*url=\S+)\n", line)
+    assert page, line
     browser.call("Page.navigate", url=page[1] + "&renderer=webgl")
     file = tmp_path / "page.png"
     until(lambda: shades(scene(browser.picture(file))) > 12, "robot and kitchen are seen", 300)
@@ -87,9 +87,9 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     assert not browser.errors()
 
 
-def differing(one: Image.Image, other: Image.Image) -> float:
+def differing(a: Image.Image, b: Image.Image) -> float:
     """Which part of two pictures differs clearly."""
-    grey = [np.asarray(picture.convert("L"), dtype=int) for picture in (one, other)]
+    grey = [np.asarray(picture.convert("L"), dtype=int) for picture in (a, b)]
     return float((abs(grey[0] - grey[1]) > 40).mean())
 
 

@@ -1,4 +1,4 @@
-"""The file that is made for the viewer: when it is kept, and what is told where it can't be made, or not whole."""
+"""The file that is made for the viewer: when it is kept, and what is reported where it can't be made, or not whole."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Pa
 
     with replay.open(small(tmp_path / "log.mcap")) as recording:
         kept = cached(recording)
-        whole, made = kept.read_bytes(), kept.stat().st_mtime_ns
-        kept.write_bytes(whole[:5] + bytes([whole[5] - 1]) + whole[6:])
+        content, made = kept.read_bytes(), kept.stat().st_mtime_ns
+        kept.write_bytes(content[:5] + bytes([content[5] - 1]) + content[6:])
         os.utime(kept, ns=(made, made))  # software is installed with whatever dates
-        assert cached(recording).read_bytes()[:8] == whole[:8]
+        assert cached(recording).read_bytes()[:8] == content[:8]
 
 
 @pytest.mark.slow
@@ -108,8 +108,8 @@ def test_a_file_for_the_viewer_that_was_made_of_half_a_recording_is_not_kept(tmp
     os.utime(log, ns=(half.written_ns + 10**7, half.written_ns + 10**7))  # however coarse the clock is
     with half:
         assert "/w/bodies/cup" not in Shown(cached(half)).rows, "the plan ended after it had been opened"
-    with replay.open(log) as whole:
-        assert "/w/bodies/cup" in Shown(cached(whole)).rows
+    with replay.open(log) as recording:
+        assert "/w/bodies/cup" in Shown(cached(recording)).rows
 
 
 def test_an_invalid_model_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -126,9 +126,9 @@ def test_an_invalid_model_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
-    whole, log = small(tmp_path / "whole.mcap"), tmp_path / "log.mcap"
+    complete, log = small(tmp_path / "complete.mcap"), tmp_path / "log.mcap"
     sink = McapSink(log, {})
-    with replay.open(whole) as recording:
+    with replay.open(complete) as recording:
         for record in recording:
             sink.write(TOPICS[type(record)], record, record.SerializeToString())
     sink.close()
@@ -171,8 +171,8 @@ def test_a_truncated_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w"):
         cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
-        for turn in range(200):
-            cup.set_position([turn, 0, 1])
+        for x in range(200):
+            cup.set_position([x, 0, 1])
     log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
     output = capsys.readouterr()

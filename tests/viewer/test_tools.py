@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from conftest import Headless
     from google.protobuf.message import Message
-    from mcap.records import Channel, Schema
-    from mcap.records import Message as Sent
+    from mcap.records import Channel, Message as Sent, Schema
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +41,7 @@ class Stranger:
     def __init__(self, file: Path) -> None:
         with file.open("rb") as opened:
             reader = make_reader(opened)
-            self.found = [(channel, sent, self._read(schema, sent)) for schema, channel, sent in self._sent(reader)]
+            self.messages = [(channel, sent, self._read(schema, sent)) for schema, channel, sent in self._sent(reader)]
 
     @staticmethod
     def _sent(reader: Any) -> list[tuple[Schema, Channel, Sent]]:
@@ -57,7 +56,7 @@ class Stranger:
         return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString(sent.data)
 
     def on(self, topic: str) -> list[tuple[Sent, Any]]:
-        return [(sent, message) for channel, sent, message in self.found if channel.topic == topic]
+        return [(sent, message) for channel, sent, message in self.messages if channel.topic == topic]
 
 
 @pytest.fixture(scope="module")
@@ -66,15 +65,15 @@ def stranger(log: Path) -> Stranger:
 
 
 def test_every_message_is_decoded_with_the_file_s_own_definitions(stranger: Stranger) -> None:
-    topics = {channel.topic for channel, _, _ in stranger.found}
+    topics = {channel.topic for channel, _, _ in stranger.messages}
     assert {"/run", "/task", "/mutation", "/query", "/tf", "/log"} <= topics <= {*RECORDS, "/tf", "/log"}
-    for channel, sent, message in stranger.found:
+    for channel, sent, message in stranger.messages:
         assert channel.message_encoding == "protobuf"
         assert not len(UnknownFieldSet(message)), "no field is left out of its definition"
         if channel.topic in RECORDS:
             assert message.seq == sent.sequence
             assert message.wall_time_ns == sent.log_time
-    steps = [message.seq for channel, _, message in stranger.found if channel.topic in RECORDS]
+    steps = [message.seq for channel, _, message in stranger.messages if channel.topic in RECORDS]
     assert sorted(steps) == list(range(len(steps))), "each record, once"
 
 
@@ -84,8 +83,8 @@ def test_frames_form_one_tree_and_times_increase(stranger: Stranger) -> None:
     for sent, message in stranger.on("/tf"):
         for frame in message.transforms:
             assert parents.setdefault(frame.child_frame_id, frame.parent_frame_id) == frame.parent_frame_id
-            turn = frame.rotation
-            assert turn.x**2 + turn.y**2 + turn.z**2 + turn.w**2 == pytest.approx(1)
+            rotation = frame.rotation
+            assert rotation.x**2 + rotation.y**2 + rotation.z**2 + rotation.w**2 == pytest.approx(1)
             now = frame.timestamp.seconds + frame.timestamp.nanos / 1e9
             assert before <= now < sent.log_time / 1e9
             before = now

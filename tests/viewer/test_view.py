@@ -24,7 +24,7 @@ from recorder.records import Mutation, Query, Task
 from recorder.tracing.span import Span
 from replay.cli.main import main
 from tests.viewer.conftest import rows_of
-from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, alike, golden, robot_pixels, structure
+from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
 from tests.viewer.shown import Shown, in_world, looked_for, small, view
 
 if TYPE_CHECKING:
@@ -56,10 +56,10 @@ def test_every_link_has_its_recorded_pose(demo: Path, shown: Shown) -> None:
             for body in state.world().bodies.values():
                 for link in state.urdf(body).links:
                     name = body.name if link == state.urdf(body).root else f"{body.name}/{link}"
-                    place, turn = in_world(frames, name)
-                    true_place, true_turn = state.link_pose(body, link)
-                    assert math.dist(place, true_place) < NEAR, f"step {step}: {name}"
-                    assert geometry.angle(turn, true_turn) < 1e-3, f"step {step}: {name}"
+                    position, orientation = in_world(frames, name)
+                    true_position, true_orientation = state.link_pose(body, link)
+                    assert math.dist(position, true_position) < NEAR, f"step {step}: {name}"
+                    assert geometry.angle(orientation, true_orientation) < 1e-3, f"step {step}: {name}"
 
 
 @pytest.mark.slow
@@ -101,7 +101,7 @@ def test_live_and_afterwards_show_the_same(
 
 
 def without_start(fixed: dict[str, dict[str, object]]) -> dict[tuple[str, str], object]:
-    """What holds at all times, but for when the viewer was first told of it."""
+    """What holds at all times, but for when the viewer first got it."""
     values_by_entity = {(entity, name): value for entity, values in fixed.items() for name, value in values.items()}
     return {key: value for key, value in values_by_entity.items() if key[1] != "RecordingInfo:start_time"}
 
@@ -127,7 +127,7 @@ def test_added_and_removed_bodies_appear_and_disappear(tmp_path: Path) -> None:
     bowl_shape = next(
         entity for entity in shown.rows if entity.startswith("/kitchen/bodies/bowl/") and "mesh" in entity
     )
-    hold = "/kitchen/attachments/bowl/bowl/cup"
+    attachment = "/kitchen/attachments/bowl/bowl/cup"
     assert not shown.at(cup_shape, first - 1)
     assert shown.at(cup_shape, first)["Asset3D:blob"]
     assert not shown.at(cup_shape, did["remove_body"])
@@ -136,9 +136,9 @@ def test_added_and_removed_bodies_appear_and_disappear(tmp_path: Path) -> None:
     assert math.dist(in_world(shown.frames(did["detach_body"]), "kitchen//cup")[0], (1, 0, 1)) < NEAR
     assert shown.at(bowl_shape, did["set_color"] - 1)["Asset3D:albedo_factor"] == [0xFF0000FF]
     assert shown.at(bowl_shape, did["set_color"])["Asset3D:albedo_factor"] == [0x00FF00FF]
-    assert not shown.at(hold, did["attach_body"] - 1)
-    assert shown.at(hold, did["attach_body"])["LineStrips3D:labels"] == ["holds cup"]
-    assert not shown.at(hold, did["detach_body"])
+    assert not shown.at(attachment, did["attach_body"] - 1)
+    assert shown.at(attachment, did["attach_body"])["LineStrips3D:labels"] == ["holds cup"]
+    assert not shown.at(attachment, did["detach_body"])
     falls = [moment for moment, _ in shown.rows["/kitchen/bodies/cup"] if moment[0] == did["simulate"]]
     assert len(falls) >= 3, "a fall is seen while it happens"
     assert [line[1] for line in falls] == sorted({line[1] for line in falls})
@@ -179,10 +179,10 @@ def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
     assert lines == [f"#{step} fail: PlanFailure: too heavy"]
     for entity in ("/log/task", "/log/mutation"):
         assert all(values["TextLog:text"][0].startswith(f"#{step} ") for (step, *_), values in shown.rows[entity])
-    told_red = [
+    red_lines = [
         (values["TextLog:level"] == ["ERROR"], bool(values["TextLog:color"])) for _, values in shown.rows["/log/task"]
     ]
-    assert {*told_red} == {(True, True), (False, False)}, "failures, and nothing else"
+    assert {*red_lines} == {(True, True), (False, False)}, "failures, and nothing else"
 
 
 PLAN = """\
@@ -211,7 +211,7 @@ def test_tables_have_call_sites_and_callers(tmp_path: Path) -> None:
         for _, values in rows[f"/records/{kind.lower()}"]:
             names = (what, "source", "callers")
             key, source, callers = (values[f"pycram.{kind}:{name}"][0] for name in names)
-            of_plan = [one for one in callers.split(", ") if one.startswith("plan.py")]  # else it's this test
+            of_plan = [line for line in callers.split(", ") if line.startswith("plan.py")]  # else it's this test
             sources[key] = source, of_plan
     assert sources["load_body"] == ("plan.py:8", [])
     assert sources["move_body"] == ("plan.py:5", ["plan.py:10"])
@@ -274,7 +274,7 @@ def test_a_query_has_a_page_a_picture_and_marks(tmp_path: Path) -> None:
         btr.contact(cup, milk)
     shown = view(log, tmp_path / "log.rrd")
     (image,) = [values for _, values in shown.rows["/queries/picture"]]
-    names = {one["class_id"]: one["class_description"]["info"]["label"] for one in context(shown)}
+    names = {each["class_id"]: each["class_description"]["info"]["label"] for each in context(shown)}
     pixels = np.array(image["SegmentationImage:buffer"][0], dtype=np.uint8).view(np.uint16)
     shares = {names[number]: int((pixels == number).sum()) for number in np.unique(pixels)}
     assert shares["cup"] == seen
@@ -296,18 +296,18 @@ def test_a_line_of_sight_begins_at_the_camera_of_the_robot_in_the_query(tmp_path
     log, model = tmp_path / "log.mcap", tmp_path / "stick.urdf"
     model.write_text(STICK)
     with recorder.record(log), BulletWorld(name="w") as world:
-        one, two = (Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5))
+        far, near = (Object(f"robot {x}", "robot", model, [x, 0, 0]) for x in (0, 5))
         cup = Object("cup", "cup", "cup.stl", [7, 0, 1])
-        world.robot = two
-        assert btr.visible(cup, "eye").evidence == btr.visible(cup, "eye", robot=two).evidence
-        btr.visible(cup, "eye", robot=one)
+        world.robot = near
+        assert btr.visible(cup, "eye").evidence == btr.visible(cup, "eye", robot=near).evidence
+        btr.visible(cup, "eye", robot=far)
     shown = view(log, tmp_path / "log.rrd")
     with replay.open(log) as recording:
         asked = [record.seq for record in recording.records(Query)]
         for step in asked:
             assert recording.ask(step).answer == json.loads(recording[step].answer_json)
-    places = [shown.at("/w/answers/visible/sight", step)["LineStrips3D:strips"][0][0] for step in asked]
-    assert [place[0] for place in places] == [5, 5, 0]
+    positions = [shown.at("/w/answers/visible/sight", step)["LineStrips3D:strips"][0][0] for step in asked]
+    assert [position[0] for position in positions] == [5, 5, 0]
 
 
 def test_a_failure_without_a_place_is_marked_at_its_robot(tmp_path: Path) -> None:
@@ -365,12 +365,12 @@ def test_ambiguous_names_have_entities_of_their_own(tmp_path: Path) -> None:
 
 
 def test_two_recordings_side_by_side(tmp_path: Path) -> None:
-    one, other = small(tmp_path / "one.mcap"), small(tmp_path / "other.mcap", 3.0)
+    left, right = small(tmp_path / "left.mcap"), small(tmp_path / "right.mcap", 3.0)
     file = tmp_path / "both.rrd"
-    assert main(["view", str(one), str(other), "--save", str(file)]) == 0
+    assert main(["view", str(left), str(right), "--save", str(file)]) == 0
     frames = Shown(file).frames(10)
-    assert in_world(frames, "one/w//cup", "one/world")[0] == (0, 0, 1)
-    assert in_world(frames, "other/w//cup", "other/world")[0] == (3, 0, 1)
+    assert in_world(frames, "left/w//cup", "left/world")[0] == (0, 0, 1)
+    assert in_world(frames, "right/w//cup", "right/world")[0] == (3, 0, 1)
 
 
 @pytest.mark.slow
@@ -392,8 +392,8 @@ def test_the_viewer_shows_the_demo(
 
         def seen(name: str = name, step: int = step) -> bool:
             scene = headless.picture(tmp_path / f"{step}.png", WORLD)
-            likeness = {other: alike(structure(scene), picture) for other, picture in goldens.items()}
-            nearest = max(likeness, key=lambda other: likeness[other])
+            likeness = {moment: correlation(structure(scene), picture) for moment, picture in goldens.items()}
+            nearest = max(likeness, key=lambda moment: likeness[moment])
             return nearest == name and likeness[name] > LIKENESS and robot_pixels(scene) > ROBOT
 
         until(seen, f"{name}, step {step}, looks like its golden picture")

@@ -1,20 +1,65 @@
-"""Opening and closing grippers."""
+"""Opening and closing grippers: as far as nothing stops the fingers."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
+from pycram.foundation.failures import GripperBlocked
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.grasping import fingers
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.motions.designator import Designator
+    from pycram.world.object import Object
+
+
+@dataclass(frozen=True, slots=True)
+class GripperMoved:
+    """What came of opening or closing a gripper.
+
+    Attributes:
+        arm: name of the arm.
+        share: how far it is open now: 0 is closed, 1 is open.
+        stopped_by: what stopped the fingers, deepest first; nothing if they got as far as they can.
+        released: what it has let go of, if anything.
+        settled: whether that, and everything else, is at rest now.
+    """
+
+    arm: str
+    share: float
+    stopped_by: Sequence[CollisionPair] = ()
+    released: Object | None = None
+    settled: bool = True
+
+    def __record__(self) -> object:
+        """Return its fields, as records have it."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 class MoveGripper(SimulatedModule):
-    """Opens or closes the gripper of an arm."""
+    """Opens or closes the gripper of an arm until something stops the fingers; opening lets go of what it holds.
 
-    def _execute(self, designator: Designator) -> None:
+    What it lets go of falls, until everything is at rest or 5 s of simulated time are over. What it holds stops the
+    fingers that would close.
+    """
+
+    def _execute(self, designator: Designator) -> GripperMoved:
         solution = designator.reference()
         robot = self.robot()
-        gripper = self.description(robot).arm(solution["gripper"]).gripper
-        robot.set_joint_positions(gripper.positions(solution["motion"]))
+        arm = self.description(robot).arm(solution["gripper"])
+        opening = solution["motion"] == "open"
+        with robot.world.lock:
+            held = self.held(robot, arm) if opening else None
+            motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
+            if held is not None and motion.stopped_by and motion.gap < fingers.CLEAR:
+                raise GripperBlocked(arm.name, held.name, motion.stopped_by)
+            robot.set_joint_positions(motion.positions)
+            settled = True
+            if held is not None:
+                robot.detach(held)
+                settled = robot.world.settle()
+        return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)

@@ -34,7 +34,8 @@ class Navigation(SimulatedModule):
             _check_ground(robot, target, orientation)
             touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)
             if touched:
-                raise InCollision(target, orientation, [body.name for body in touched])
+                pairs = [collision["pair"] for collision in touched.values()]
+                raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
             robot.set_position_and_orientation(target, orientation)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.reasoning.collision.boxes import concatenate, overlaps
 from pycram.reasoning.collision.moving_links import MovingLinks, joint_counts
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -44,11 +45,13 @@ class Collision(TypedDict):
         links: links of the robot, or of what it holds, that touch the object.
         by: links of the object that they touch.
         depth: of the deepest touch, m.
+        pair: the links that touch there.
     """
 
     links: list[str]
     by: list[str]
     depth: float
+    pair: CollisionPair
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +165,7 @@ class CollisionChecker:
 
     def collisions(
         self, candidate: Candidate, links: Collection[str] | None = None
-    ) -> Iterator[tuple[Object, list[ClosestPoint]]]:
+    ) -> Iterator[tuple[Pair, list[ClosestPoint]]]:
         """Check the pairs of a candidate, one after the other; what was checked before is known.
 
         Args:
@@ -170,8 +173,8 @@ class CollisionChecker:
             links: the robot's links that are checked, and what it holds with them; all that move by default.
 
         Yields:
-            What is touched, and where a link touches one of its links. The floor that a robot stands on doesn't collide
-            with its wheels; what it holds moves along and may collide with others too.
+            Two links that touch, and where. The floor that a robot stands on doesn't collide with its wheels; what it
+            holds moves along and may collide with others too.
         """
         for pair in self._pairs(candidate):
             mover, link, body, _ = pair
@@ -184,33 +187,43 @@ class CollisionChecker:
                 if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch))
             ]
             if touches:
-                yield body, touches
+                yield pair, touches
 
     def touched(self, candidate: Candidate) -> dict[Object, Collision]:
         """Return what a robot collides with in a candidate, deepest first."""
-        found: dict[Object, list[ClosestPoint]] = {}
-        for body, touches in self.collisions(candidate):
-            found.setdefault(body, []).extend(touches)
-        collisions = {
-            body: Collision(
-                links=sorted({touch.link_a for touch in touches}),
-                by=sorted({touch.link_b for touch in touches}),
-                depth=max(-touch.distance for touch in touches),
+        found: dict[Object, list[tuple[Pair, float]]] = {}
+        for pair, touches in self.collisions(candidate):
+            found.setdefault(pair[2], []).append((pair, max(-touch.distance for touch in touches)))
+        collisions = {}
+        for body, pairs in found.items():
+            deepest, depth = max(pairs, key=lambda item: item[1])
+            collisions[body] = Collision(
+                links=sorted({link for (_, link, *_), _ in pairs}),
+                by=sorted({link for (*_, link), _ in pairs}),
+                depth=depth,
+                pair=self._named(deepest, depth),
             )
-            for body, touches in found.items()
-        }
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
-    def self_collisions(self, candidate: Candidate) -> list[tuple[str, str]]:
+    def self_collisions(self, candidate: Candidate) -> list[CollisionPair]:
         """Return pairs of the robot's own links, more than a shoulder apart, that overlap in a candidate."""
-        return [
-            (link, other)
-            for link, other in self._links.self_overlaps(candidate.transforms)
-            if any(
-                touch.distance <= -_SELF_DEPTH
-                for touch in self._touches(candidate, (self.robot, link, self.robot, other))
-            )
-        ]
+        found = []
+        for link, other in self._links.self_overlaps(candidate.transforms):
+            pair = self.robot, link, self.robot, other
+            depth = max((-touch.distance for touch in self._touches(candidate, pair)), default=0.0)
+            if depth >= _SELF_DEPTH:
+                found.append(self._named(pair, depth))
+        return found
+
+    def _named(self, pair: Pair, depth: float) -> CollisionPair:
+        """Return a pair of links by their names."""
+        mover, link, body, other = pair
+        gripper = ""
+        if mover is not self.robot:
+            arm = self.robot.description.arm_of(self._link_of[mover]) if self.robot.description else None
+            gripper = arm.name if arm else self._link_of[mover]
+        links = (own if len(owner.links) > 1 else "" for owner, own in ((mover, link), (body, other)))
+        return CollisionPair(mover.name, next(links), body.name, next(links), depth, gripper)
 
     def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
         """Return where two links touch; only for this the clone's robot is moved."""
@@ -272,18 +285,23 @@ def touched(
         return checker.touched(candidate)
 
 
-def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[str]:
-    """Return names of what a robot would collide with in a posture, but for what it touches already, as on purpose.
+def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
+    """Return what a robot would collide with in a posture, but for what it touches already, as on purpose.
 
     Args:
         robot: the robot; its world's lock is held.
         positions: joint values in rad or m by name that differ from the present ones.
+
+    Returns:
+        For each object the links that overlap most, by the objects' names.
     """
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
         there, here = checker.predict([positions, {name: now[name] for name in positions}])
         found = checker.touched(there)
-        return sorted(body.name for body in found.keys() - checker.touched(here).keys()) if found else []
+        known = checker.touched(here) if found else {}
+        new = [collision["pair"] for body, collision in found.items() if body not in known]
+        return sorted(new, key=lambda pair: pair.body)
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:

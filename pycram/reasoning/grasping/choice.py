@@ -17,6 +17,7 @@ from recorder.geometry import IDENTITY
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.reasoning.collision.checker import Candidate, Collision
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
@@ -43,7 +44,7 @@ class GraspPlan:
     grasp: Grasp | None
     posture: Posture | None
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
-    self_collisions: Sequence[tuple[str, str]] = ()
+    self_collisions: Sequence[CollisionPair] = ()
 
     def evidence(self) -> dict[str, object]:
         """Return it as records carry it."""
@@ -53,7 +54,7 @@ class GraspPlan:
         if self.posture is not None:
             fields |= self.posture.evidence()
         if self.self_collisions:
-            fields["touches_itself"] = [list(pair) for pair in self.self_collisions]
+            fields["touches_itself"] = [[pair.link, pair.body_link] for pair in self.self_collisions]
         return fields | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
 
 
@@ -158,7 +159,7 @@ class _Choice:
             enough: as soon as it costs more, the rest doesn't matter yet.
         """
         cost = self._cost(depths)
-        for body, touches in self._checker.collisions(candidate, links):
+        for (_, _, body, _), touches in self._checker.collisions(candidate, links):
             depth = max(-touch.distance for touch in touches)
             if depth > depths.get(body, 0.0):
                 depths[body] = depth

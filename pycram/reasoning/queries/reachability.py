@@ -223,7 +223,11 @@ def _judge(
             return Verdict(True, posture.evidence() | {"obstacles": {}})
         obstacles: dict[str, object] = {body.name: info for body, info in touched.items()}
         if own:
-            obstacles[checker.robot.name] = {"links": [a for a, _ in own], "by": [b for _, b in own]}
+            obstacles[checker.robot.name] = {
+                "links": [pair.link for pair in own],
+                "by": [pair.body_link for pair in own],
+                "pair": own[0],
+            }
         evidence.setdefault("obstacles", obstacles)
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
             break  # no other posture will be better

@@ -11,7 +11,7 @@ from pycram.fluents.waiting import StateStream
 
 def test_dropped_networks_are_freed() -> None:
     def alive() -> int:
-        return sum(isinstance(one, Fluent | Expression | StateStream) for one in gc.get_objects())
+        return sum(isinstance(thing, Fluent | Expression | StateStream) for thing in gc.get_objects())
 
     fluent = Fluent(1)
     gc.collect()  # what tests before this one left

@@ -40,7 +40,7 @@ def test_a_fluent_in_a_list_of_other_values_is_refused() -> None:
     things: list[object] = [3, fluent]
     with pytest.raises(NotTrueOrFalse):
         assert fluent in things
-    assert any(one is fluent for one in things)
+    assert any(thing is fluent for thing in things)
 
 
 def test_arithmetic_operators_and_their_names() -> None:
@@ -61,24 +61,24 @@ def test_arithmetic_operators_and_their_names() -> None:
 
 
 def test_networks_may_be_nested_deeper_than_the_recursion_limit() -> None:
-    one, asked = Fluent(1), []
-    deep = never = one
+    number, asked = Fluent(1), []
+    deep = never = number
     for _ in range(3000):
-        deep = deep + one
+        deep = deep + number
         never = network(lambda *values: asked.append(values), never)
     assert deep.get_value() == 3001
-    assert (one == 2).OR(deep > 0).get_value() is True
-    assert (one == 1).OR(never).get_value() is True
+    assert (number == 2).OR(deep > 0).get_value() is True
+    assert (number == 1).OR(never).get_value() is True
     assert not asked  # the second operand is looked at only if the first one isn't true
     condition = deep > 6000
     with waiting(condition) as running:
-        one.set_value(2)
+        number.set_value(2)
     assert running.end() is True
     for _ in range(1500):
-        condition = (one == 2).AND(condition)
+        condition = (number == 2).AND(condition)
     assert condition.get_value() is True
     del deep, condition, never  # all at once, and however deep
-    assert one.get_value() == 2
+    assert number.get_value() == 2
 
 
 def test_operators_with_arrays_make_networks() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from pycram.failures import Unreachable
 from pycram.fluent import Behavior, Fluent, network, whenever
-from pycram.scheduling.cancellation import Cancelled
+from recorder.tracing.span import Cancelled
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running
 
 if TYPE_CHECKING:

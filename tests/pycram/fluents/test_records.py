@@ -14,8 +14,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.fluent import Fluent
 from pycram.fluents.world import position
 from pycram.language import par
-from recorder.records import Fluent as FluentRecord
-from recorder.records import Mutation, Task
+from recorder.records import Fluent as FluentRecord, Mutation, Task
 from recorder.tracing import journal
 from replay.cli import main
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running
@@ -41,29 +40,27 @@ def test_every_assignment_is_recorded_and_read_back(tmp_path: Path, capsys: pyte
         assert place.get_value() == (1, 0, 1)
         name = world.name
     with replay.open(file) as log:
-        found = [record for record in log.records(FluentRecord) if isinstance(record, FluentRecord)]
-        assert [(one.name, json.loads(one.before_json), json.loads(one.after_json)) for one in found] == [
+        records = [record for record in log.records(FluentRecord) if isinstance(record, FluentRecord)]
+        assert [(record.name, json.loads(record.before_json), json.loads(record.after_json)) for record in records] == [
             ("battery", 100, 50),
             ("battery", 50, 10),
             ("battery", 10, 10),
             ("position of cup", [0, 0, 1], [1, 0, 1]),
         ]
-        assert [(one.source, list(one.bodies), one.world) for one in found[2:]] == [
+        assert [(record.source, list(record.bodies), record.world) for record in records[2:]] == [
             ("", [], ""),
             ("position", ["cup"], name),
         ]
-        cause = log[found[3].seq - 1]
+        cause = log[records[3].seq - 1]
         assert isinstance(cause, Mutation)
         assert cause.WhichOneof("command") == "move_body"
-        waits = [one for one in log.records(Task) if isinstance(one, Task) and one.kind == "wait"]
-        assert [one.name for one in waits] == ["battery < 20"] * 2
-        assert [(found.name, json.loads(found.json)) for found in waits[0].parameters][1:] == [
-            ("timeout", HANG_TIMEOUT)
-        ]
+        waits = [record for record in log.records(Task) if isinstance(record, Task) and record.kind == "wait"]
+        assert [record.name for record in waits] == ["battery < 20"] * 2
+        assert [(slot.name, json.loads(slot.json)) for slot in waits[0].parameters][1:] == [("timeout", HANG_TIMEOUT)]
         assert waits[0].parameters[0].name == "battery"
         assert json.loads(waits[1].result_json) is True
         assert log.counts()["fluent"] == 4
-        step = found[3].seq
+        step = records[3].seq
     assert main.main(["log", str(file), "--kind", "fluent"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 4
@@ -79,13 +76,13 @@ def test_every_assignment_is_recorded_and_read_back(tmp_path: Path, capsys: pyte
 def test_assignments_of_many_threads_are_recorded_in_their_order(sink: MemorySink) -> None:
     fluent = Fluent(0, "shared")
     setting = [Running(lambda k=k: [fluent.set_value(k * 1000 + i) for i in range(50)]) for k in range(4)]
-    for one in setting:
-        one.end()
-    found = sink.of(FluentRecord)
-    assert len(found) == 200
-    assert found[0].before_json == "0"
-    assert all(one.after_json == following.before_json for one, following in itertools.pairwise(found))
-    assert json.loads(found[-1].after_json) == fluent.get_value()
+    for branch in setting:
+        branch.end()
+    records = sink.of(FluentRecord)
+    assert len(records) == 200
+    assert records[0].before_json == "0"
+    assert all(record.after_json == following.before_json for record, following in itertools.pairwise(records))
+    assert json.loads(records[-1].after_json) == fluent.get_value()
 
 
 def test_an_assignment_that_cannot_be_recorded_is_not_made() -> None:
@@ -113,20 +110,20 @@ def test_an_assignment_that_cannot_be_recorded_is_not_made() -> None:
 
 
 def test_values_are_not_serialized_while_nothing_is_recorded(request: pytest.FixtureRequest) -> None:
-    found = []
+    calls = []
 
     class Value:
         def __record__(self) -> str:
-            found.append(self)
-            return "told"
+            calls.append(self)
+            return "serialized"
 
     fluent = Fluent(Value())
     fluent.set_value(Value())
     fluent.pulse()
-    assert not found
+    assert not calls
     sink: MemorySink = request.getfixturevalue("sink")
     fluent.set_value(1)
-    assert [(one.before_json, one.after_json) for one in sink.of(FluentRecord)] == [('"told"', "1")]
+    assert [(record.before_json, record.after_json) for record in sink.of(FluentRecord)] == [('"serialized"', "1")]
 
 
 def test_values_are_recorded_as_they_were_when_assigned(sink: MemorySink) -> None:
@@ -135,5 +132,5 @@ def test_values_are_recorded_as_they_were_when_assigned(sink: MemorySink) -> Non
     fluent.set_value(value)
     value.append(2)
     fluent.set_value(None)
-    found = [(one.before_json, one.after_json) for one in sink.of(FluentRecord)]
-    assert found == [("[1]", "[1]"), ("[1]", "null")]
+    records = [(record.before_json, record.after_json) for record in sink.of(FluentRecord)]
+    assert records == [("[1]", "[1]"), ("[1]", "null")]

@@ -6,8 +6,7 @@ import operator
 from typing import TYPE_CHECKING
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pycram.fluent import Fluent, network
 from pycram.language import par
@@ -120,8 +119,8 @@ def test_errors_of_a_network_are_raised_where_it_is_read_or_awaited() -> None:
 
 def test_futures_of_branches_stand_for_their_results() -> None:
     with par as s:
-        handle = s(lambda: 4)
-        fluent = Fluent(handle)
+        future = s(lambda: 4)
+        fluent = Fluent(future)
         more = fluent + s(lambda: 3)
     assert fluent.get_value() == 4
     assert more.get_value() == 7

@@ -12,7 +12,8 @@ from pycram.failures import BadArgument
 from pycram.fluent import Fluent, network, whenever
 from pycram.fluents.waiting import StateStream
 from pycram.language import par
-from pycram.scheduling.cancellation import Cancelled, CancelScope, entered
+from pycram.scheduling.cancellation import CancelScope, entered
+from recorder.tracing.span import Cancelled
 from tests.pycram.fluents.waiters import HANG_TIMEOUT, Running, waiting
 
 
@@ -60,9 +61,9 @@ def test_threads_that_wait_miss_no_state_whenever_they_look() -> None:
 
 def test_all_waits_are_notified() -> None:
     fluent = Fluent()
-    with waiting(fluent) as one, waiting(fluent > 3) as two, waiting(fluent) as three:
+    with waiting(fluent) as first, waiting(fluent > 3) as second, waiting(fluent) as third:
         fluent.set_value(4)
-        assert [running.end() for running in (one, two, three)] == [True] * 3
+        assert [running.end() for running in (first, second, third)] == [True] * 3
 
 
 def test_a_value_is_seen_however_short_it_lasts() -> None:
@@ -75,7 +76,7 @@ def test_a_value_is_seen_however_short_it_lasts() -> None:
 
 def test_a_network_never_shows_a_mix_of_two_moments() -> None:
     a = Fluent(0)
-    mixed = network(lambda one, two: None if two - one == 1 else (one, two), a, a + 1)
+    mixed = network(lambda low, high: None if high - low == 1 else (low, high), a, a + 1)
     with waiting(mixed.OR(a == -1)) as running:
         setting = Running(lambda: [a.set_value(number) for number in range(2000)])
         while setting.thread.is_alive():
@@ -93,8 +94,8 @@ def test_functions_of_networks_run_in_the_waiting_thread_without_a_lock() -> Non
 
     def function(value: int) -> int | None:
         where.append(threading.current_thread().name)
-        other = Running(lambda: a.pulsed().get_value())  # needs the lock of all fluents
-        assert other.end() is None
+        reading = Running(lambda: a.pulsed().get_value())  # needs the lock of all fluents
+        assert reading.end() is None
         return value if value > 1 else None
 
     with waiting(network(function, a)) as running:

@@ -58,7 +58,7 @@ def test_fluents_follow_every_change_of_a_world(scene: BulletWorld) -> None:
     ):
         change()
         seen.append(check())
-    for values in zip(*[one[:7] + one[8:] for one in seen], strict=True):
+    for values in zip(*[values[:7] + values[8:] for values in seen], strict=True):
         assert len(set(values)) > 1, "each of them has changed"
 
 
@@ -91,10 +91,10 @@ def test_fluents_change_during_a_simulation(scene: BulletWorld, sink: MemorySink
     with waiting((falling < 1.15).AND(falling > 1.05)) as passing, waiting(landed) as landing:
         scene.simulate(1)
         assert (passing.end(), landing.end()) == (True, True)
-    found = [record for record in sink.of(FluentRecord) if record.source == "contact"]
-    assert json.loads(found[0].before_json) is None
-    assert json.loads(found[0].after_json) is True
-    assert begin < found[0].sim_step < scene.sim_step
+    records = [record for record in sink.of(FluentRecord) if record.source == "contact"]
+    assert json.loads(records[0].before_json) is None
+    assert json.loads(records[0].after_json) is True
+    assert begin < records[0].sim_step < scene.sim_step
     falls = [record for record in sink.of(FluentRecord) if record.source == "position"]
     assert [record.sim_step for record in falls] == sorted(record.sim_step for record in falls)
     assert json.loads(falls[-1].after_json) == milk.get_position()
@@ -170,7 +170,7 @@ def test_invalid_names_are_refused_at_once(scene: BulletWorld) -> None:
         position("milk")
     with pytest.raises(NotSettable, match="world"):
         position(milk).set_value((0, 0, 0))
-    with BulletWorld() as other:
-        stranger = Object("cup", "cup", "cup.stl", world=other)
+    with BulletWorld() as second:
+        stranger = Object("cup", "cup", "cup.stl", world=second)
         with pytest.raises(BadArgument, match="object of"):
             contact(milk, stranger)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from pycram.failures import BadArgument, LookingFailed, Unreachable
 from pycram.language import State, par, pursue, seq, try_all, try_in_order
-from pycram.scheduling.cancellation import Condition, wait
+from pycram.scheduling.cancellation import wait
+from pycram.scheduling.schedule import Condition
 
 KINDS = {"par": par, "pursue": pursue, "try_all": try_all, "seq": seq, "try_in_order": try_in_order}
 

@@ -10,7 +10,7 @@ import pytest
 
 from pycram.failures import BadArgument, BranchesFailed, LookingFailed, Unreachable
 from pycram.language import State, par, pursue
-from pycram.scheduling.cancellation import Cancelled
+from recorder.tracing.span import Cancelled
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, fails, fails_to_look, has_a_bug, is_wrong, succeeds
 
 if TYPE_CHECKING:

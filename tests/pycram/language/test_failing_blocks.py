@@ -5,13 +5,19 @@ from __future__ import annotations
 
 import traceback
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import pytest
 
 from pycram import tasks
 from pycram.failures import BranchesFailed, InCollision, LookingFailed, PlanFailure, Unreachable
 from pycram.language import par, pursue, seq, try_all
+from pycram.language.failures import MAX_LEVELS
+from recorder.records import Task
 from tests.pycram.language.gates import KINDS, C, F, Gate, S, fails, fails_to_look, has_a_bug, succeeds
+
+if TYPE_CHECKING:
+    from tests.conftest import MemorySink
 
 
 def test_a_failed_block_can_be_caught_as_the_common_types_of_its_failures() -> None:
@@ -56,6 +62,26 @@ def test_failures_of_all_levels_are_in_the_message() -> None:
     assert all(word in str(raised.value) for word in ("can't reach", "can't look", "kitchen"))
     with pytest.raises(Unreachable, match=r"^par failed: seq failed: Unreachable: left arm"):
         par(lambda: seq(fails))
+
+
+def test_tracebacks_of_failures_through_many_blocks_are_truncated_in_the_middle(sink: MemorySink) -> None:
+    def nested(levels: int) -> None:
+        if not levels:
+            fails()
+        with par as s:
+            s(nested, levels - 1)
+
+    most = []
+    for levels in (4, 40):
+        with pytest.raises(Unreachable) as raised:
+            nested(levels)
+        assert len(raised.value.leaves) == 1
+        text = "".join(traceback.format_exception(raised.value))
+        assert "in fails" in text
+        ended = [task.failure.traceback for task in sink.of(Task) if task.phase == Task.FINISHED]
+        assert all("in fails" in text for text in ended)
+        most.append(max(text.count("Traceback (most recent") for text in ended))
+    assert most == [4, MAX_LEVELS + 1]
 
 
 def test_a_failing_body_lets_branches_of_par_run_and_cancels_those_of_other_blocks() -> None:

@@ -69,8 +69,8 @@ def test_timeouts_attempts_and_cleanups_in_generators_that_end_out_of_order_are_
                 yield
 
     for plan, name in ((in_time, "timeout"), (cleaning, "finally"), (trying, "failure_handling")):
-        for other in (in_time, cleaning, trying):
-            first, second = plan(), other()
+        for other_plan in (in_time, cleaning, trying):
+            first, second = plan(), other_plan()
             next(first)
             next(second)
             with pytest.raises(Misnested, match=name):

@@ -26,7 +26,8 @@ from pycram.language import State, failure_handling, finally_, par, pursue, seq,
 from pycram.language.block import Block
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
-from pycram.scheduling.cancellation import Condition, wait
+from pycram.scheduling.cancellation import wait
+from pycram.scheduling.schedule import Condition
 from tests.measures import seeded
 
 if TYPE_CHECKING:
@@ -68,10 +69,10 @@ class Monitor:
     def running_with(self, needs: Resources, juggler: ProcessModule) -> Iterator[None]:
         motion = Running(needs, juggler, self.around.get())
         with self.lock:
-            for other in self.running:
-                if other not in motion.around:
-                    assert not needs.conflicts(other.needs)
-                    assert juggler is not other.juggler or motion.around != other.around
+            for running in self.running:
+                if running not in motion.around:
+                    assert not needs.conflicts(running.needs)
+                    assert juggler is not running.juggler or motion.around != running.around
             self.running.append(motion)
         token = self.around.set((*motion.around, motion))
         try:
@@ -243,13 +244,13 @@ def run(plans: int, first: int, file: Path) -> None:
                     outcomes["succeeded"] += 1
                 assert threading.active_count() == threads, seed
                 assert tasks.current() is None
-        found = tasks.tree()
-        assert all(node.finished is not None for node in found.nodes.values())
+        tree = tasks.tree()
+        assert all(node.finished is not None for node in tree.nodes.values())
         poses = {body.name: body.get_position_and_orientation() for body in world.objects}
     with replay.open(file) as log:
         recorded = log.tree()
-        assert recorded == found
-        assert len(recorded) == len(found) > plans
+        assert recorded == tree
+        assert len(recorded) == len(tree) > plans
         last = [step for step, record in enumerate(log) if type(record).__name__ == "Mutation"][-2]
         state = log.state_at(last).worlds[world.name]
         for name, (position, orientation) in poses.items():
@@ -257,9 +258,9 @@ def run(plans: int, first: int, file: Path) -> None:
             assert list(state.bodies[name].orientation) == orientation
     assert outcomes["failed"] > plans / 20
     assert outcomes["succeeded"] > plans / 20
-    statuses = {node.status for node in found.nodes.values()}
+    statuses = {node.status for node in tree.nodes.values()}
     assert statuses == {State.SUCCEEDED, State.FAILED, State.CANCELLED}
-    for node in found.nodes.values():
+    for node in tree.nodes.values():
         for child in node.children:
             assert child.parent is node
             assert child.end.wall_ns <= node.end.wall_ns

@@ -19,9 +19,9 @@ def test_functions_in_a_body_are_branches() -> None:
     meeting = Meeting(2)
     with par:
         results = par(meeting.wait, lambda: 3)
-        other = try_in_order(fails, meeting.wait)
+        nested = try_in_order(fails, meeting.wait)
     assert results[1] == 3
-    assert {results[0], other.result()} == {0, 1}
+    assert {results[0], nested.result()} == {0, 1}
 
 
 def test_a_branch_may_add_others_until_the_block_has_ended() -> None:

@@ -171,7 +171,7 @@ def test_pairs_of_links_that_may_touch_are_no_collision() -> None:
             (candidate,) = checker.predict([dict(zip(arm.joints, folded, strict=True))])
             pairs = checker.self_collisions(candidate)
         made.remove()
-        return {frozenset(pair) for pair in pairs}
+        return {frozenset((pair.link, pair.body_link)) for pair in pairs}
 
     found = overlaps(PR2)
     assert found

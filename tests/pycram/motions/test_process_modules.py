@@ -24,10 +24,12 @@ from pycram.failures import (
     PostureInCollision,
     Unreachable,
 )
-from pycram.language import State, par
+from pycram.language import State, par, timeout
+from pycram.motions.resources import Deadlock
 from pycram.process_module import NoProcessModule, ProcessModule
 from recorder import geometry
 from recorder.records import Task
+from tests.pycram.language.gates import Meeting
 
 if TYPE_CHECKING:
     from tests.conftest import MemorySink
@@ -264,6 +266,41 @@ def test_a_motion_may_look_ahead_in_another_world(scene: BulletWorld) -> None:
     assert scene.robot.get_position() == before
 
 
+def test_motions_that_would_wait_for_each_other_in_two_worlds_are_refused() -> None:
+    class Elsewhere(ProcessModule):
+        def __init__(self, world: BulletWorld) -> None:
+            self.world = world
+
+        def _execute(self, designator: MotionDesignator) -> None:
+            BulletWorld.current_bullet_world = self.world
+            begun.wait()
+            with process_module.execution_environment("simulated"):
+                perform(type="moving", target=[0.3, 0, 0])
+
+    def look_ahead(here: BulletWorld, there: BulletWorld) -> None:
+        BulletWorld.current_bullet_world = here
+        process_module.register("pr2", f"from {here.name}", {"move-joints": Elsewhere(there)})
+        with process_module.execution_environment(f"from {here.name}"):
+            perform(type="move-arm-joints", left_arm="park")
+
+    with BulletWorld(name="a") as a, BulletWorld(name="b") as b:
+        for world in (a, b):
+            world.robot = Object("pr2", "robot", "pr2.urdf", world=world)
+        begun = Meeting(2)
+        with pytest.raises(Deadlock, match="moving can't wait for move-arm-joints"), timeout(60):
+            par(lambda: look_ahead(a, b), lambda: look_ahead(b, a))
+        begun = Meeting(1)
+        look_ahead(a, b)  # both queues are free again
+        look_ahead(b, a)
+        assert [world.robot.get_position() for world in (a, b)] == [[0.3, 0, 0]] * 2
+
+
+def test_the_name_of_an_execution_environment_is_checked() -> None:
+    for name in (3, "", None):
+        with pytest.raises(BadArgument, match="name"), process_module.execution_environment(name):
+            pytest.fail("it was entered")
+
+
 def test_accessing_refuses_obstacles_and_a_full_gripper(scene: BulletWorld) -> None:
     kitchen, milk, robot = scene.get_object("kitchen"), scene.get_object("milk"), scene.robot
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
@@ -313,7 +350,7 @@ def test_arm_motions_refuse_collisions(scene: BulletWorld) -> None:
     before = snapshot(scene)
     with pytest.raises(Unreachable, match="kitchen"):
         perform(type="move-tcp", target=[1.3, 0.9, 0.7], arm="left")
-    with pytest.raises(PostureInCollision, match="left arm would touch kitchen"):
+    with pytest.raises(PostureInCollision, match=r"left arm can't take that posture: .* would touch .* of kitchen"):
         perform(**{"type": "move-arm-joints", "left-arm": [0, 0.6, 0, -0.3, 0, -0.2, 0]})
     assert snapshot(scene) == before
 

@@ -17,7 +17,8 @@ from pycram.language.branch import NoResult
 from pycram.language.timeouts import TimedOut
 from pycram.motions.resources import ResourceError, Resources, Ticket
 from pycram.process_module import ProcessModule
-from pycram.scheduling.cancellation import Condition, join, wait
+from pycram.scheduling.cancellation import join, wait
+from pycram.scheduling.schedule import Condition
 from tests.pycram.language.gates import Gate, Meeting
 
 if TYPE_CHECKING:

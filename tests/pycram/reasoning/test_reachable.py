@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
-from pycram.failures import BadArgument, Unreachable
+from pycram.failures import BadArgument, Blocked
 from pycram.process_module import ProcessModule
 from pycram.reasoning.kinematics.chain import Chain
 from recorder import geometry
@@ -263,6 +262,6 @@ def test_what_only_self_collision_reaches_is_out_of_reach_and_the_pick_up_says_w
     assert found == []
     assert found.evidence["reached"] is False
     assert ["l_forearm_link", "base_link"] in found.evidence["touches_itself"]
-    with pytest.raises(Unreachable, match=r"its own l_.* would hit"):
+    with pytest.raises(Blocked, match=r"its own l_.* would touch"):
         ProcessModule.perform(MotionDesignator([("type", "pick-up"), ("object", cup), ("arm", "left")]))
     assert robot.attachments == {}

@@ -11,7 +11,7 @@ import pytest
 from pycram import tasks
 from pycram.failures import Unreachable
 from pycram.language import in_thread, par, pursue
-from recorder import threads
+from recorder.tracing.branch_identity import current_name
 from recorder.tracing.span import span
 from tests.pycram.language.gates import C, F, Gate, S, fails
 
@@ -56,7 +56,7 @@ def test_a_worker_acts_as_part_of_its_branch() -> None:
     names = []
 
     def work() -> None:
-        names.append(threads.name())
+        names.append(current_name())
         with span("motion", "in the worker"):
             names.append(tasks.current().parent.name)
 

@@ -23,8 +23,9 @@ from pycram.fluents import expressions
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
 from pycram.language.timeouts import TimedOut
 from pycram.process_module import ProcessModule
-from pycram.scheduling.cancellation import Condition, checkpoint, wait
+from pycram.scheduling.cancellation import checkpoint, wait
 from pycram.scheduling.locks import LockHeld
+from pycram.scheduling.schedule import Condition
 from recorder.records import Event, Mutation, Task
 from recorder.tracing import journal
 from tests.conftest import MemorySink
@@ -99,15 +100,15 @@ def busy_plan() -> None:
 def contents(sink: MemorySink) -> list[tuple[object, ...]]:
     """Return the records without times, and with task numbers relative to the first."""
     first = min((record.task for record in sink.of(Task)), default=0)
-    found: list[tuple[object, ...]] = []
+    entries: list[tuple[object, ...]] = []
     for record in sink.records:
         content = (type(record).__name__, record.thread, max(record.task - first, -1), record.sim_step)
         if isinstance(record, Task):
             content += (record.phase, record.status, record.kind, record.name, record.source_line, record.result_json)
         if isinstance(record, Mutation):
             content += (record.WhichOneof("command"), record.effect.SerializeToString())
-        found.append(content)
-    return found
+        entries.append(content)
+    return entries
 
 
 def test_the_same_plan_makes_the_same_records_in_the_same_order() -> None:
@@ -154,7 +155,7 @@ def test_a_branch_must_not_wait_with_a_lock_held(world: BulletWorld) -> None:
         ):
             with pytest.raises(LockHeld), lock:
                 action()
-    with BulletWorld() as other, other.lock:
+    with BulletWorld() as second, second.lock:
         world.set_gravity([0, 0, -1])  # is part of what the lock is held for
     with par as s:
         s(world.set_gravity, [0, 0, -2])
@@ -181,7 +182,7 @@ def test_handlers_of_events_may_wait_while_other_branches_change_the_world(world
         assert gate.pass_through(20)
         order.append("goes on")
 
-    def other() -> None:
+    def moves_the_box() -> None:
         begun.pass_through()
         box.set_position([2, 0, 1])
         order.append("moved")
@@ -191,7 +192,7 @@ def test_handlers_of_events_may_wait_while_other_branches_change_the_world(world
     event += handler
     with par as s:
         s(box.attach, cup)
-        s(other)
+        s(moves_the_box)
     assert order == ["waits", "moved", "goes on"]
 
 

@@ -14,7 +14,9 @@ from pycram.designator import MotionDesignator
 from pycram.failures import BadArgument, WorldClosed
 from pycram.language import par
 from pycram.process_module import ProcessModule
+from pycram.scheduling.cancellation import checkpoint
 from recorder.records import Task
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from tests.conftest import MemorySink
@@ -182,3 +184,36 @@ def test_branches_inherit_the_current_world(sink: MemorySink) -> None:
     assert {task.world for task in motions} == {"here"}
     here.exit()
     there.exit()
+
+
+def test_a_world_that_a_branch_opens_is_current_in_that_branch_only(sink: MemorySink) -> None:
+    def names() -> tuple[str, ...]:
+        with span("motion", "look"):
+            world = BulletWorld.current_bullet_world
+        return "" if world is None else world.name, sink.of(Task)[-1].world
+
+    def opens() -> list[tuple[str, ...]]:
+        opened.append(BulletWorld(name="opened in a branch"))
+        checkpoint()
+        return [names(), *par(names)]
+
+    opened: list[BulletWorld] = []
+    with BulletWorld(name="around"):
+        BulletWorld(name="chosen, and ended").exit()
+        with par as s:
+            inside = s(opens)
+            beside = s(names)
+        assert inside.result() == [("opened in a branch",) * 2] * 2
+        assert beside.result() == names() == ("around", "around")
+        opened.pop().exit()
+    with par as s:  # all that were chosen here have ended
+        s(opens)
+        beside = s(names)
+    assert beside.result() == names() == ("", "")
+    thread = threading.Thread(target=lambda: opened.append(BulletWorld.current_bullet_world))
+    thread.start()  # which has chosen none
+    thread.join()
+    assert opened[1] is opened[0]
+    BulletWorld.current_bullet_world = opened[0]
+    assert names() == ("opened in a branch",) * 2
+    opened[0].exit()

@@ -53,8 +53,8 @@ def kill_at_random(file: Path, seed: int, rng: random.Random) -> tuple[list[tupl
     lines += victim.stdout.readlines()
     victim.wait()
     victim.stdout.close()
-    whole = [line.split() for line in lines if line.endswith(b"\n")]
-    return [(word[:1].decode(), int(word[1:]), int(when)) for word, when in whole], killed
+    complete = [line.split() for line in lines if line.endswith(b"\n")]
+    return [(step[:1].decode(), int(step[1:]), int(when)) for step, when in complete], killed
 
 
 @seeded("killed processes", range(50), 10)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from urllib.parse import unquote
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from recorder.records import Effect, LoadBody, Mutation
 from recorder.records.frames import ROOT, Frame, FrameTree, frame_name
 
 MODEL = b"""<robot name="arm"><link name="base"/><link name="a/b"/><link name="world"/>
-<joint name="one" type="continuous"><parent link="base"/><child link="a/b"/><axis xyz="0 0 1"/></joint>
+<joint name="hinge" type="continuous"><parent link="base"/><child link="a/b"/><axis xyz="0 0 1"/></joint>
 <joint name="two" type="fixed"><parent link="a/b"/><child link="world"/></joint></robot>"""
 
 names = st.sampled_from(["world", "world_1", "w", "a", "a/b", "/", "%2F", "tf#", "%77orld"]) | st.text(
@@ -67,7 +66,7 @@ def loaded(body: str, asset: str = "1") -> Mutation:
     load = LoadBody(body=body)
     load.assets.add(sha256=asset)
     effect = Effect()
-    effect.bodies.add(body=body, position=[0, 0, 0], orientation=[0, 0, 0, 1], joints=["one"], joint_positions=[0.5])
+    effect.bodies.add(body=body, position=[0, 0, 0], orientation=[0, 0, 0, 1], joints=["hinge"], joint_positions=[0.5])
     return Mutation(world="world_1", load_body=load, effect=effect)
 
 
@@ -93,5 +92,5 @@ def test_a_body_that_is_loaded_again_has_the_links_of_its_new_model(tree: FrameT
 def test_only_frames_that_changed_are_listed(tree: FrameTree) -> None:
     frames_of(tree, loaded("arm"))
     moved = Mutation(world="world_1")
-    moved.effect.bodies.add(body="arm", joints=["one"], joint_positions=[1.0])
+    moved.effect.bodies.add(body="arm", joints=["hinge"], joint_positions=[1.0])
     assert list(frames_of(tree, moved)) == ["arm/a%2Fb"]

@@ -16,12 +16,12 @@ import replay
 from pycram import tasks
 from pycram.language import par, pursue, seq, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_site import MAX_LINES, CallStack
+from recorder.tracing.call_stack import MAX_LINES, CallStack
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.blame import blame
-from replay.explain.causes import causes
-from replay.explain.source import Source
+from replay.explain.causing_tasks import causes
+from replay.explain.plan_source import Source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -202,7 +202,7 @@ def many_call_stacks(second: Path) -> None:
 
 
 def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[set[tuple[object, ...]]] = []
+    call_stacks: list[set[tuple[object, ...]]] = []
     for name in ("reused", "walked"):
         files = [tmp_path / f"{name}.mcap", tmp_path / f"{name} inside.mcap"]
         with recorder.record(files[0], source=__file__):
@@ -210,11 +210,13 @@ def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypa
         for file in files:
             with replay.open(file) as log:
                 tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
-                found.append({(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks})
+                call_stacks.append(
+                    {(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks}
+                )
                 assert Source(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
         monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
-    assert found[:2] == found[2:]
-    assert len(found[0]) > 30
+    assert call_stacks[:2] == call_stacks[2:]
+    assert len(call_stacks[0]) > 30
 
 
 @pytest.fixture
@@ -232,9 +234,9 @@ def ran(tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_modules_of_the_plan_s_own_are_attached(ran: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with replay.open(ran) as log:
-        found = blame(log, "ball").causes
-        assert found == causes(log, blame(log, "ball").record)
-        assert [(line.function, line.text) for line in found.call_stack] == [
+        explained = blame(log, "ball").causes
+        assert explained == causes(log, blame(log, "ball").record)
+        assert [(line.function, line.text) for line in explained.call_stack] == [
             ("<module>", "tidy(ball)"),
             ("tidy", "helpers.put(ball, 2)"),
             ("put", "ball.set_position([0, 0, height])"),

@@ -1,0 +1,90 @@
+"""Packages that this software needs: their versions; which extra of pyproject.toml brings them, and what to type.
+
+Recordings are read with the base dependencies alone. The engine, the viewer and pictures are extras; where one is
+missing, commands end with one line that says so. It speaks of a checkout, as PyPI's project of this name is another's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
+_EXTRAS: Final = {
+    "pybullet": "executor",
+    "pybullet_data": "executor",
+    "scipy": "executor",
+    "trimesh": "executor",
+    "collada": "executor",
+    "example-robot-data": "executor",
+    "PIL": "render",
+    "pyarrow": "viewer",
+    "rerun": "viewer",
+    "rerun_cli": "viewer",
+    "rerun_sdk": "viewer",
+}
+
+
+#: Whose versions recordings hold.
+_RECORDED: Final = ("pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "rerun-sdk")
+
+
+class NotInstalled(ModuleNotFoundError):
+    """Something isn't installed that one of the extras brings.
+
+    Attributes:
+        name: the module.
+        extra: the extra.
+    """
+
+    def __init__(self, name: str, extra: str) -> None:
+        super().__init__(f"{name} isn't installed; {hint(extra)}", name=name)
+        self.extra = extra
+
+
+def hint(extra: str) -> str:
+    """Return what to type to install an extra of pyproject.toml."""
+    return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
+
+
+@contextlib.contextmanager
+def needed(extra: str | None = None) -> Iterator[None]:
+    """Import something within that may not be installed; the extra is by default the first that brings the module.
+
+    Raises:
+        NotInstalled: an extra brings it.
+        ModuleNotFoundError: it is missing, and none does.
+    """
+    try:
+        yield
+    except NotInstalled as error:
+        if extra is None:
+            raise
+        raise NotInstalled(str(error.name), extra) from error
+    except ModuleNotFoundError as error:
+        name = (error.name or "").partition(".")[0]
+        if name not in _EXTRAS:
+            raise
+        raise NotInstalled(name, extra or _EXTRAS[name]) from error
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a recording depends on, the platform and the arguments of the process."""
+    installed = {}
+    for package in _RECORDED:
+        try:
+            installed[package] = version(package)
+        except PackageNotFoundError:
+            installed[package] = "not installed"
+    return installed | {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "machine": platform.machine(),
+        "arguments": " ".join(sys.argv),
+    }

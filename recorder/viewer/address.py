@@ -1,0 +1,117 @@
+"""Addresses of viewers: which one is asked for, what listens there, which ports are free.
+
+A viewer is started here, started elsewhere, or a page in browsers. All speak one protocol: a server at a ``rerun+http``
+address, to which records are sent, or from which pages fetch them.
+"""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import threading
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Final
+from urllib.parse import urlsplit
+
+from recorder.errors import RecordingError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PORT: Final = 9876  # where viewers listen by default
+_POLL_PERIOD: Final = 0.2  # s between two attempts to reach a viewer
+HOST: Final = "127.0.0.1"  # what is recorded is nobody's business on the network
+
+_SCHEMES: Final = {
+    "rerun": http.client.HTTPSConnection,
+    "rerun+http": http.client.HTTPConnection,
+    "rerun+https": http.client.HTTPSConnection,
+}
+_HINT: Final = f"say spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
+_METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
+_ANSWER_TIMEOUT: Final = 1.0  # s; a viewer that lives answers within milliseconds
+
+
+class ViewerGone(Exception):
+    """The viewer has ended, or didn't begin."""
+
+
+class Kind(Enum):
+    """Which viewer."""
+
+    SPAWN = "spawn"
+    CONNECT = "connect"
+    SERVE = "serve"
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where a plan is shown.
+
+    Attributes:
+        kind: which viewer.
+        url: its address, where somebody else starts it.
+    """
+
+    kind: Kind
+    url: str = ""
+
+    @classmethod
+    def parse(cls, text: str) -> Target:
+        """Parses "spawn", "connect", "connect:URL", "serve" or just a URL.
+
+        Raises:
+            RecordingError: it is none of these, or the URL is no address of a viewer.
+        """
+        if text in (Kind.SPAWN.value, Kind.SERVE.value):
+            return cls(Kind(text))
+        if text == Kind.CONNECT.value:
+            return cls(Kind.CONNECT, address(PORT))
+        url = text.removeprefix(f"{Kind.CONNECT.value}:")
+        try:
+            parts = urlsplit(url)
+            valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
+        except ValueError as error:
+            raise RecordingError(text, f"is no address of a viewer ({error}); {_HINT}") from error
+        if not valid or parts.path.rstrip("/") != "/proxy":
+            raise RecordingError(text, f"is no address of a viewer; {_HINT}")
+        return cls(Kind.CONNECT, url)
+
+
+def address(port: int) -> str:
+    """Address of a viewer on this machine."""
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+def answers(url: str) -> bool:
+    """Whether a viewer's server takes an empty stream of messages there; an open port isn't enough."""
+    parts = urlsplit(url)
+    connection = _SCHEMES[parts.scheme](str(parts.hostname), parts.port or PORT, timeout=_ANSWER_TIMEOUT)
+    try:
+        connection.request("POST", _METHOD, headers={"content-type": "application/grpc-web+proto"})
+        reply = connection.getresponse()
+        return bool(reply.status == http.client.OK) and reply.getheader("grpc-status", "0") == "0"
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        connection.close()
+
+
+def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
+    """Waits until a viewer answers; ``check`` is called from time to time, and may raise."""
+    pause = threading.Event()
+    while not answers(url):
+        check()
+        pause.wait(_POLL_PERIOD)
+
+
+def free_port(preferred: int) -> int:
+    """The wanted port if nobody listens there on any address of this machine, else one that is free."""
+    for port in (preferred, 0):
+        try:
+            with socket.create_server(("", port)) as server:
+                return int(server.getsockname()[1])
+        except OSError:
+            continue
+    raise RecordingError(HOST, "no port is free")

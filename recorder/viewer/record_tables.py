@@ -1,0 +1,120 @@
+"""The typed records as columns of tables, one entity for each type."""
+
+from __future__ import annotations
+
+from functools import partial
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final
+
+import pyarrow as pa
+import rerun as rr
+
+from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, format_failure
+from recorder.records.text import by_name, values
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
+
+    from recorder.records import Record
+    from recorder.viewer.columns import Columns, TimePoint
+
+RECORDS: Final = "records"
+
+
+def _failure(record: Task | Query | Run) -> str:
+    return format_failure(record.failure) if record.HasField("failure") else ""
+
+
+def _word(enum: EnumTypeWrapper, number: int) -> str:
+    return enum.Name(number).lower() if number in enum.values() else str(number)
+
+
+def _source(record: Task | Mutation) -> str:
+    return _line(record.source_file, record.source_line) if record.source_file else ""
+
+
+def _callers(record: Task | Mutation) -> str:
+    callers = record.callers[:]
+    return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in callers]) if callers else ""
+
+
+def _line(file: str, line: int) -> str:
+    """A line by the file's name: columns are narrow."""
+    return f"{file.rpartition('/')[2]}:{line}"
+
+
+_COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
+    Task: ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
+    Mutation: ("command", "bodies", "callers"),
+    Event: ("name", "sender", "arguments", "handlers"),
+    Fluent: ("name", "before", "after"),
+    Query: ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
+    Run: ("phase", "name", "succeeded", "failure"),
+}
+"""Names of a table's own columns."""
+
+_CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
+    "after": lambda record: by_name(record.after_json),
+    "answer": lambda record: by_name(record.answer_json),
+    "arguments": lambda record: values(record.arguments),
+    "before": lambda record: by_name(record.before_json),
+    "bodies": lambda record: ", ".join([state.body for state in record.effect.bodies[:]]),
+    "callers": _callers,
+    "command": lambda record: record.WhichOneof("command") or "change",
+    "duration_ms": lambda record: record.duration_ns / 1e6,
+    "evidence": lambda record: values(record.evidence),
+    "failure": _failure,
+    "handlers": lambda record: len(record.handlers),
+    "parameters": lambda record: values(record.parameters),
+    "phase": lambda record: _word(Run.Phase, record.phase),
+    "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
+}
+"""Values of columns, where they aren't the record's field of that name."""
+
+_COMMON: Final = ("world", "task", "thread", "text")
+_SOURCED: Final = (Mutation, Task)
+"""Types of records with the plan's line that made them: mutations have it only where it isn't their task's."""
+
+KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
+"""Names of the tables."""
+
+
+class RecordTables:
+    """A table for each type of record but keyframes, which add nothing new."""
+
+    def __init__(self, columns: Columns) -> None:
+        self._tables = {
+            kind: (
+                columns.series(columns.path(RECORDS, TOPICS[kind].removeprefix("/")), partial(_rows, kind)),
+                [_CELLS.get(name, attrgetter(name)) for name in names],
+            )
+            for kind, names in _COLUMNS.items()
+        }
+        self._sources: dict[int, str] = {}  # call sites of the tasks that run
+
+    def show(self, record: Record, text: str, now: TimePoint) -> None:
+        """Adds a record with its line of text."""
+        table = self._tables.get(type(record))
+        if table is None:
+            return
+        series, cells = table
+        row = (record.world, record.task, record.thread, text, *[cell(record) for cell in cells])
+        series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
+
+    def _source(self, record: Mutation | Task) -> str:
+        """Call site of a record, or of its task."""
+        source = _source(record) or self._sources.get(record.task, "")
+        if type(record) is Task:
+            if record.phase == Task.FINISHED:
+                self._sources.pop(record.task, None)
+            else:
+                self._sources[record.task] = source
+        return source
+
+
+def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
+    names = (*_COMMON, *_COLUMNS[kind], *(("source",) if kind in _SOURCED else ()))
+    components = {name: pa.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    return rr.DynamicArchetype.columns(archetype=f"pycram.{kind.__name__}", components=components)

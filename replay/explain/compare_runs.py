@@ -1,0 +1,180 @@
+"""Compares two recordings: the first record where they diverge, and the difference at their ends.
+
+Records are aligned by the path of their task and their index among that task's records, not by their numbers: branches
+of concurrent blocks may be scheduled differently in each run. What depends on the run only (clocks, durations, ids,
+threads) is not compared. Both recordings are streamed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from recorder.records import Query, Run, Task
+from replay.explain.causing_tasks import causes
+from replay.explain.run_summary import Summary, summary
+from replay.state.difference import Difference, difference
+from replay.state.fold import state_at
+from replay.state.json_data import kind_of, record_data
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.records import Plain, Record
+    from replay.file.record_reader import RecordReader
+
+#: Records that are read on after the divergence, to distinguish missing records from those in another order.
+_WINDOW: Final = 2000
+#: Fields that differ from run to run.
+_INCIDENTAL: Final = (
+    "seq", "wall_time_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line", "callers",
+)  # fmt: skip
+
+_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
+_Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
+
+
+@dataclass(frozen=True, slots=True)
+class Divergence:
+    """The first record where two runs diverge.
+
+    Attributes:
+        first: the record in the first run; None if only the second has it.
+        second: the record in the second run; None if only the first has it.
+        task: path of their task; "" for the plan itself.
+        fields: values that differ, by the path of the field.
+    """
+
+    first: Record | None
+    second: Record | None
+    task: str
+    fields: dict[str, tuple[Plain, Plain]]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A comparison of two runs.
+
+    Attributes:
+        equal: number of records that are equal until the divergence.
+        divergence: None if there is none.
+        difference: of the states at their ends, before worlds were closed.
+        outcomes: summaries of both.
+    """
+
+    equal: int
+    divergence: Divergence | None
+    difference: Difference
+    outcomes: tuple[Summary, Summary]
+
+
+def compare(first: RecordReader, second: RecordReader, tolerance: float = 0.0) -> Comparison:
+    """Compare two recordings; numbers within the tolerance count as equal."""
+    equal, divergence = _divergence(first, second, tolerance)
+    ends = state_at(first, first.final_step()), state_at(second, second.final_step())
+    return Comparison(equal, divergence, difference(*ends), (summary(first), summary(second)))
+
+
+def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> tuple[int, Divergence | None]:
+    waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
+    equal = since = 0
+    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
+    for pair in zip_longest(_keyed(first), _keyed(second)):
+        for side, item in enumerate(pair):
+            if item is None:
+                continue
+            key, record = item
+            match = waiting[1 - side].pop(key, None)
+            if match is None:
+                waiting[side][key] = record
+            elif diverged is None:
+                a, b = (match, record) if side else (record, match)
+                fields = differing(a, b, tolerance)
+                if fields:
+                    diverged = a, b, fields
+                else:
+                    equal += 1
+        since += diverged is not None
+        if since > _WINDOW:
+            break
+    first_difference = _earliest(diverged, waiting)
+    if first_difference is None:
+        return equal, None
+    a_record, b_record, fields = first_difference
+    path = _path(second, b_record) if a_record is None and b_record is not None else _path(first, a_record)
+    return equal, Divergence(a_record, b_record, path, fields)
+
+
+def _earliest(
+    diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None,
+    waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
+) -> _Diverged | None:
+    """Return what comes first: a pair that differs, or a record that only one run has."""
+    candidates: list[tuple[int, _Diverged]] = []
+    if diverged is not None:
+        candidates.append((min(diverged[0].seq, diverged[1].seq), diverged))
+    for side, unmatched in enumerate(waiting):
+        record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
+        if record is not None:
+            candidates.append((record.seq, (None, record, {}) if side else (record, None, {})))
+    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
+
+
+def _path(log: RecordReader, record: Record | None) -> str:
+    return "/".join(task.started.name for task in reversed(causes(log, record).tasks)) if record is not None else ""
+
+
+def _keyed(log: RecordReader) -> Iterator[tuple[_Key, Record]]:
+    """Yield the records with what they are aligned by; knows no more than the tasks that run."""
+    paths: dict[int, int] = {}  # by id of the task
+    counts: dict[int, int] = {}  # records by path
+    parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
+    for record in log:
+        if isinstance(record, Task) and record.phase == Task.STARTED:
+            outer, name = paths.get(record.parent, 0), (record.kind, record.name)
+            siblings = parts.setdefault(outer, {})
+            siblings[name] = siblings.get(name, 0) + 1
+            paths[record.task] = hash((outer, *name, siblings[name]))
+        path = paths.get(record.task, 0)
+        counts[path] = counts.get(path, 0) + 1
+        yield (path, counts[path]), record
+        if isinstance(record, Task) and record.phase == Task.FINISHED:
+            paths.pop(record.task, None)
+            counts.pop(path, None)
+            parts.pop(path, None)
+
+
+def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str, tuple[Plain, Plain]]:
+    """Return the different values of two records by the field's path; numbers within the tolerance are equal."""
+    if type(first) is not type(second):
+        return {"kind": (kind_of(first), kind_of(second))}
+    a, b = _bare(first), _bare(second)
+    if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
+        return {}  # the bytes distinguish -0.0 from 0.0
+    return dict(_leaves(record_data(a), record_data(b), "", tolerance))
+
+
+def _bare(record: Record) -> Record:
+    """Return a record without what differs from run to run."""
+    bare = type(record)()
+    bare.CopyFrom(record)  # type: ignore[arg-type]
+    for field in _INCIDENTAL:
+        if field in bare.DESCRIPTOR.fields_by_name:
+            bare.ClearField(field)
+    if isinstance(bare, Run | Task | Query) and bare.HasField("failure"):
+        bare.failure.ClearField("traceback")
+    if isinstance(bare, Run):
+        bare.ClearField("name")  # of the plan's file: the runs may be those of two versions of it
+    return bare
+
+
+def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[str, tuple[Plain, Plain]]]:
+    if isinstance(a, dict) and isinstance(b, dict):
+        for key in {**a, **b}:
+            yield from _leaves(a.get(key), b.get(key), f"{name}.{key}" if name else key, tolerance)
+    elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        for at, pair in enumerate(zip(a, b, strict=True)):
+            yield from _leaves(*pair, f"{name}[{at}]", tolerance)
+    elif a != b and not (isinstance(a, int | float) and isinstance(b, int | float) and abs(a - b) <= tolerance):
+        yield name, (a, b)

@@ -1,0 +1,103 @@
+"""The plan's source, as it is attached to a recording: the text and the function of a line."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import PurePosixPath
+from typing import TYPE_CHECKING
+
+from replay.errors import Damaged
+
+if TYPE_CHECKING:
+    from recorder.records import Mutation, Task
+    from replay.file.record_reader import RecordReader
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of the plan.
+
+    Attributes:
+        file: as it was when the plan ran.
+        number: from 1.
+        function: the one that it is in; "" if its source is not attached.
+        text: the line itself; "" if its source is not attached.
+    """
+
+    file: str
+    number: int
+    function: str = ""
+    text: str = ""
+
+    def __str__(self) -> str:
+        return f"{name_of(self.file)}:{self.number}"
+
+
+class Source:
+    """The attached source files of a recording; those that share a name are ambiguous and left out."""
+
+    def __init__(self, log: RecordReader) -> None:
+        """Read nothing yet."""
+        self._assets = log.assets
+        keys = [key for key in log.assets if key.endswith(".py")]
+        names = [name_of(key) for key in keys]
+        self._keys = {name: key for name, key in zip(names, keys, strict=True) if names.count(name) == 1}
+        self._texts: dict[str, str] = {}
+
+    def line(self, file: str, number: int) -> Line | None:
+        """Return a line by its file's path when the plan ran, and its number from 1; 0 is none."""
+        if not file or number < 1:
+            return None
+        text = self.text(file)
+        lines = text.splitlines()
+        if number > len(lines):
+            return Line(file, number)
+        return Line(file, number, _function(text, number), lines[number - 1].strip())
+
+    def call_stack(self, record: Task | Mutation) -> tuple[Line, ...]:
+        """Return the plan's lines that led to a task or a change, outermost first; none if the record has none."""
+        line = self.line(record.source_file, record.source_line)
+        if line is None:
+            return ()
+        callers = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
+        return (*(caller for caller in callers if caller is not None), line)
+
+    def text(self, file: str) -> str:
+        """Return the text of a file; "" if it is not attached, or damaged."""
+        key = self._keys.get(name_of(file))
+        if key is None:
+            return ""
+        if key not in self._texts:
+            try:
+                self._texts[key] = self._assets[key].decode("utf-8", "replace")
+            except Damaged:
+                self._texts[key] = ""
+        return self._texts[key]
+
+    def has(self, file: str) -> bool:
+        """Return whether a file is attached."""
+        return name_of(file) in self._keys
+
+
+def name_of(path: str) -> str:
+    """Return the file's own name, of a path of any system."""
+    return PurePosixPath(path.replace("\\", "/")).name
+
+
+@lru_cache(maxsize=8)
+def _functions(text: str) -> tuple[tuple[int, int, str], ...]:
+    """Return first and last line of each function, inner ones last."""
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError):
+        return ()
+    nodes = ast.walk(tree)  # outer ones come first
+    functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    return tuple((node.lineno, node.end_lineno or node.lineno, node.name) for node in functions)
+
+
+def _function(text: str, number: int) -> str:
+    names = [name for first, last, name in _functions(text) if first <= number <= last]
+    return names[-1] if names else "<module>"

@@ -1,0 +1,103 @@
+"""A recording in short: what ran, when, for how long, and how it ended. Only both ends of a long one are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import STEPS_PER_SECOND, Run, format_failure
+from replay.explain.failures import failed_threads
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from replay.file.lifetimes import Lifetime
+    from replay.file.record_reader import RecordReader
+
+#: Recordings up to this size, in bytes, are read whole to check them; of larger ones only both ends.
+MAX_CHECKED: Final = 16 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A world and its clock.
+
+    Attributes:
+        world: its name.
+        lifetime: number of its lifetime, from 1.
+        seconds: its simulated time at its last change, s.
+    """
+
+    world: str
+    lifetime: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A recording in short.
+
+    Attributes:
+        plan: name of the plan.
+        started: wall-clock time of the first record.
+        seconds: wall-clock time from the first to the last record.
+        worlds: with the simulated time that each reached, in the order of their opening.
+        outcome: "succeeded", "failed", "running" or "cut off".
+        failure: of the plan, as "Type: message"; or "".
+        threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
+        records: number of steps.
+        counts: number of records of each kind.
+        attachments: number of attached files.
+        size: of the file, bytes.
+        problems: what is missing or damaged, in words; or "".
+        checked: whether every part was read for this.
+        metadata: of the run.
+    """
+
+    plan: str
+    started: datetime
+    seconds: float
+    worlds: tuple[Simulated, ...]
+    outcome: str
+    failure: str
+    threads: tuple[tuple[str, str], ...]
+    records: int
+    counts: Mapping[str, int]
+    attachments: int
+    size: int
+    problems: str
+    checked: bool
+    metadata: Mapping[str, str]
+
+
+def _simulated(log: RecordReader, lifetime: Lifetime) -> Simulated:
+    end = log.end_of(lifetime)
+    return Simulated(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
+
+
+def summary(log: RecordReader) -> Summary:
+    """Sum up a recording."""
+    size = log.path.stat().st_size
+    checked = size <= MAX_CHECKED
+    problems = log.check() if checked else log.problems
+    first, last = next(log.records()), next(log.backwards())
+    end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
+    unfinished = "running" if log.live else "cut off"
+    outcome = unfinished if end is None else "succeeded" if end.succeeded else "failed"
+    return Summary(
+        plan=log.metadata.get("plan", ""),
+        started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),
+        seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
+        worlds=tuple(_simulated(log, lifetime) for lifetime in log.lifetimes),
+        outcome=outcome,
+        failure=format_failure(end.failure) if end is not None and end.HasField("failure") else "",
+        threads=tuple((record.thread, format_failure(record.failure)) for record in failed_threads(log)),
+        records=len(log),
+        counts=log.counts(),
+        attachments=len(log.assets),
+        size=size,
+        problems=problems,
+        checked=checked,
+        metadata=log.metadata,
+    )

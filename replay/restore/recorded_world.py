@@ -1,0 +1,63 @@
+"""What a recording holds of a world that is to be restored or drawn: its state, its models, its robot's description.
+
+Nothing here needs the physics engine.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING
+
+from pycram.models import load
+from pycram.models.robots.description import RobotDescription
+from replay.errors import Damaged, NotRestored
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from pycram.models.load import Model
+    from recorder.records import LoadBody
+    from replay.file.record_reader import RecordReader
+    from replay.state.state import World
+
+
+def world_state(log: RecordReader, step: int, name: str | None = None) -> World:
+    """Return the state of a world that is open after a step; without a name, of the one that was opened last.
+
+    Raises:
+        NotRestored: no such world was open then.
+        NoSuchName: there never was a world of that name.
+        Damaged: records are lost that could have changed it.
+    """
+    state = state_at(log, step)
+    if name is None and not any(world.open for world in state.worlds.values()):
+        closed = ", ".join(state.worlds)
+        hint = f" (there was: {closed}); take a step before its end" if closed else " yet; take a later step"
+        raise NotRestored(step, f"no world is open then{hint}")
+    world = state.world(name)
+    if not world.open:
+        raise NotRestored(step, f"{world.name} has ended by then; take a step before its end")
+    if state.uncertainty:
+        raise Damaged(log.path, f"the world after step {step}", state.uncertainty)
+    return world
+
+
+def model_of(log: RecordReader, loaded: LoadBody) -> Model:
+    """Return the model that a body was loaded from, laid out as files in a temporary folder.
+
+    Raises:
+        Damaged: one of its files is missing in the recording, or isn't what was attached.
+        AssetError: the model makes no sense.
+    """
+    names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
+    if not names:
+        raise Damaged(log.path, f"the loading of {loaded.body}", "it names no files")
+    missing = next((name for name in names if name not in log.assets), None)
+    if missing is not None:
+        raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
+    return load.restore((name, log.assets[name]) for name in names)
+
+
+@cache
+def description_of(text: str) -> RobotDescription | None:
+    """Return a robot's description from its recorded TOML text; None of a body that is no robot."""
+    return RobotDescription.parse(text, "the recording's robot description") if text else None

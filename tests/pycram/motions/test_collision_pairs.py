@@ -1,0 +1,88 @@
+"""A motion that is refused for a collision names the links that would meet, in message, data and record."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram import bullet_world_reasoning as btr
+from pycram.designator import MotionDesignator
+from pycram.failures import Blocked, CollisionPair, InCollision, PostureInCollision, Unreachable
+from pycram.process_module import ProcessModule
+from recorder.records import Task
+
+if TYPE_CHECKING:
+    from pycram.bullet_world import BulletWorld
+    from tests.conftest import MemorySink
+
+SURFACE = "sink_area_surface"
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def recorded_pairs(sink: MemorySink) -> list[dict[str, object]]:
+    task = [r for r in sink.records if isinstance(r, Task) and r.HasField("failure")][-1]
+    (pairs,) = [argument.json for argument in task.failure.data if argument.name == "pairs"]
+    return json.loads(pairs)
+
+
+def test_what_the_robot_holds_is_named_by_its_gripper(scene: BulletWorld, sink: MemorySink) -> None:
+    milk = scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    perform(type="move-tcp", target=[1.1, 0.9, 1.2], orientation=[0, 0, 0, 1], arm="left")
+    with pytest.raises(Blocked, match=f"milk in the left gripper would touch {SURFACE} of kitchen") as raised:
+        perform(type="move-tcp", target=[1.3, 0.9, 0.89], orientation=[0, 0, 0, 1], arm="left")
+    assert isinstance(raised.value, Unreachable), "who handles what is out of reach handles this too"
+    assert raised.value.distance is None
+    assert "kitchen" in raised.value.bodies
+    held = [pair for pair in raised.value.pairs if pair.mover == "milk"]
+    assert [(pair.link, pair.body, pair.body_link, pair.gripper) for pair in held] == [("", "kitchen", SURFACE, "left")]
+    assert held[0].depth > 0.01
+    assert recorded_pairs(sink) == [pair.__record__() for pair in raised.value.pairs]
+
+
+def test_the_robots_own_link_is_named(scene: BulletWorld, sink: MemorySink) -> None:
+    with pytest.raises(InCollision, match=r"can't be at .*: \w+ would touch \w+ of kitchen, ") as moving:
+        perform(type="moving", target=[1.2, 0.7, 0])
+    by_body = {pair.body: pair for pair in moving.value.pairs}
+    assert list(by_body) == moving.value.bodies
+    assert by_body["kitchen"].body_link in scene.get_object("kitchen").links
+    assert {pair.link for pair in moving.value.pairs} <= set(scene.robot.links)
+    assert {(pair.mover, pair.gripper) for pair in moving.value.pairs} == {("pr2", "")}
+    assert recorded_pairs(sink) == [pair.__record__() for pair in moving.value.pairs]
+    with pytest.raises(PostureInCollision, match=r"left arm can't take that posture: l_\w+ would touch") as posing:
+        perform(**{"type": "move-arm-joints", "left-arm": [0, 0.6, 0, -0.3, 0, -0.2, 0]})
+    assert posing.value.pairs[0].link.startswith("l_")
+
+
+def test_out_of_reach_is_not_in_the_way(scene: BulletWorld) -> None:
+    with pytest.raises(Unreachable) as far:
+        perform(type="move-tcp", target=[3, 0, 1])
+    assert not isinstance(far.value, Blocked)
+    milk, bowl = scene.get_object("milk"), scene.get_object("bowl")
+    x, y, z = milk.get_position()
+    bowl.set_position([x - 0.07, y, z - 0.02])
+    with pytest.raises(Blocked, match=r"l_gripper\w* would touch bowl") as near:
+        perform(type="pick-up", object=milk, arm="left", grasp="front")
+    assert near.value.bodies == ["bowl"]
+    evidence = btr.blocking(milk, scene.robot, "l_gripper_tool_frame", grasp="front").evidence
+    assert evidence["obstacles"]["bowl"]["pair"] == near.value.pairs[0]
+
+
+@pytest.mark.parametrize(
+    ("pair", "words"),
+    [
+        (
+            CollisionPair("milk", "", "kitchen", "island", 0.1, "left"),
+            "milk in the left gripper would touch island",
+        ),
+        (CollisionPair("pr2", "l_forearm_link", "cup", ""), "l_forearm_link would touch cup"),
+        (CollisionPair("pr2", "l_forearm_link", "pr2", "base_link"), "its own l_forearm_link would touch base_link"),
+    ],
+)
+def test_pairs_in_words(pair: CollisionPair, words: str) -> None:
+    assert pair.phrase().startswith(words)

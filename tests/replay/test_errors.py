@@ -1,0 +1,50 @@
+"""Errors of recording and reading survive the way to another process, with their message and their data."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import TYPE_CHECKING
+
+import pytest
+
+from recorder.errors import PortableError, RecordingError
+from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
+from replay.restore.question import BadQuestion
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ERRORS: tuple[PortableError, ...] = (
+    RecordingError("/no/where.mcap", "no such folder", "make it"),
+    ReplayError("a picture can't have 0 x 0 pixels"),
+    NotALog("notes.txt", "is no MCAP file"),
+    Unreadable("run.mcap", "is empty"),
+    Damaged("run.mcap", "step 12", "its checksum differs"),
+    LogClosed("run.mcap"),
+    NoSuchStep(99, 12),
+    NoSuchName("object", "milc", ["milk", "cup"]),
+    NotRestored(3, "no world is open then"),
+    BadQuestion("stable(", "it can't be read"),
+)
+
+
+def classes(base: type[PortableError]) -> Iterator[type[PortableError]]:
+    for kind in base.__subclasses__():
+        yield kind
+        yield from classes(kind)
+
+
+def test_every_error_class_is_tried_here() -> None:
+    own = {kind for kind in classes(PortableError) if kind.__module__.startswith(("recorder.", "replay."))}
+    assert own == {type(error) for error in ERRORS}
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+@pytest.mark.parametrize("portable", [lambda error: pickle.loads(pickle.dumps(error)), copy.copy])
+def test_errors_pickle_and_copy_with_message_and_data(error: PortableError, portable) -> None:
+    again = portable(error)
+    assert type(again) is type(error)
+    assert str(again) == str(error)
+    assert again.args == error.args
+    assert vars(again) == vars(error)
