@@ -144,6 +144,14 @@ class RobotDescription:
         except UrdfError as error:
             raise AssetError(self.source, str(error)) from error
 
+    def misfit(self, urdf: Urdf) -> str:
+        """Return why it doesn't fit a URDF; "" if it does."""
+        try:
+            self.check(urdf)
+        except AssetError as error:
+            return error.cause
+        return ""
+
     def _links(self) -> list[str]:
         """Return all links that it names."""
         links = [self.base_link] + ([self.camera.frame] if self.camera else [])
@@ -160,11 +168,19 @@ class RobotDescription:
         return values
 
 
+def find_description(urdf: Urdf) -> RobotDescription | None:
+    """Return PyCRAM's own description of a robot, by the name in its URDF; None if none is of that name, or fits it."""
+    return next((own for own in _own() if own.robot == urdf.name and not own.misfit(urdf)), None)
+
+
+def why_none(urdf: Urdf) -> str:
+    """Return why PyCRAM's own description of a robot isn't for this one; "" if it has none of that name."""
+    return next((own.misfit(urdf) for own in _own() if own.robot == urdf.name), "")
+
+
 @cache
-def find_description(robot: str) -> RobotDescription | None:
-    """Return PyCRAM's own description of a robot, by the name in its URDF; None if there is none."""
-    descriptions = (RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
-    return next((description for description in descriptions if description.robot == robot), None)
+def _own() -> tuple[RobotDescription, ...]:
+    return tuple(RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
 
 
 def _pairs(value: object) -> frozenset[frozenset[str]]:

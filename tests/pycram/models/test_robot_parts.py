@@ -16,7 +16,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import AssetError, GraspFailed, LookingFailed, MissingPart, NotDrivable
 from pycram.models.robots.description import RobotDescription
-from pycram.process_module import ProcessModule
+from pycram.process_module import NoProcessModule, ProcessModule
 from pycram.reasoning.collision.checker import CollisionChecker
 from recorder import geometry
 from tests.pycram.models import gantry
@@ -205,3 +205,14 @@ def test_a_suction_cup_takes_flat_things_from_above(world: BulletWorld, tmp_path
     perform(type="move-arm-joints", **{"z-axis-arm": "park"})
     assert math.dist(box.get_position()[:2], [-0.2, 0.4]) < 0.01
     assert btr.stable(box)
+
+
+def test_another_robot_of_a_known_name_loads_and_says_why_nothing_is_known_of_it(
+    world: BulletWorld, tmp_path: Path
+) -> None:
+    (tmp_path / "other.urdf").write_text('<robot name="panda"><link name="base"/></robot>')
+    world.robot = made = Object("other", "robot", tmp_path / "other.urdf")
+    assert made.description is None
+    with pytest.raises(NoProcessModule, match=r"of panda doesn't fit it: .*no link 'panda_link0'") as raised:
+        perform(type="looking", target=[1, 0, 1])
+    assert "pycram describe" in raised.value.undescribed
