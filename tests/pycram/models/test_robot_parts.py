@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
+import pycram.models.robots
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
@@ -21,9 +22,6 @@ from pycram.reasoning.collision.checker import CollisionChecker
 from recorder import geometry
 from tests.pycram.models import gantry
 from tests.pycram.models.test_robot_descriptions import PR2
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CAMERA = "wide_stereo_optical_frame"
 
@@ -94,15 +92,18 @@ def test_an_arm_without_gripper_moves_and_takes_nothing() -> None:
         assert raised.value.data["part"] == "gripper"
 
 
-def test_each_joint_of_a_gripper_has_values_of_its_own() -> None:
-    joints, opened = re.findall(r'"(l_gripper_\w+_joint)"', PR2), [0.1, 0.2, 0.3, 0.4]
-    made = robot(PR2.replace("open = 0.548", f"open = {opened}", 1))
-    perform(type="opening-gripper", gripper="left")
-    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx(opened)
-    perform(type="closing-gripper", gripper="left")
-    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx([0.0] * 4)
-    with pytest.raises(AssetError, match="4 numbers for l_gripper_l_finger_joint"):
-        RobotDescription.parse(PR2.replace("open = 0.548", "open = [0.1, 0.2]", 1))
+def test_each_finger_of_a_gripper_has_values_of_its_own(world: BulletWorld) -> None:
+    """The UR5's fingers don't mimic each other."""
+    ur5 = (Path(pycram.models.robots.__file__).parent / "ur5.toml").read_text()
+    uneven = ur5.replace("closed = 0.0", "closed = [0.0, 0.01]").replace("open = 0.045", "open = [0.02, 0.04]")
+    world.robot = made = Object("ur5", "robot", "ur5.urdf", [0, 0, 1], description=RobotDescription.parse(uneven))
+    joints = made.description.arm("ur5").gripper.joints
+    perform(type="opening-gripper", gripper="ur5")
+    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx([0.02, 0.04])
+    perform(type="closing-gripper", gripper="ur5")
+    assert [made.get_joint_position(joint) for joint in joints] == pytest.approx([0.0, 0.01])
+    with pytest.raises(AssetError, match="a number, or 2 numbers for gripper_left_finger_joint"):
+        RobotDescription.parse(ur5.replace("open = 0.045", "open = [0.1]"))
 
 
 @pytest.mark.parametrize(("kept", "moved"), [("pan", "head_pan_joint"), ("tilt", "head_tilt_joint")])
