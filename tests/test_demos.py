@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ from pathlib import Path
 import pytest
 
 import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.world.overlaps import Overlapping
 from recorder import geometry
 from recorder.records import Mutation, Query, Run, Task
 from recorder.tasks import State
@@ -193,3 +196,23 @@ def test_a_recording_that_cannot_be_written_stops_the_plan(tmp_path: Path) -> No
     assert "nowhere/out.mcap" in ended.stderr
     assert "No such file" in ended.stderr
     assert "ran unrecorded" not in ended.stdout
+
+
+@pytest.mark.slow
+def test_the_plan_works_with_the_positions_of_the_thesis() -> None:
+    """Listing 5.1: spoon and bowl overlap when they are loaded, and everything falls onto the counter."""
+    demo = runpy.run_path(str(REPO / "demos" / "set_the_table.py"))
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        world.robot = Object("pr2", "robot", "pr2.urdf")
+        kitchen = Object("kitchen", "environment", "kitchen.urdf")
+        Object("milk", "milk", "milk.stl", [1.3, 1, 1])
+        Object("spoon", "spoon", "spoon.stl", [1.4, 0.8, 1])
+        Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
+        with pytest.warns(Overlapping, match="bowl is .* inside of spoon"):
+            Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1])
+        assert world.settle(timeout=5)
+        demo["set_table"](kitchen)
+        for name, (target, _) in demo["TARGETS"].items():
+            assert math.dist(world.get_object(name).get_position()[:2], target[:2]) < 0.02, name

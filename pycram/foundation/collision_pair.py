@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final
 
+from recorder.collision_pairs import pair_text
+
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
 _MAX_LISTED: Final = 3  # pairs that fit into a message
 
@@ -31,20 +33,15 @@ class CollisionPair:
     depth: float = 0.0
     gripper: str = ""
 
-    def __record__(self) -> object:
+    def __record__(self) -> Mapping[str, object]:
         """Return its fields, as records have it."""
         return asdict(self)
 
-    def phrase(self, verb: str = "would touch") -> str:
-        """Return it in words: "milk in the left gripper would touch sink_area_surface of kitchen"."""
-        mover = f"{self.mover} in the {self.gripper} gripper" if self.gripper else self.link or self.mover
-        if self.body == self.mover:
-            return f"its own {mover} {verb} {self.body_link}"
-        met = f"{self.body_link} of {self.body}" if self.body_link else self.body
-        return f"{mover} {verb} {met}"
+    def __str__(self) -> str:
+        return pair_text(asdict(self))
 
 
-def phrases(pairs: Sequence[CollisionPair], verb: str = "would touch") -> str:
+def phrases(pairs: Sequence[CollisionPair]) -> str:
     """Return pairs in words, the first few."""
-    listed = ", ".join(pair.phrase(verb) for pair in pairs[:_MAX_LISTED])
+    listed = ", ".join(map(str, pairs[:_MAX_LISTED]))
     return f"{listed}, and {len(pairs) - _MAX_LISTED} more" if len(pairs) > _MAX_LISTED else listed

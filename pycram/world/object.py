@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -10,8 +11,9 @@ from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldC
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
-from pycram.world import attachment, carried, joints
+from pycram.world import attachment, carried, joints, overlaps
 from recorder import records
+from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -48,6 +50,9 @@ class Object:
         color: RGBA 0..1 for a mesh; None keeps its own colours.
         description: Of a robot; by default found by the name in its URDF.
         model: The loaded model, where it doesn't come from the path but from a recording.
+
+    Attributes:
+        overlaps: With what it overlapped when it was loaded; a warning said so (:mod:`pycram.world.overlaps`).
 
     Raises:
         NoWorld: No world is given and none is current.
@@ -94,7 +99,10 @@ class Object:
         self.original_joints: dict[str, float] = {}
         self._attachments: dict[Object, Attachment] = {}
         self._handle: Body | None = None
+        self.overlaps: Sequence[records.Overlap] = ()
         self.world.add(self)
+        if self.overlaps and model is None:  # a recorded one has been warned of
+            warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
 
     def __repr__(self) -> str:
         return f"Object({self.name!r}, {self.type!r})"
@@ -172,6 +180,7 @@ class Object:
             fixed_base=self.fixed,
             joints=self.joints,
             robot_description=self.description.text if self.description else "",
+            overlaps=self.overlaps,
         )
 
     def get_joint_id(self, name: str) -> int:

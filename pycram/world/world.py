@@ -15,13 +15,13 @@ from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldC
 from pycram.physics.engine import Engine
 from pycram.physics.window import check_display
 from pycram.scheduling.cancellation import uninterruptible
-from pycram.world import current, simulation
+from pycram.world import current, settling, simulation
 from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.object import Object
+from pycram.world.overlaps import overlaps
 from pycram.world.realtime import RealtimeClock
-from pycram.world.settling import RestDetector
 from pycram.world.transaction import TransactionManager
 from recorder import records
 from recorder.tracing import journal
@@ -192,6 +192,7 @@ class BulletWorld(metaclass=CurrentWorld):
             if body.color is not None:
                 self.engine.set_color(handle, body.color)
             self._objects[body.name] = body
+            body.overlaps = overlaps(body)
             if journal.recording():
                 journal.attach(body.model.files)
                 command.load_body.CopyFrom(body.load_record)
@@ -279,6 +280,8 @@ class BulletWorld(metaclass=CurrentWorld):
     def settle(self, timeout: float = 5.0) -> bool:
         """Simulate until everything is at rest; see :mod:`pycram.world.settling` for what that means.
 
+        Free objects that are more than 5 mm inside of each other are lifted apart before.
+
         Args:
             timeout: Simulated seconds after which it gives up, at most a year.
 
@@ -289,14 +292,12 @@ class BulletWorld(metaclass=CurrentWorld):
             WorldClosed: Another thread has ended the world meanwhile.
         """
         steps = round(checks.in_range("timeout", timeout, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND)
-        command = records.Simulate(steps=steps, settled=False)
-        with self.transactions.begin(records.Mutation(simulate=command)) as transaction:
-            detector = RestDetector(self)
-            completed = simulation.simulate(self, steps, transaction, detector.sample)
-            transaction.command.simulate.settled = detector.at_rest
+        with self.lock:
+            settling.separate(self)
+            restless, completed = settling.settle(self, steps)
         if self.exiting and not completed:
             raise WorldClosed(self.name, "simulate on")
-        return detector.at_rest
+        return not restless
 
     def prepare_time_listeners(self) -> Callable[[], None]:
         """Return the call of all present time listeners."""

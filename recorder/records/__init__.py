@@ -22,6 +22,7 @@ from recorder.records.log_pb2 import (
     MoveJoints as MoveJoints,
     Mutation as Mutation,
     OpenWorld as OpenWorld,
+    Overlap as Overlap,
     Picture as Picture,
     Query as Query,
     RemoveBody as RemoveBody,

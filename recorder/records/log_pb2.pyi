@@ -77,6 +77,18 @@ class Attachment(_message.Message):
     orientation: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, carrier: _Optional[str] = ..., carrier_link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class Overlap(_message.Message):
+    __slots__ = ("link", "body", "body_link", "depth")
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    BODY_LINK_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_FIELD_NUMBER: _ClassVar[int]
+    link: str
+    body: str
+    body_link: str
+    depth: float
+    def __init__(self, link: _Optional[str] = ..., body: _Optional[str] = ..., body_link: _Optional[str] = ..., depth: _Optional[float] = ...) -> None: ...
+
 class OpenWorld(_message.Message):
     __slots__ = ("mode",)
     MODE_FIELD_NUMBER: _ClassVar[int]
@@ -88,7 +100,7 @@ class CloseWorld(_message.Message):
     def __init__(self) -> None: ...
 
 class LoadBody(_message.Message):
-    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description")
+    __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "overlaps")
     BODY_FIELD_NUMBER: _ClassVar[int]
     TYPE_FIELD_NUMBER: _ClassVar[int]
     PATH_FIELD_NUMBER: _ClassVar[int]
@@ -99,6 +111,7 @@ class LoadBody(_message.Message):
     FIXED_BASE_FIELD_NUMBER: _ClassVar[int]
     JOINTS_FIELD_NUMBER: _ClassVar[int]
     ROBOT_DESCRIPTION_FIELD_NUMBER: _ClassVar[int]
+    OVERLAPS_FIELD_NUMBER: _ClassVar[int]
     body: str
     type: str
     path: str
@@ -109,7 +122,8 @@ class LoadBody(_message.Message):
     fixed_base: bool
     joints: _containers.RepeatedScalarFieldContainer[str]
     robot_description: str
-    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ...) -> None: ...
+    overlaps: _containers.RepeatedCompositeFieldContainer[Overlap]
+    def __init__(self, body: _Optional[str] = ..., type: _Optional[str] = ..., path: _Optional[str] = ..., assets: _Optional[_Iterable[_Union[Asset, _Mapping]]] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., color: _Optional[_Iterable[float]] = ..., fixed_base: bool = ..., joints: _Optional[_Iterable[str]] = ..., robot_description: _Optional[str] = ..., overlaps: _Optional[_Iterable[_Union[Overlap, _Mapping]]] = ...) -> None: ...
 
 class RemoveBody(_message.Message):
     __slots__ = ("body",)

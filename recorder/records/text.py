@@ -15,7 +15,7 @@ from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from recorder.records import Argument, MoveJoints, Record, Simulate
+    from recorder.records import Argument, LoadBody, MoveJoints, Record, Simulate
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
@@ -116,6 +116,11 @@ def _joints(command: MoveJoints) -> str:
     return f"{command.body} {details}"
 
 
+def _loaded(command: LoadBody) -> str:
+    inside = ", ".join([f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in command.overlaps[:]])
+    return f"{command.body} {_numbers(command.position)}" + (f", {inside}" if inside else "")
+
+
 def _simulated(command: Simulate) -> str:
     steps = f"{command.steps} steps"
     if not command.HasField("settled"):
@@ -142,7 +147,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none
     "open_world": lambda command: str(command.mode),
-    "load_body": lambda command: f"{command.body} {_numbers(command.position)}",
+    "load_body": _loaded,
     "remove_body": lambda command: command.body,
     "move_body": lambda command: f"{command.body} {_numbers(command.position)}",
     "move_joints": _joints,

@@ -1,5 +1,7 @@
 """Marks in the scene, in the frame of the world's root: targets of motions, failures, and what the last query found.
 
+A failure for a collision marks the links that would have met, where they are, joined by a line.
+
 A failure's mark and its line in the log are one entity: selecting the line shows the position. A query's marks are
 green where its answer is yes (or nothing blocks), red where it is no.
 """
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
     from recorder.viewer.scene import Scene
 
 FAILURES: Final = "failures"
+_PAIRS: Final = "pairs"
 _TARGETS: Final = "targets"
 _ANSWERS: Final = "answers"
 _POINT: Final = 0.02  # m, as all lengths below
@@ -39,6 +42,7 @@ _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # of a failure, above the words of its target
 _ABOVE_ROBOT: Final = 1.8  # where a failure without a position is shown
+_MAX_PAIRS: Final = 5  # of links that would meet
 _MAX_LETTERS: Final = 60
 _NO: Final = ("false", "null", "[]", "")
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}  # by the evidence that names the bodies
@@ -131,6 +135,23 @@ class TaskMarks:
                 _line([position_failed, top], RED),
             ]
         self._failures.add(record.world, (FAILURES,), now, *shapes)
+        self._show_pairs(record, now)
+
+    def _show_pairs(self, record: Task, now: TimePoint) -> None:
+        """Shows which links would have met, where they are now."""
+        found = argument_values(record.failure.data).get("pairs")
+        pairs = [pair for pair in found if isinstance(pair, dict)] if isinstance(found, list) else []
+        for number, pair in enumerate(pairs[:_MAX_PAIRS], 1):
+            ends = []
+            for body, link in (("mover", "link"), ("body", "body_link")):
+                names = str(pair.get(body, "")), str(pair.get(link, ""))
+                pose = self._scene.pose(record.world, *names)
+                if pose is not None:
+                    ends.append((pose[0], names[1] or names[0]))
+            if len(ends) == 2:
+                points, labels = zip(*ends, strict=True)
+                line = _line(points, RED, _LINK)
+                self._failures.add(record.world, (_PAIRS, str(number)), now, _points(points, RED, labels), line)
 
 
 class QueryMarks:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from recorder.collision_pairs import pair_text
 from recorder.records import STEPS_PER_SECOND, Event, Query, Task, argument_values, format_failure, from_json
 from recorder.records.text import text_of
 from replay.cli import formatting
@@ -91,7 +92,13 @@ def _distance(distance: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:
 
 
 def _obstacles(bodies: Plain, _: Mapping[str, Plain]) -> Iterator[str]:
-    if isinstance(bodies, dict) and bodies:
+    if not isinstance(bodies, dict) or not bodies:
+        return
+    pairs = [fact["pair"] if isinstance(fact, dict) and "pair" in fact else None for fact in bodies.values()]
+    known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
+    if len(known) == len(bodies):
+        yield formatting.names(known)
+    else:  # older releases didn't tell the links
         yield f"the arm would touch {formatting.names(list(bodies))}"
 
 

@@ -42,7 +42,7 @@ def asked_again(query: Query) -> str:
     except BadQuestion:
         return record_text.question(query)
     for name, term in question.keywords.items():
-        if name in ("threshold", "margin", "grasp", "collision_free"):
+        if name in ("threshold", "margin", "grasp", "orientation", "collision_free"):
             break
         arguments.append(Name(term) if isinstance(term, str) else term)  # queries take either
     return str(Question(query.name, tuple(arguments)))

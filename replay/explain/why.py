@@ -241,7 +241,10 @@ def _bodies(world: World | None, names: Iterable[str]) -> Iterator[InvolvedBody]
 def _failure_bodies(world: World | None, task: Node) -> Iterator[str]:
     """Yield the names of movable bodies in the data of a task's failure."""
     data = argument_values(task.failure.data) if task.failure is not None else {}
-    for value in data.values():
+    recorded = data.get("pairs")
+    pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
+    ends = [pair.get(end) for pair in pairs for end in ("mover", "body")]
+    for value in (*data.values(), ends):
         for name in value if isinstance(value, list) else [value]:
             body = world.bodies.get(name) if world is not None and isinstance(name, str) else None
             if body is not None and not body.fixed_base:

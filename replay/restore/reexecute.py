@@ -110,11 +110,19 @@ class Reexecution:
             repeated.world, repeated.task = record.world, record.task
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
-            if command == "open_world":
-                repeated.open_world.mode = record.open_world.mode  # a window changes nothing
-            if command == "simulate" and record.simulate.HasField("settled"):  # follows from the states
-                repeated.simulate.settled = record.simulate.settled
+            _keep_what_follows(record, repeated)
         return repeated
+
+
+def _keep_what_follows(record: Mutation, repeated: Mutation) -> None:
+    """Take over what says nothing of how a change is made."""
+    if record.HasField("open_world"):
+        repeated.open_world.mode = record.open_world.mode  # a window changes nothing
+    if record.HasField("load_body"):  # follows from the states; older releases didn't tell it
+        del repeated.load_body.overlaps[:]
+        repeated.load_body.overlaps.extend(record.load_body.overlaps)
+    if record.simulate.HasField("settled"):  # follows from the states
+        repeated.simulate.settled = record.simulate.settled
 
 
 def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:

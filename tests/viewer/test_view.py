@@ -17,8 +17,10 @@ import recorder
 import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import PlanFailure
+from pycram.designator import MotionDesignator
+from pycram.failures import InCollision, PlanFailure
 from pycram.language import par, seq
+from pycram.process_module import ProcessModule
 from recorder import geometry
 from recorder.records import Mutation, Query, Task
 from recorder.tracing.span import Span
@@ -398,3 +400,27 @@ def test_the_viewer_shows_the_demo(
 
         until(seen, f"{name}, step {step}, looks like its golden picture")
     assert not headless.complaints()
+
+
+def test_a_collision_marks_the_links_that_would_meet(tmp_path: Path) -> None:
+    log = tmp_path / "log.mcap"
+    with recorder.record(log), BulletWorld(name="w") as world:
+        Object("floor", "environment", "plane.urdf")
+        Object("kitchen", "environment", "kitchen.urdf")
+        world.robot = Object("pr2", "robot", "pr2.urdf", [-1, 3, 0])
+        with pytest.raises(InCollision) as raised:
+            ProcessModule.perform(MotionDesignator([("type", "moving"), ("target", [1.2, 0.7, 0])]))
+        pair = raised.value.pairs[0]
+        ends = ((world.robot, pair.link), (world.get_object("kitchen"), pair.body_link))
+        places = [body.get_link_position(link) for body, link in ends]
+        with Span("task", "go on"):
+            pass
+    shown = view(log, tmp_path / "log.rrd")
+    (mark,) = [entity for entity in shown.rows if entity.endswith("/pairs/1")]
+    step = next(moment[0] for moment, values in shown.rows[mark] if "Points3D:positions" in values)
+    now = shown.at(mark, step)
+    assert now["Points3D:labels"] == [pair.link, pair.body_link]
+    for found, expected in zip(now["Points3D:positions"], places, strict=True):
+        assert found == pytest.approx(expected, abs=1e-5)
+    assert now["LineStrips3D:strips"]
+    assert not shown.at(mark, step + 100), "cleared when the next task begins"

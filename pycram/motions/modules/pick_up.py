@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, GraspFailed, Unreachable
+from pycram.foundation.failures import Blocked, GraspFailed, PlanFailure, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping import choice, closing_width
+from pycram.reasoning.grasping import choice, fingers
+from pycram.reasoning.grasping.grasps import leaning
+from pycram.world import overlaps
+from recorder import geometry
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.reasoning.grasping.choice import GraspPlan
+    from pycram.reasoning.grasping.fingers import Closing
+    from pycram.reasoning.grasping.grasps import Grasp
     from pycram.world.object import Object
+
+_MAX_GRASPS: Final = 6  # that are tried, one after the other
+_MOVING: Final = (0.02, 2.0)  # m/s, rad/s from which on it can't be taken; solvers let a knife that lies rock at 0.7
+_LEANING: Final = math.radians(5)  # that the message tells
 
 
 class PickUp(SimulatedModule):
-    """Reaches for an object, closes the gripper around it and takes it."""
+    """Reaches for an object, closes the gripper around it and takes it: with a finger on both sides, touching no more.
+
+    No time passes, the object stays where it is. Everything is planned before anything moves.
+    """
 
     def _execute(self, designator: Designator) -> Object:
         solution = designator.reference()
@@ -27,19 +43,7 @@ class PickUp(SimulatedModule):
         with robot.world.lock:
             self._check_free(robot, arm, body)
             names = (solution["grasp"],) if "grasp" in solution else None
-            plan = choice.best(body, robot, arm.tool_frame, names)
-            if plan.posture is None:
-                raise GraspFailed(arm.name, body.name, "it is too big for the gripper from any side that is allowed")
-            if plan.self_collisions:
-                raise Blocked(arm.name, center(body), plan.self_collisions)
-            if plan.grasp is None:
-                raise Unreachable(arm.name, center(body), plan.posture.position_error)
-            if plan.obstacles:
-                raise Blocked(arm.name, center(body), [touch["pair"] for touch in plan.obstacles.values()])
-            posture = plan.posture.positions
-            closed = closing_width.closed_around(robot, gripper, posture, body)
-            if closed is None:
-                raise GraspFailed(arm.name, body.name, "its fingers would close on nothing")
+            posture, closed = _plan(robot, arm, body, names)
             robot.set_joint_positions(gripper.positions("open"))
             robot.set_joint_positions(posture)
             robot.set_joint_positions(closed)
@@ -54,3 +58,65 @@ class PickUp(SimulatedModule):
         held = self.held(robot, arm)
         if held is not None:
             raise GraspFailed(arm.name, body.name, f"it holds {held.name}")
+        velocity = robot.world.engine.velocity(body.handle)
+        speed, turning = math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
+        if speed > _MOVING[0] or turning > _MOVING[1]:
+            moves = f"it moves, with {speed:.2f} m/s and {turning:.1f} rad/s"
+            raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
+        for other in robot.world.objects:
+            if other is not body and not other.is_robot:
+                depth = overlaps.depth(body, other)
+                if depth > overlaps.DEEP:
+                    inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
+                    raise GraspFailed(arm.name, body.name, inside)
+
+
+def _plan(
+    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None
+) -> tuple[Mapping[str, float], Mapping[str, float]]:
+    """Return postures of the arm and of its closed gripper that hold an object, for the grasp that touches least.
+
+    Raises:
+        GraspFailed: No side fits, or the fingers wouldn't hold it from any.
+        Unreachable: No posture brings the gripper there; Blocked if something is in the way.
+    """
+    refused: list[Grasp] = []
+    failures: list[PlanFailure] = []
+    while len(failures) < _MAX_GRASPS:
+        plan = choice.best(body, robot, arm.tool_frame, names, refused)
+        if plan.grasp is None or plan.posture is None:
+            failures.append(_nothing(arm, body, plan))
+            break
+        closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
+        failure = _problem(arm, body, plan, closing)
+        if closing is not None and failure is None:
+            return plan.posture.positions, closing.positions
+        failures += [failure] if failure else []
+        refused.append(plan.grasp)
+    raise failures[0]  # of the grasp that touches least
+
+
+def _nothing(arm: Arm, body: Object, plan: GraspPlan) -> PlanFailure:
+    """Return why no grasp was found."""
+    if plan.posture is None:
+        tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
+        lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
+        return GraspFailed(arm.name, body.name, f"{lies}it is too big for the gripper from any side that is allowed")
+    if plan.self_collisions:
+        return Blocked(arm.name, center(body), plan.self_collisions)
+    return Unreachable(arm.name, center(body), plan.posture.position_error)
+
+
+def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
+    """Return why a grasp doesn't do; None if it does."""
+    if plan.obstacles:
+        return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
+    if plan.penetrating is not None:
+        return Blocked(arm.name, center(body), [plan.penetrating])
+    if closing is None:
+        return GraspFailed(arm.name, body.name, "its fingers would close on nothing")
+    if closing.obstacles:
+        return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
+    if closing.sides < 2:
+        return GraspFailed(arm.name, body.name, "its fingers would touch it on one side only")
+    return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
@@ -14,20 +14,24 @@ from pycram.reasoning.grasping import fingers, placing, sides
 from pycram.reasoning.kinematics import solver
 from pycram.world import settling
 from recorder import geometry
+from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion
 
-_TIMEOUT: Final = 5.0  # s of simulated time within which all has to be at rest
+_TIMEOUT: Final = 5  # s of simulated time within which all has to be at rest
 _AWAY: Final = 0.02  # m from where it was let go
 _TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
 _TOUCHING: Final = 1e-3  # m of air that count as touching
-_LEANING: Final = math.radians(1)  # by which it has moved towards a finger that it touches
+_LEANING: Final = math.radians(1)  # by which it has moved towards a finger that holds it up
+_LOAD: Final = 0.01  # of its weight that a finger bears then
+_FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
+_UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical in which putting down is tried
 
 
@@ -63,55 +67,77 @@ class Place(SimulatedModule):
             if held is None or held.carrier_link != arm.tool_frame:
                 raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
             plan = _plan(robot, arm, body, target, orientation)
-            restless = set(settling.moving(robot.world))
             robot.set_joint_positions(plan.posture)
             robot.set_joint_positions(plan.opened)
             robot.detach(body)
-            settled = robot.world.settle(_TIMEOUT)
-            moving = [] if settled else [other for other in settling.moving(robot.world) if other not in restless]
-            _check_outcome(robot, body, target, plan.pose, orientation, moving)
+            restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
+            _check_outcome(robot, body, target, plan.pose, orientation, restless)
+
+
+@dataclass(slots=True)
+class _Refusals:
+    """Why poses and postures won't do.
+
+    Attributes:
+        no_room: there is none for the object.
+        misses: m that the nearest posture stays away.
+        pairs: links that would meet, by the name of what is in the way.
+    """
+
+    no_room: list[PlaceFailed] = field(default_factory=list)
+    misses: list[float] = field(default_factory=list)
+    pairs: dict[str, CollisionPair] = field(default_factory=dict)
 
 
 def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None) -> _Plan:
     """Return the first posture in which nothing is in the way, not even when the fingers open.
 
     Raises:
-        PlaceFailed: There is none.
+        PlaceFailed: There is none, or no room.
         Unreachable: No posture brings the object there.
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),
         arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
     )
-    misses: list[float] = []
-    blockers: dict[str, CollisionPair] = {}
-
-    def poses() -> Iterator[tuple[Pose, bool]]:  # all of them searched for quickly, then again thoroughly
-        tried: list[Pose] = []
-        for turn in _orientations(robot, body, body_T_tool, orientation):
-            tried.append((placing.set_down(body, target, turn), turn))
-            yield tried[-1], True
-        yield from ((pose, False) for pose in tried)
-
-    for pose, quick in poses():
+    refusals = _Refusals()
+    turns = _orientations(robot, body, body_T_tool, orientation)
+    for pose, quick in _poses(body, target, turns, refusals):
         position, turn = geometry.multiply(pose, body_T_tool)
         for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
             if not posture.reaches():
-                misses.append(posture.position_error)
+                refusals.misses.append(posture.position_error)
                 continue
-            touched = checker.touched(robot, posture.positions)
-            pairs = [collision["pair"] for collision in touched.values()]
+            pairs = [collision["pair"] for collision in checker.touched(robot, posture.positions).values()]
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
                     return _Plan(posture.positions, pose, opening.positions)
                 pairs = list(opening.stopped_by)
             for pair in pairs:
-                blockers.setdefault(pair.body, pair)
-    if blockers:
-        pairs = [blockers[name] for name in sorted(blockers)]
+                refusals.pairs.setdefault(pair.body, pair)
+    if refusals.pairs:
+        pairs = [refusals.pairs[name] for name in sorted(refusals.pairs)]
         raise PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
-    raise Unreachable(arm.name, target, min(misses, default=None))
+    if refusals.misses:
+        raise Unreachable(arm.name, target, min(refusals.misses))
+    raise refusals.no_room[0]
+
+
+def _poses(
+    body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals
+) -> Iterator[tuple[Pose, bool]]:
+    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly."""
+    tried: list[Pose] = []
+    for turn in turns:
+        try:
+            position = placing.set_down(body, target, turn)
+        except PlaceFailed as failure:  # there may be room for it when it is turned
+            refusals.no_room.append(failure)
+            continue
+        tried.append((position, turn))
+        yield tried[-1], True
+    yield from ((pose, False) for pose in tried)
 
 
 def _check_outcome(
@@ -120,7 +146,7 @@ def _check_outcome(
     target: Sequence[float],
     wanted: Pose,
     orientation: Sequence[float] | None,
-    moving: Sequence[Object],
+    restless: Sequence[Object],
 ) -> None:
     """Raise PlaceFailed unless an object stands where it was let go.
 
@@ -130,24 +156,25 @@ def _check_outcome(
         target: where it was to be put.
         wanted: its pose when it was let go.
         orientation: that was asked for; None for upright.
-        moving: what was set in motion and doesn't come to rest.
+        restless: what doesn't come to rest, there or elsewhere.
     """
     position, turn = body.get_position_and_orientation()
     away, turned = math.dist(position, wanted[0]), geometry.angle(turn, wanted[1])
     up, asked_up = (geometry.rotate(each, (0.0, 0.0, 1.0)) for each in (turn, wanted[1]))
     lean = math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(up, asked_up, strict=True)))))
     touching = _touching(body)
+    near = {body.name, *(pair.body for pair in touching)}
+    moving = [other.name for other in restless if other.name in near]
     reasons = []
     if moving:
-        names = ", ".join(other.name for other in moving)
-        reasons.append(f"{names} still move{'s' if len(moving) == 1 else ''} after {_TIMEOUT:g} s")
+        reasons.append(f"{', '.join(moving)} still move{'s' if len(moving) == 1 else ''} after {_TIMEOUT} s")
     if away > _AWAY:
-        reasons.append(f"it came to rest {away:.3f} m from there" if body not in moving else f"it is {away:.3f} m away")
+        reasons.append(f"it {'is' if moving else 'came to rest'} {away:.3f} m from there")
     if lean > _TURNED:
         reasons.append(f"it leans by {math.degrees(lean):.0f} degrees")
     elif orientation is not None and turned > _TURNED:
         reasons.append(f"it is turned by {math.degrees(turned):.0f} degrees")
-    elif lean > _LEANING and any(pair.body == robot.name for pair in touching):
+    elif lean > _LEANING and _load(robot, body) > _LOAD and not placing.stands_alone(body):
         reasons.append("it leans on the gripper")
     if reasons:
         at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
@@ -161,6 +188,14 @@ def _check_outcome(
             rest=(position, turn),
             touching=touching,
         )
+
+
+def _load(robot: Object, body: Object) -> float:
+    """Return the share of an object's weight with which it presses on a robot."""
+    engine = body.world.engine
+    weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity)
+    force = sum(contact.force for contact in engine.contacts(body.handle) if contact.other == robot.handle.id)
+    return force / weight if weight else 0.0
 
 
 def _touching(body: Object) -> list[CollisionPair]:
@@ -179,7 +214,10 @@ def _touching(body: Object) -> list[CollisionPair]:
 def _orientations(
     robot: Object, body: Object, body_T_tool: Pose, orientation: Sequence[float] | None
 ) -> Iterator[Quaternion]:
-    """Yield orientations in which an object may be put down, the most natural for the arm first."""
+    """Yield orientations in which an object may be put down, the most natural for the arm first.
+
+    What was taken when it lay upside down would need a hand from below to be put down upright: it may lie as it lay.
+    """
     if orientation is not None:
         x, y, z, w = orientation
         yield (x, y, z, w)
@@ -187,9 +225,13 @@ def _orientations(
     natural = [sides.grasp_orientation(grasp, robot) for grasp in sides.GRASPS]
     start = sides.yaw(body)
     upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * i / _YAWS) for i in range(_YAWS)]
+    from_below = geometry.rotate(body_T_tool[1], (1.0, 0.0, 0.0))[2] > _FROM_BELOW
 
     def strain(turn: Quaternion) -> float:
         tool = geometry.product(turn, body_T_tool[1])
         return min(geometry.angle(tool, side) for side in natural)
 
     yield from sorted(upright, key=strain)
+    if from_below:
+        flipped = [geometry.product(turn, _UPSIDE_DOWN) for turn in upright]
+        yield from sorted(flipped, key=strain)

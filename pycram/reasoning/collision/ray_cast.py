@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Vector
+    from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
 
@@ -71,6 +71,8 @@ class RayCaster:
 
     Args:
         body: the object; its world's lock is held.
+        lean: rotation xyzw about the center of its bounds that is undone before: what leans is described as if it
+            stood upright.
 
     Attributes:
         low: lowest corner of its bounds in the world, m.
@@ -78,12 +80,19 @@ class RayCaster:
         center: of its bounds in the world, m.
     """
 
-    def __init__(self, body: Object) -> None:
+    def __init__(self, body: Object, lean: Quaternion | None = None) -> None:
         self.low, self.high = body.get_AABB()
         self.center = _center(self.low, self.high)
         solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
+        if lean is not None:
+            upright = geometry.to_matrices(np.array([lean]))[0].T
+            turns = upright @ turns
+            positions = (positions - self.center) @ upright.T + self.center
+            middles = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
+            halves = np.einsum("kij,kj->ki", np.abs(turns), (solids.high - solids.low) / 2) + _PADDING
+            self.low, self.high = (middles - halves).min(axis=0).tolist(), (middles + halves).max(axis=0).tolist()
         self._centers = np.einsum("kij,kj->ki", turns, (solids.low + solids.high) / 2) + positions
         self._edges = turns * ((solids.high - solids.low) / 2 + 2 * _PADDING)[:, None]
         self._pieces = solids.pieces

@@ -39,12 +39,14 @@ class GraspPlan:
         posture: of the arm; the nearest miss if nothing reaches.
         obstacles: what the arm would touch there, deepest first, and how.
         self_collisions: pairs of the robot's own links that would touch, if that is why nothing reaches.
+        penetrating: links of the open hand, and of the target, that would overlap there.
     """
 
     grasp: Grasp | None
     posture: Posture | None
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
     self_collisions: Sequence[CollisionPair] = ()
+    penetrating: CollisionPair | None = None
 
     def evidence(self) -> dict[str, object]:
         """Return it as records carry it."""
@@ -58,24 +60,47 @@ class GraspPlan:
         return fields | {"obstacles": {body.name: info for body, info in self.obstacles.items()}}
 
 
-def best(body: Object, robot: Object, link: str, names: Sequence[str] | None = None) -> GraspPlan:
-    """Return the grasp that touches least.
+def best(
+    body: Object, robot: Object, link: str, names: Sequence[str] | None = None, refused: Collection[Grasp] = ()
+) -> GraspPlan:
+    """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
     Args:
         body: the target.
         robot: the robot, as it stands.
         link: an arm's tool frame, or any other link, which then just has to get to the target's center.
         names: the sides that are allowed; all by default.
+        refused: grasps that are left out.
     """
+    plan = _best(body, robot, link, names, refused, off_center=False)
+    if plan.grasp is None or plan.obstacles:
+        other = _best(body, robot, link, names, refused, off_center=True)
+        if other.grasp is not None and not other.obstacles:
+            return other
+    return plan
+
+
+def _best(
+    body: Object,
+    robot: Object,
+    link: str,
+    names: Sequence[str] | None,
+    refused: Collection[Grasp],
+    *,
+    off_center: bool,
+) -> GraspPlan:
     arm = robot.description.arm_of(link) if robot.description else None
     if arm is not None and arm.hand is None:  # it takes nothing, and gets to places as any link does
         arm = None
+    if arm is None and off_center:
+        return GraspPlan(None, None)
     solver = Solver(robot, link)
     if arm is None:
         grasps: Sequence[Grasp] = [Grasp("any", center(body), IDENTITY[1], 0.0)]
         solved = solver.search([(grasp.position, None, None) for grasp in grasps])
     else:
-        grasps = candidates(body, robot, arm, names)
+        every = candidates(body, robot, arm, names, off_center=off_center)
+        grasps = [grasp for grasp in every if grasp not in refused]
         targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
         solved = solver.closed_form(targets)
         if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
@@ -145,8 +170,8 @@ class _Choice:
                 contorted[option, number] = GraspPlan(None, postures[number], self_collisions=pairs)
             else:
                 obstacles = self._checker.touched(candidate)
-                obstacles.pop(self._target, None)
-                return GraspPlan(grasp, postures[number], obstacles)
+                within = obstacles.pop(self._target, None)
+                return GraspPlan(grasp, postures[number], obstacles, penetrating=within["pair"] if within else None)
         return contorted[max(contorted)]
 
     def _check(self, candidate: Candidate, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:

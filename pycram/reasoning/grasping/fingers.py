@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.collision_pair import CollisionPair
+from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm, Gripper
+    from pycram.physics.body import Body
+    from pycram.physics.engine import Engine
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -23,6 +27,11 @@ CLEAR: Final = 0.002  # m of air around what is let go of: the engine pads shape
 _SLACK: Final = 5e-4  # m of overlap that is a touch
 _STEPS: Final = 16  # of the way between open and closed: no finger of the PR2 moves by more than 3 mm in one
 _HALVINGS: Final = 6  # of such a step
+_AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
+_CLOSING_STEPS: Final = 8  # from open to closed, less than a finger's thickness each
+_CLOSING_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
+_REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
+_ACROSS: Final = 0.5  # of a unit normal along the way of the fingers
 _NEAR: Final = 0.25  # m from the tool frame: fingers don't get farther
 
 
@@ -75,20 +84,15 @@ def moved(
     clone = clone_of(robot.world, "reach")
     bodies = clone.sync()
     engine, hand = clone.engine, bodies[robot.name]
-    joints = {**robot.get_joint_positions(), **(posture or {})}
-    engine.pose_joints(hand, joints)
+    engine.pose_joints(hand, {**robot.get_joint_positions(), **(posture or {})})
     tool = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
-    others = [body for body in robot.world.objects if body not in (robot, release) and _is_near(body, tool)]
+    others = {
+        body: bodies[body.name] for body in robot.world.objects if body not in (robot, release) and _is_near(body, tool)
+    }
 
     def depths(share: float) -> Depths:
-        engine.pose_joints(hand, {**joints, **gripper.at(share)})
-        found: dict[tuple[str, Object, str], float] = {}
-        for finger in gripper.fingers:
-            for body in others:
-                for touch in engine.link_closest_points(hand, finger, bodies[body.name]):
-                    key = finger, body, touch.link_b
-                    found[key] = max(found.get(key, 0.0), -touch.distance)
-        return found
+        engine.pose_joints(hand, gripper.at(share))
+        return _depths(engine, hand, gripper, others)
 
     try:
         free, stops = _sweep(depths, share_open(robot, gripper), goal)
@@ -97,16 +101,100 @@ def moved(
             copy = bodies[release.name]
             if pose is not None:
                 engine.set_pose(copy, pose)
-            engine.pose_joints(hand, {**joints, **gripper.at(free)})
+            engine.pose_joints(hand, gripper.at(free))
             touches = [t for finger in gripper.fingers for t in engine.link_closest_points(hand, finger, copy, gap)]
             gap = min((touch.distance for touch in touches), default=gap)
     finally:
         clone.invalidate(robot.name, *([release.name] if release is not None else []))
-    pairs = [
+    return FingerMotion(gripper.at(free), free, _pairs(robot, stops), gap)
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """A gripper that has closed on an object.
+
+    Attributes:
+        positions: joint values of the gripper, by name.
+        sides: on how many sides of the object a finger is: 0, 1 or 2; a suction cup needs no other and counts as 2.
+        obstacles: what else the fingers would overlap, deepest first.
+    """
+
+    positions: Mapping[str, float]
+    sides: int
+    obstacles: Sequence[CollisionPair] = ()
+
+
+def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: Object) -> Closing | None:
+    """Return how a gripper closes on an object, from open until the first finger touches it; None if none ever does.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        posture: joint values by name that bring its gripper to the object.
+        body: the object, which stays where it is.
+    """
+    gripper = arm.gripper
+    clone = clone_of(robot.world, "reach")
+    bodies = clone.sync()
+    engine, hand, target = clone.engine, bodies[robot.name], bodies[body.name]
+
+    def touches(share: float) -> bool:
+        engine.pose_joints(hand, gripper.at(share))
+        return any(
+            touch.distance < -_SLACK
+            for finger in gripper.fingers
+            for touch in engine.link_closest_points(hand, finger, target)
+        )
+
+    try:
+        engine.pose_joints(hand, {**robot.get_joint_positions(), **posture})
+        if gripper.suction:
+            at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
+            return Closing({}, 2) if at_cup else None
+        # something hollow may be touched on the way only: closed, the fingers would be within it
+        tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
+        stuck = next((share for share in tried if touches(share)), None)
+        if stuck is None:
+            return None
+        free = stuck + 1.0 / _CLOSING_STEPS
+        for _ in range(_CLOSING_HALVINGS):
+            share = (free + stuck) / 2
+            if touches(share):
+                stuck = share
+            else:
+                free = share
+        engine.pose_joints(hand, gripper.at(stuck))
+        position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
+        across = geometry.rotate(turn, (0.0, 1.0, 0.0))
+        sides = set()
+        for finger in gripper.fingers:
+            for touch in engine.link_closest_points(hand, finger, target, _REACH):
+                along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
+                sides |= {math.copysign(1.0, along)} if abs(along) > _ACROSS else set()
+        others = [other for other in robot.world.objects if other not in (robot, body) and _is_near(other, position)]
+        depths = _depths(engine, hand, gripper, {other: bodies[other.name] for other in others})
+    finally:
+        clone.invalidate(robot.name)
+    deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}
+    return Closing(gripper.at(stuck), len(sides), _pairs(robot, deep))
+
+
+def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Object, Body]) -> Depths:
+    """Return how deep fingers are in other objects."""
+    found: dict[tuple[str, Object, str], float] = {}
+    for finger in gripper.fingers:
+        for body, copy in others.items():
+            for touch in engine.link_closest_points(hand, finger, copy):
+                key = finger, body, touch.link_b
+                found[key] = max(found.get(key, 0.0), -touch.distance)
+    return found
+
+
+def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
+    return [
         CollisionPair(robot.name, finger, body.name, link if len(body.links) > 1 else "", depth)
-        for (finger, body, link), depth in sorted(stops.items(), key=lambda item: -item[1])
+        for (finger, body, link), depth in sorted(depths.items(), key=lambda item: -item[1])
     ]
-    return FingerMotion(gripper.at(free), free, pairs, gap)
 
 
 def _is_near(body: Object, tool: Sequence[float]) -> bool:

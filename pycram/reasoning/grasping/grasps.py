@@ -1,23 +1,25 @@
 """How a gripper can take an object: from which side, and where.
 
 Candidates come from ray casts at the object: from the front, the top, the left and the right where it fits between the
-fingers, else over its rim from the top. The gripper is turned with an object that lies across, and takes it in the
-middle between its fingers. A suction cup takes it where it is flat, opposite its middle. Which of them the arm takes is
-chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
+fingers, else over its rim from the top. The gripper is turned with an object that lies across or leans, and takes it in
+the middle between its fingers. A suction cup takes it where it is flat, opposite its middle. Which of them the arm
+takes is chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.convex import solids_of
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.grasping.sides import GRASPS, heading
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,6 +37,8 @@ _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
 _FLAT: Final = 0.002  # m that a surface may be uneven below a suction cup
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
+_LONG: Final = 2.0  # times as long as it is wide
+_LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,9 @@ class Grasp:
     width: float
 
 
-def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None) -> Sequence[Grasp]:
+def candidates(
+    body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None, *, off_center: bool = False
+) -> Sequence[Grasp]:
     """Return grasps of an object, best first.
 
     Args:
@@ -62,16 +68,77 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         robot: the robot; its heading says what is front.
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
+        off_center: something long from the top, between its middle and its ends; else everything in the middle.
     """
+    lean = leaning(body)
+    lying = body.get_orientation()
+    offsets = _along_length(body) if off_center else ((0.0, 0.0, 0.0),)
+    if off_center:
+        names = ("top",) if names is None or "top" in names else ()
+    found: list[Grasp] = []
+    if geometry.angle(lean, IDENTITY[1]) >= _LEANING:
+        caster = RayCaster(body, lean)
+        stood = geometry.product(geometry.conjugate(lean), lying)
+        for offset in offsets:
+            for grasp in _upright(caster, stood, robot, arm, names, offset):
+                away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
+                x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
+                turn = geometry.product(lean, grasp.orientation)
+                found.append(replace(grasp, position=(x, y, z), orientation=turn))
     caster = RayCaster(body)
-    facing, lying = heading(robot), body.get_orientation()
+    return [*found, *(grasp for offset in offsets for grasp in _upright(caster, lying, robot, arm, names, offset))]
+
+
+def _along_length(body: Object) -> Sequence[Vector]:
+    """Return offsets in its frame from the middle of something long to places between there and its ends, m."""
+    solids = solids_of(body.model.path)
+    size = solids.high.max(axis=0) - solids.low.min(axis=0)
+    longest = int(size.argmax())
+    if len(body.links) > 1 or size[longest] < _LONG * np.sort(size)[1]:
+        return ()
+    axis = np.eye(3)[longest] * size[longest] / 4
+    (x, y, z), (u, v, w) = axis.tolist(), (-axis).tolist()
+    return (x, y, z), (u, v, w)
+
+
+def leaning(body: Object) -> Quaternion:
+    """Return the rotation by which an object leans: from the vertical to the nearest of its axes."""
+    axes = [
+        geometry.rotate(body.get_orientation(), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    ]
+    x, y, z = max(axes, key=lambda axis: abs(axis[2]))
+    if z < 0.0:
+        x, y, z = -x, -y, -z
+    half = math.acos(min(1.0, z)) / 2
+    across = math.hypot(x, y)
+    if across == 0.0:
+        return IDENTITY[1]
+    return -y / across * math.sin(half), x / across * math.sin(half), 0.0, math.cos(half)
+
+
+def _upright(
+    caster: RayCaster,
+    lying: Quaternion | Sequence[float],
+    robot: Object,
+    arm: Arm,
+    names: Sequence[str] | None,
+    offset: Vector,
+) -> list[Grasp]:
+    """Return grasps of an object that stands upright, or is taken to, with an orientation; offset in its frame."""
+    facing = heading(robot)
+    dx, dy, _ = geometry.rotate(lying, offset)
+    x, y, z = caster.center
+    middle = (x + dx, y + dy, z)
     sides: list[list[tuple[str, Quaternion]]] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
             turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
             sides.append([(name, other) for other in (turn, *_along(turn, lying))])
     every = [option for options in sides for option in options]
-    fitting = _on_surface(caster, every, arm) if arm.gripper.suction else _between_fingers(caster, every, arm)
+    if arm.gripper.suction:
+        fitting = _on_surface(caster, every, arm)
+    else:
+        fitting = iter(_between_fingers(caster, every, arm, middle))
     found: list[Grasp] = []
     for options in sides:
         (_, turn), *_ = options
@@ -79,7 +146,8 @@ def candidates(body: Object, robot: Object, arm: Arm, names: Sequence[str] | Non
         if fit:  # as the robot stands, unless the object lies across
             widths = [grasp.width + (grasp.orientation != turn) * _FREE for grasp in fit]
             found.append(fit[widths.index(min(widths))])
-    if arm.gripper.fingers and all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
+    rims = arm.gripper.fingers and middle == caster.center and (names is None or "top" in names)
+    if rims and all(grasp.name != "top" for grasp in found):
         found.extend(_rims(caster, robot, arm))
     return found
 
@@ -98,14 +166,16 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         return
 
 
-def _between_fingers(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
+def _between_fingers(
+    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector
+) -> Iterator[Grasp | None]:
     """Yield for each side and orientation the grasp with the object centered between the fingers; None if too wide."""
     if not options:
         return
     gripper = arm.gripper
     scans, counts, floors = [], [], []
     for name, turn in options:
-        x, y, z = caster.center
+        x, y, z = middle
         if name != "top":
             z = max(z, caster.low[2] + gripper.underside)
         half = half_extent(caster.low, caster.high, geometry.rotate(turn, (1.0, 0.0, 0.0)))

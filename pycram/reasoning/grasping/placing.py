@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PlaceFailed
 from pycram.reasoning.collision.simulation_clone import clone_of
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,6 +19,8 @@ _ABOVE: Final = 0.05  # m by which the support may be higher than the target say
 _BELOW: Final = 0.10  # m by which it may be lower
 _STEP: Final = 0.005  # m between heights that are tried; thinner things than this are thick enough to stop a gripper
 _ACCURACY: Final = 2e-4  # m
+_ALONE: Final = 240  # steps in which an object falls that only the gripper held up
+_STILL: Final = (5e-3, math.radians(3))  # m, rad by which it may move then
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
 
 
@@ -68,3 +72,25 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
     finally:
         clone.invalidate(body.name)
     return x, y, high
+
+
+def stands_alone(body: Object) -> bool:
+    """Return whether an object stays where it is without robots and what they hold: tried for 1 s in a clone."""
+    without = [other for other in body.world.objects if not _root(other).is_robot]
+    clone = clone_of(body.world, "physics")
+    copies = clone.sync(without, holding=True)
+    try:
+        before = clone.engine.pose(copies[body.name])
+        clone.engine.step(_ALONE)
+        after = clone.engine.pose(copies[body.name])
+    finally:
+        clone.invalidate(*copies)
+    moved, turned = math.dist(before[0], after[0]), geometry.angle(before[1], after[1])
+    return moved < _STILL[0] and turned < _STILL[1]
+
+
+def _root(body: Object) -> Object:
+    """Return what carries an object in the end; itself if nothing does."""
+    while body.carrier is not None:
+        body = body.carrier
+    return body

@@ -33,6 +33,10 @@ def reachable(
     gripper_name: str,
     world: BulletWorld | None = None,
     threshold: float = THRESHOLD,
+    *,
+    orientation: Sequence[float] | None = None,
+    grasp: str | None = None,
+    collision_free: bool = False,
 ) -> Verdict:
     """Return whether a robot reaches an object or a position with a link (thesis 4.4.5).
 
@@ -42,11 +46,31 @@ def reachable(
         gripper_name: the link, mostly a tool frame.
         world: their world.
         threshold: m that the link may stay away.
+        orientation: xyzw that the link shall have there; any by default.
+        grasp: "front", "top", "left" or "right" instead: the orientation of the link for that side.
+        collision_free: also ask that nothing is in the way.
+
+    Raises:
+        BadArgument: both orientation and grasp are given.
     """
     target = unwrap(pose)
+    if grasp is not None and orientation is not None:
+        raise BadArgument("grasp", grasp, "either a grasp or an orientation")
     if isinstance(target, list | tuple) or hasattr(target, "__array__"):
-        return reachable_pose(target, robot, gripper_name, world, threshold)
-    return reachable_object(target, robot, gripper_name, world, threshold)
+        turn = orientation if grasp is None else grasp_orientation(grasp, robot)
+        return reachable_pose(
+            target, robot, gripper_name, world, threshold, orientation=turn, collision_free=collision_free
+        )
+    return reachable_object(
+        target,
+        robot,
+        gripper_name,
+        world,
+        threshold,
+        grasp=grasp,
+        orientation=orientation,
+        collision_free=collision_free,
+    )
 
 
 @query
@@ -58,6 +82,7 @@ def reachable_object(
     threshold: float = THRESHOLD,
     *,
     grasp: str | None = None,
+    orientation: Sequence[float] | None = None,
     collision_free: bool = False,
 ) -> Verdict:
     """Return whether a robot reaches an object with a link (thesis 4.4.5).
@@ -69,12 +94,14 @@ def reachable_object(
         world: their world.
         threshold: m that the link may stay away.
         grasp: "front", "top", "left" or "right"; any orientation by default.
+        orientation: xyzw that the link shall have instead.
         collision_free: also ask that nothing else is in the way.
 
     Returns:
         The answer; the evidence has the joints of the posture.
     """
-    orientation = None if grasp is None else grasp_orientation(grasp, robot)
+    if grasp is not None:
+        orientation = grasp_orientation(grasp, robot)
     ignored = [object] if collision_free else None
     return _reach(robot, gripper_name, center(object), orientation, threshold, ignored)
 

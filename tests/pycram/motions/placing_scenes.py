@@ -28,8 +28,22 @@ HEIGHTS: Final = {  # m: of the base frame above what an upright object stands o
     "bowl": 0.0365,
     "apple": 0.0428,
     "spoon": 0.0126,
+    "knife": 0.0075,
+    "fork": 0.0108,
 }
 TALL: Final = ("milk", "breakfast_cereal", "cup", "bottle", "glass")
+_HALF: Final = {  # m: half of their width
+    "milk": 0.036,
+    "breakfast_cereal": 0.05,
+    "cup": 0.046,
+    "bottle": 0.038,
+    "glass": 0.038,
+    "bowl": 0.073,
+    "spoon": 0.026,
+    "knife": 0.013,
+    "fork": 0.015,
+}
+NARROW: Final = ("spoon", "knife", "fork", "bowl", "glass")  # where they are held: fingers open far
 KINDS: Final = ("edge", "clutter", "slope", "bowl")
 _BOX: Final = (
     '<robot name="{name}"><link name="{name}"><visual><geometry><box size="{size}"/></geometry></visual>'
@@ -139,3 +153,26 @@ def random_placing(world: BulletWorld, folder: Path, seed: int) -> Placing:
             others.append(clutter)
     world.simulate(0.3)
     return Placing(body, [x, y, height], others)
+
+
+def beside_a_neighbour(world: BulletWorld, seed: int) -> Placing:
+    """A place on the table with something that stands 3 to 40 mm beside it, on any side."""
+    rng = np.random.default_rng(seed)
+    kind, other = str(rng.choice(NARROW)), str(rng.choice(TALL))
+    body = hold(world, kind, float(rng.uniform(-1.5, 1.5)))
+    x, y = float(rng.uniform(0.55, 0.68)), float(rng.uniform(0.0, 0.3))
+    way, gap = float(rng.uniform(-math.pi, math.pi)), float(rng.uniform(0.003, 0.04))
+    turn = geometry.from_rpy(0, 0, float(rng.uniform(-3, 3)))
+    away = _HALF[kind] + _HALF[other] + gap
+    at = [x + away * math.cos(way), y + away * math.sin(way), TOP + HEIGHTS[other] + 0.001]
+    neighbour = Object("neighbour", other, f"{other}.stl", at, turn)
+    world.simulate(0.3)
+    return Placing(body, [x, y, TOP + HEIGHTS[kind]], [neighbour])
+
+
+def finger_depth(world: BulletWorld, body: Object) -> float:
+    """How deep the left fingers are in an object, m; negative if they don't touch it."""
+    fingers = world.robot.description.arm("left").gripper.fingers
+    robot = world.robot.handle
+    touches = [t.distance for f in fingers for t in world.engine.link_closest_points(robot, f, body.handle, 0.05)]
+    return -min(touches, default=0.05)

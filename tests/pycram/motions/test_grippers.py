@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import Object
-from pycram.designator import MotionDesignator
 from pycram.failures import GripperBlocked
-from pycram.process_module import ProcessModule
 from recorder.records import Task
-from tests.pycram.motions.placing_scenes import box
+from tests.pycram.motions.placing_scenes import box, finger_depth, perform
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,18 +19,6 @@ if TYPE_CHECKING:
     from tests.conftest import MemorySink
 
 TOOL = "l_gripper_tool_frame"
-
-
-def perform(**slots: object) -> object:
-    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
-
-
-def overlap(world: BulletWorld, body: Object) -> float:
-    """How deep the left fingers are in an object, m."""
-    fingers = world.robot.description.arm("left").gripper.fingers
-    handles = world.robot.handle, body.handle
-    touches = [t.distance for f in fingers for t in world.engine.link_closest_points(handles[0], f, handles[1], 0.02)]
-    return -min(touches, default=1.0)
 
 
 def stretch_out(world: BulletWorld) -> tuple[float, float, float]:
@@ -45,10 +31,10 @@ def stretch_out(world: BulletWorld) -> tuple[float, float, float]:
 def test_fingers_that_open_stop_at_a_neighbour(scene: BulletWorld, sink: MemorySink) -> None:
     x, y, z = stretch_out(scene)
     bottle = Object("beside", "bottle", "bottle.stl", [x, y + 0.038 + 0.045, z])
-    assert overlap(scene, bottle) < 0
+    assert finger_depth(scene, bottle) < 0
     stood = bottle.get_position_and_orientation()
     opened = perform(type="opening-gripper", gripper="left")
-    assert overlap(scene, bottle) < 2e-3
+    assert finger_depth(scene, bottle) < 2e-3
     assert bottle.get_position_and_orientation() == stood
     assert 0.1 < opened.share < 0.9
     assert {pair.body for pair in opened.stopped_by} == {"beside"}
@@ -70,7 +56,7 @@ def test_fingers_that_close_stop_at_what_is_between_them(scene: BulletWorld) -> 
     glass = Object("between", "glass", "glass.stl", [x + 0.03, y, z])
     closed = perform(type="closing-gripper", gripper="left")
     assert 0.2 < closed.share < 1.0
-    assert overlap(scene, glass) < 2e-3
+    assert finger_depth(scene, glass) < 2e-3
     assert closed.stopped_by[0].body == "between"
     assert closed.released is None
 
@@ -99,7 +85,7 @@ def test_fingers_that_cannot_let_go_say_so_before_anything_changes(scene: Bullet
     for name, side in (("left_wall", 1), ("right_wall", -1)):
         Object(name, "environment", wall, [x, y + side * 0.2, z])
         body = scene.get_object(name)
-        while overlap(scene, body) < 2e-4:  # until the fingers, which close around the milk, just touch it
+        while finger_depth(scene, body) < 2e-4:  # until the fingers, which close around the milk, just touch it
             body.set_position([x, body.get_position()[1] - side * 1e-3, z])
     before = [(b.get_position_and_orientation(), b.get_joint_positions()) for b in scene.objects]
     with pytest.raises(GripperBlocked, match=r"can't let go of milk: l_gripper_\w+ would touch \w+_wall") as raised:

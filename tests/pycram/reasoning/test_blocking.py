@@ -22,7 +22,7 @@ from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pycram.reasoning.collision.simulation_clone import SimulationClone
 
@@ -67,8 +67,18 @@ def clutter(world: BulletWorld, seed: int) -> list[Object]:
 def by_brute_force(body: Object, robot: Object, link: str) -> tuple[str | None, tuple[float, ...]]:
     """The grasp that touches least, and what it costs; without a grasp if none is reached without self-collision."""
     arm = robot.description.arm_of(link)
+    found = cheapest(body, robot, link, grasps.candidates(body, robot, arm))
+    if found[0] is None or any(found[1][1:3]):  # something long may be taken beside its middle, if nothing is there
+        other = cheapest(body, robot, link, grasps.candidates(body, robot, arm, off_center=True))
+        found = other if other[0] is not None and not any(other[1][1:3]) else found
+    return found
+
+
+def cheapest(
+    body: Object, robot: Object, link: str, options: Sequence[grasps.Grasp]
+) -> tuple[str | None, tuple[float, ...]]:
+    arm = robot.description.arm_of(link)
     solver = Solver(robot, link)
-    options = grasps.candidates(body, robot, arm)
     targets = [(grasp.position, grasp.orientation, None) for grasp in options]
     found = solver.closed_form(targets)
     if not any(found):

@@ -265,3 +265,21 @@ def test_what_only_self_collision_reaches_is_out_of_reach_and_the_pick_up_says_w
     with pytest.raises(Blocked, match=r"its own l_.* would touch"):
         ProcessModule.perform(MotionDesignator([("type", "pick-up"), ("object", cup), ("arm", "left")]))
     assert robot.attachments == {}
+
+
+def test_reachable_takes_an_orientation_or_a_grasp(world: BulletWorld) -> None:
+    robot = Object("pr2", "robot", "pr2.urdf")
+    near, far = [0.7, 0.2, 0.9], [0.9, 0.2, 0.9]  # the hand reaches both, but can point down at neither of the far ones
+    cup = Object("cup", "cup", "cup.stl", far)
+    down = geometry.from_rpy(0, math.pi / 2, 0)
+    for target in (cup, far):
+        assert btr.reachable(target, robot, LEFT)
+        assert btr.reachable(target, robot, LEFT, grasp="front")
+        for asked in ({"grasp": "top"}, {"orientation": down}):
+            assert not btr.reachable(target, robot, LEFT, **asked)
+    table = Object("table", "environment", "kitchen.urdf", [0.0, 0.0, 0.0])
+    assert not btr.reachable([1.45, 0.89, 0.72], robot, LEFT, collision_free=True)
+    table.remove()
+    assert btr.reachable(near, robot, LEFT, orientation=[0, 0, 0, 1], collision_free=True)
+    with pytest.raises(BadArgument, match="either a grasp or an orientation"):
+        btr.reachable(cup, robot, LEFT, grasp="top", orientation=down)

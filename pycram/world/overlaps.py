@@ -1,0 +1,45 @@
+"""Overlaps: objects that are inside of each other, as no real ones can be."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from recorder import records
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pycram.world.object import Object
+
+DEEP: Final = 5e-3
+"""m of overlap that doesn't come from how solvers let things rest on each other."""
+
+
+class Overlapping(UserWarning):
+    """An object was loaded inside of others; when time runs, the engine throws them apart, or jams them."""
+
+
+def depth(body: Object, other: Object) -> float:
+    """Return how deep an object is in another, m; 0 if not at all."""
+    points = body.world.engine.closest_points(body.handle, other.handle)
+    return max((-point.distance for point in points), default=0.0)
+
+
+def overlaps(body: Object) -> list[records.Overlap]:
+    """Return where an object is deep in others, once for each; what is fixed may be built into each other."""
+    found = []
+    for other in body.world.objects:
+        if other is body or (body.fixed and other.fixed):
+            continue
+        points = body.world.engine.closest_points(body.handle, other.handle)
+        deepest = min(points, key=lambda point: point.distance, default=None)
+        if deepest is not None and deepest.distance < -DEEP:
+            links = {"link": deepest.link_a, "body": other.name, "body_link": deepest.link_b}
+            found.append(records.Overlap(**links, depth=-deepest.distance))
+    return found
+
+
+def warning(body: str, found: Sequence[records.Overlap]) -> str:
+    """Return in words that an object was loaded inside of others."""
+    others = ", ".join(f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in found)
+    return f"{body} is {others}; world.settle() lifts free objects apart before it simulates"

@@ -1,0 +1,153 @@
+"""What pick-up takes is held on both sides, also what leans; what can't be taken is refused with the true reason."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import Blocked, GraspFailed, PlanFailure
+from recorder import geometry
+from tests.measures import seeded
+from tests.pycram.motions.placing_scenes import TOP, at_table, perform
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+KINDS = (
+    "milk",
+    "breakfast_cereal",
+    "cup",
+    "bottle",
+    "glass",
+    "bowl",
+    "apple",
+    "spoon",
+    "fork",
+    "knife",
+    "plate",
+    "pot",
+)
+FINGERS = [f"l_gripper_{side}_finger{part}_link" for side in "lr" for part in ("", "_tip")]
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BulletWorld]:
+    with at_table(tmp_path_factory.mktemp("models")) as world:
+        yield world
+
+
+def gaps(world: BulletWorld, body: Object) -> dict[str, float]:
+    """How far the left and the right finger are from an object, m."""
+    found: dict[str, float] = {}
+    for link in FINGERS:
+        side = link.split("_")[2]
+        for touch in world.engine.link_closest_points(world.robot.handle, link, body.handle, 0.1):
+            found[side] = min(found.get(side, 1.0), touch.distance)
+    return found
+
+
+@pytest.mark.parametrize("kind", ["cup", "bowl"])
+@pytest.mark.parametrize("degrees", [15, 25, 35])
+@pytest.mark.parametrize("way", [0.5, 2.5, -2.0])
+def test_what_leans_is_taken_as_it_leans(table: BulletWorld, kind: str, degrees: int, way: float) -> None:
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    lean = geometry.product(geometry.from_rpy(0, 0, way), geometry.from_rpy(math.radians(degrees), 0, 0))
+    body = Object("thing", kind, f"{kind}.stl", [0.62, 0.2, TOP + 0.12], lean)
+    try:
+        perform(type="pick-up", object=body, arm="left")
+        assert gaps(table, body) == {"l": pytest.approx(0, abs=5e-3), "r": pytest.approx(0, abs=5e-3)}
+        assert geometry.angle(body.get_orientation(), lean) < 1e-6
+    finally:
+        body.remove()
+
+
+def test_what_moves_says_so_and_no_time_passes(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    milk.set_position([1.3, 1.0, 1.2])
+    scene.simulate(0.1)
+    with pytest.raises(GraspFailed, match=r"it moves, with 0\.98 m/s .* world\.settle\(\) waits"):
+        perform(type="pick-up", object=milk, arm="left")
+    assert scene.settle()
+    milk.set_position_and_orientation([1.3, 1.0, 0.947], [0, 0, 0, 1])
+    assert scene.settle()
+    steps = scene.sim_step
+    perform(type="pick-up", object=milk, arm="left")
+    assert scene.sim_step == steps
+
+
+def test_what_is_inside_of_something_says_so(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    x, y, z = milk.get_position()
+    scene.get_object("bowl").set_position([x, y + 0.03, z - 0.05])
+    with pytest.raises(GraspFailed, match=r"it is \d+ mm inside of bowl"):
+        perform(type="pick-up", object=milk, arm="left")
+    assert milk.carrier is None
+
+
+def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
+    lean = list(geometry.from_rpy(math.radians(20), 0, 0))
+    pot = Object("pot", "pot", "pot.stl", [1.3, 0.9, 1.1], lean)
+    with pytest.raises(GraspFailed, match="as it leans, by 20 degrees, it is too big for the gripper"):
+        perform(type="pick-up", object=pot, arm="left", grasp="front")
+
+
+def test_what_lies_between_the_fingers_too_is_in_the_way(table: BulletWorld) -> None:
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    knife = Object("thing", "knife", "knife.stl", [0.62, 0.2, TOP + 0.01])
+    fork = Object("fork", "fork", "fork.stl", [0.62, 0.222, TOP + 0.012])
+    try:
+        assert table.settle()
+        with pytest.raises(Blocked, match=r"l_gripper_\w+ would touch fork"):
+            perform(type="pick-up", object=knife, arm="left", grasp="top")
+        fork.remove()
+        perform(type="pick-up", object=knife, arm="left", grasp="top")
+    finally:
+        for body in (knife, fork):
+            if body.alive:
+                body.remove()
+
+
+@seeded("taken and still held", range(120), 12)
+def test_what_was_taken_is_still_in_the_hand_half_a_second_later(tmp_path: Path, seeds: range) -> None:
+    taken = 0
+    with at_table(tmp_path) as world:
+        for seed in seeds:
+            body = lying_about(world, seed)
+            try:
+                perform(type="pick-up", object=body, arm="left")
+            except PlanFailure:
+                assert body.carrier is None
+                continue
+            else:
+                taken += 1
+                assert set(gaps(world, body)) == {"l", "r"}
+                assert max(gaps(world, body).values()) < 6e-3, (seed, gaps(world, body))
+                held = in_hand(world, body)
+                world.simulate(0.5)
+                later = in_hand(world, body)
+                assert math.dist(held[0], later[0]) < 1e-3, seed
+                assert geometry.angle(held[1], later[1]) < math.radians(0.5), seed
+            finally:
+                perform(type="move-arm-joints", left_arm="park")
+                body.remove()
+    assert taken > len(seeds) / 2
+
+
+def lying_about(world: BulletWorld, seed: int) -> Object:
+    """A household thing that was dropped onto the table, and has come to rest."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[seed % len(KINDS)]
+    turn = geometry.from_rpy(*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3))
+    body = Object("thing", kind, f"{kind}.stl", [*rng.uniform([0.55, 0.0], [0.7, 0.35]), TOP + 0.2], turn)
+    world.settle()
+    return body
+
+
+def in_hand(world: BulletWorld, body: Object) -> geometry.Pose:
+    tool = world.robot.get_link_position_and_orientation("l_gripper_tool_frame")
+    return geometry.multiply(geometry.invert(tool), body.get_position_and_orientation())

@@ -1,0 +1,166 @@
+"""place looks at the outcome: it has succeeded where the object stands at its target, and only there."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.bullet_world import Object
+from pycram.failures import PlaceFailed, PlanFailure
+from recorder import geometry
+from recorder.records import Task
+from tests.measures import seeded
+from tests.pycram.motions.placing_scenes import (
+    HEIGHTS,
+    TOP,
+    at_table,
+    beside_a_neighbour,
+    box,
+    fall,
+    finger_depth,
+    hold,
+    perform,
+    random_placing,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from pycram.bullet_world import BulletWorld
+    from tests.conftest import MemorySink
+
+STANDS_AT = (0.02, 10.0)  # m from the target, degrees from upright
+STABLE = (0.01, 5.0)  # m, degrees within 2 s
+CLEARLY = 0.018  # m from the target: no success is a mistake
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BulletWorld]:
+    with at_table(tmp_path_factory.mktemp("models")) as world:
+        yield world
+
+
+def test_what_falls_over_is_no_success(table: BulletWorld, tmp_path: Path, sink: MemorySink) -> None:
+    milk = hold(table, "milk", 0.0)
+    lean = geometry.from_rpy(math.radians(35), 0, 0)
+    ramp = Object("ramp", "environment", box(tmp_path, "ramp", (0.24, 0.24, 0.02)), [0.62, 0.1, TOP + 0.08], lean)
+    target = [0.62, 0.1, TOP + 0.1 + HEIGHTS["milk"]]
+    try:
+        with pytest.raises(
+            PlaceFailed, match=r"thing doesn't stand at .*: it came to rest 0\.\d+ m from there, it leans by \d+"
+        ) as raised:
+            perform(type="place", object=milk, target=target, arm="left")
+        failure = raised.value
+        assert failure.wanted is not None
+        assert failure.rest is not None
+        assert failure.wanted[0] == pytest.approx(target, abs=0.05)
+        assert failure.rest[0] == pytest.approx(milk.get_position()), "where it came to rest"
+        assert failure.rest[1] == pytest.approx(milk.get_orientation())
+        assert math.dist(failure.wanted[0], failure.rest[0]) > 0.02
+        assert "ramp" in {pair.body for pair in failure.touching}
+        assert milk.carrier is None
+        table.simulate(1.0)
+        assert milk.get_position() == pytest.approx(failure.rest[0], abs=1e-3), "it waited until it lay still"
+    finally:
+        milk.remove()
+        ramp.remove()
+    task = [r for r in sink.records if isinstance(r, Task) and r.HasField("failure")][-1]
+    data = {argument.name: json.loads(argument.json) for argument in task.failure.data}
+    assert data["rest"] == [list(part) for part in failure.rest]
+    assert "ramp" in {pair["body"] for pair in data["touching"]}
+
+
+def test_an_orientation_that_was_asked_for_is_looked_at(table: BulletWorld, tmp_path: Path) -> None:
+    ramp_file = box(tmp_path, "ramp", (0.3, 0.3, 0.02))
+    cereal = hold(table, "breakfast_cereal", 0.0)
+    ramp = None
+    try:
+        turn = geometry.from_rpy(0, 0, geometry.angle((0, 0, 0, 1), cereal.get_orientation()))
+        perform(type="place", object=cereal, target=[0.62, 0.1, TOP + 0.115], orientation=turn, arm="left")
+        assert geometry.angle(cereal.get_orientation(), turn) < math.radians(2)
+        perform(type="move-arm-joints", left_arm="park")
+        perform(type="pick-up", object=cereal, arm="left")
+        lean = geometry.from_rpy(0, math.radians(14), 0)
+        ramp = Object("ramp", "environment", ramp_file, [0.62, 0.1, TOP + 0.05], lean)
+        with pytest.raises(PlaceFailed, match=r"it leans by 1\d degrees; it touches .*ramp") as raised:
+            perform(type="place", object=cereal, target=[0.62, 0.1, TOP + 0.19], orientation=turn, arm="left")
+        assert raised.value.orientation == pytest.approx(turn)
+    finally:
+        cereal.remove()
+        if ramp is not None:
+            ramp.remove()
+
+
+def test_what_is_in_the_way_is_named_and_nothing_changes(table: BulletWorld, tmp_path: Path) -> None:
+    milk = hold(table, "milk", 0.0)
+    wall = box(tmp_path, "wall", (0.02, 0.5, 0.5))
+    walls = [Object(f"wall_{x}", "environment", wall, [x, 0.1, TOP + 0.25]) for x in (0.56, 0.68)]
+    try:
+        before = [(b.get_position_and_orientation(), b.get_joint_positions()) for b in table.objects]
+        steps = table.sim_step
+        with pytest.raises(PlaceFailed, match=r"can't be placed at .*: .*\w+ would touch wall_0\.56") as raised:
+            perform(type="place", object=milk, target=[0.62, 0.1, TOP + HEIGHTS["milk"]], arm="left")
+        assert {pair.body for pair in raised.value.pairs} >= {"wall_0.56"}
+        assert raised.value.rest is None
+        assert [(b.get_position_and_orientation(), b.get_joint_positions()) for b in table.objects] == before
+        assert table.sim_step == steps
+        assert milk.carrier is table.robot
+    finally:
+        for body in (milk, *walls):
+            body.remove()
+
+
+@seeded("placings beside a neighbour", range(50), 10)
+def test_a_neighbour_stays_where_it_stands(tmp_path: Path, seeds: range) -> None:
+    placed = 0
+    with at_table(tmp_path) as world:
+        for seed in seeds:
+            placing = beside_a_neighbour(world, seed)
+            (neighbour,) = placing.others
+            stood = neighbour.get_position_and_orientation()
+            try:
+                perform(type="place", object=placing.body, target=placing.target, arm="left")
+                placed += 1
+            except PlanFailure:
+                pass
+            stands = neighbour.get_position_and_orientation()
+            assert math.dist(stood[0], stands[0]) < 2e-3, seed
+            assert geometry.angle(stood[1], stands[1]) < math.radians(2), seed
+            assert finger_depth(world, neighbour) < 2e-3, seed
+            placing.remove()
+    assert placed >= len(seeds) / 2
+
+
+@seeded("places that are hard to stand at", range(300), 20)
+def test_success_is_where_it_stands_and_failure_where_it_does_not(tmp_path: Path, seeds: range) -> None:
+    ends = {"stands": 0, "fell": 0, "refused": 0}
+    with at_table(tmp_path) as world:
+        for seed in seeds:
+            placing = random_placing(world, tmp_path, seed)
+            failure: PlanFailure | None = None
+            try:
+                perform(type="place", object=placing.body, target=placing.target, arm="left")
+            except PlanFailure as error:
+                failure = error
+            if placing.body.carrier is not None:
+                assert failure is not None
+                ends["refused"] += 1
+                placing.remove()
+                continue
+            off, tilt = placing.off(), placing.tilt()
+            moved, turned = fall(world, placing.body)
+            stable = moved <= STABLE[0] and turned <= STABLE[1]
+            if failure is None:
+                ends["stands"] += 1
+                assert off <= STANDS_AT[0], (seed, off)
+                assert tilt <= STANDS_AT[1], (seed, tilt)
+                assert stable, (seed, moved, turned)
+            else:
+                ends["fell"] += 1
+                assert off > CLEARLY or tilt > STANDS_AT[1] or not stable, (seed, failure)
+            placing.remove()
+    assert min(ends.values()) > 0, "all three are tried"

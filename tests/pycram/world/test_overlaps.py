@@ -1,0 +1,63 @@
+"""What is loaded inside of something else is warned of, and told in its record; settling lifts it out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.world.overlaps import Overlapping
+from recorder.records import Mutation
+from recorder.records.text import mutation_text
+from replay.restore.verify import verify
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.conftest import MemorySink
+
+
+def loaded(sink: MemorySink, name: str) -> Mutation:
+    (record,) = [r for r in sink.of(Mutation) if r.HasField("load_body") and r.load_body.body == name]
+    return record
+
+
+def test_overlapping_things_are_warned_of_when_they_are_loaded(world: BulletWorld, sink: MemorySink) -> None:
+    Object("spoon", "spoon", "spoon.stl", [1.4, 0.8, 1])
+    with pytest.warns(Overlapping, match=r"bowl is \d+ mm inside of spoon; world\.settle\(\) lifts") as warned:
+        Object("bowl", "bowl", "bowl.stl", [1.3, 0.8, 1])
+    assert warned[0].filename == __file__
+    record = loaded(sink, "bowl")
+    (overlap,) = record.load_body.overlaps
+    assert (overlap.link, overlap.body, overlap.body_link) == ("bowl", "spoon", "spoon")
+    assert overlap.depth > 0.005
+    assert mutation_text(record).endswith("mm inside of spoon")
+    assert not loaded(sink, "spoon").load_body.overlaps
+
+
+def test_what_touches_or_is_built_in_is_not_warned_of(scene: BulletWorld, sink: MemorySink) -> None:
+    x, y, z = scene.get_object("milk").get_position()
+    Object("on it", "cup", "cup.stl", [x, y, z + 0.1 + 0.048])
+    Object("built in", "environment", "kitchen.urdf")
+    assert [list(r.load_body.overlaps) for r in sink.of(Mutation) if r.HasField("load_body")] == [[], []]
+
+
+def test_settling_lifts_the_later_one_out_and_both_come_to_rest(tmp_path: Path) -> None:
+    file = tmp_path / "overlap.mcap"
+    with recorder.record(file), BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("floor", "environment", "plane.urdf")
+        spoon = Object("spoon", "spoon", "spoon.stl", [0.1, 0, 0.1])
+        with pytest.warns(Overlapping):
+            bowl = Object("bowl", "bowl", "bowl.stl", [0, 0, 0.1])
+        assert world.settle()
+        assert max(-t.distance for t in world.engine.closest_points(spoon.handle, bowl.handle, 0.05)) < 2e-3
+        assert spoon.get_position() == pytest.approx([0.1, 0, 0.01], abs=0.01), "it fell where it was"
+        before = bowl.get_position()
+        world.simulate(1.0)
+        assert bowl.get_position() == pytest.approx(before, abs=2e-3)
+    with replay.open(file) as log:
+        assert verify(log).problem is None
