@@ -1,11 +1,14 @@
-"""Sets the table: the thesis' pick-and-place plan (5.1), on a PR2 in a kitchen.
+"""Sets the table: the thesis' pick-and-place plan (5.1), on a PR2 in a kitchen, or on another robot.
 
 Milk, bowl and cereal stand on the counter, the spoon lies in a drawer. The robot carries each to the kitchen island;
-whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Run it with
-``pycram demo``, or record any variation of it with ``pycram run my_plan.py``.
+whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Arms that are
+bolted down have the same things on a table, and carry them to its other side. Run it with ``pycram demo``, on another
+robot with ``pycram demo --robot panda``, or record any variation of it with ``pycram run my_plan.py``.
 """
 
 from __future__ import annotations
+
+import argparse
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
@@ -13,32 +16,58 @@ from pycram.designator import MotionDesignator
 from pycram.language import par
 from pycram.process_module import ProcessModule
 
+ROBOTS = ("pr2", "tiago_pro", "panda", "ur5")
+BOLTED_DOWN = ("panda", "ur5")
+
 COUNTER = ([0.65, 0.7, 0], [0, 0, 0, 1])
+COUNTERS = {"tiago_pro": ([0.55, 0.9, 0], [0, 0, 0, 1])}  # where else a robot stands there
 ISLAND = ([-0.3, 1, 0], [0, 0, 1, 0])
 
-# goal and arm for each type of object
+# goal and arm for each type of object: in the kitchen, and on a table, where a robot has one arm
 TARGETS = {
     "milk": ([-0.8, 1, 0.93], "left"),
     "bowl": ([-0.8, 1.2, 0.9], "right"),
     "cereal": ([-1, 1, 0.94], "right"),
     "spoon": ([-0.8, 1.2, 0.94], "right"),
 }
+TARGETS_ON_TABLE = {
+    "milk": ([0.45, 0.4, 0.82], ""),
+    "bowl": ([0.5, 0.15, 0.75], ""),
+    "cereal": ([0.3, 0.45, 0.84], ""),
+    "spoon": ([0.5, 0.15, 0.78], ""),
+}
 
 
-def build_scene() -> Object:
-    """Loads floor, robot, kitchen and objects (Listing 5.1); returns the kitchen."""
+def build_scene(robot: str = "pr2") -> Object:
+    """Loads floor, robot, furniture and objects (Listing 5.1); returns the furniture."""
     world = BulletWorld()
     world.set_gravity([0, 0, -9.8])
     Object("floor", "environment", "plane.urdf")
-    robot = Object("pr2", "robot", "pr2.urdf")
+    if robot in BOLTED_DOWN:
+        return build_table(world, robot)
+    body = Object(robot, "robot", f"{robot}.urdf")
     kitchen = Object("kitchen", "environment", "kitchen.urdf")
     Object("milk", "milk", "milk.stl", [1.45, 1, 1])
     Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])
     Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
     Object("bowl", "bowl", "bowl.stl", [1.3, 0.98, 1])  # before the milk
-    BulletWorld.robot = robot
+    BulletWorld.robot = body
     world.simulate(0.5)  # everything comes to rest where it was put
     return kitchen
+
+
+def build_table(world: BulletWorld, robot: str) -> Object:
+    """Loads a table with a robot that is bolted to it, and the objects; returns the table."""
+    table = Object("table", "environment", "table.urdf")
+    BulletWorld.robot = body = Object(robot, "robot", f"{robot}.urdf", [0, 0, 0.72])
+    for arm in body.description.arms.values():  # as it is loaded, it may lie where the objects come
+        body.set_joint_positions(arm.posture("park"))
+    Object("milk", "milk", "milk.stl", [0.62, -0.25, 0.83])
+    Object("spoon", "spoon", "spoon.stl", [0.3, -0.45, 0.74])
+    Object("cereal", "cereal", "breakfast_cereal.stl", [0.45, -0.5, 0.85])
+    Object("bowl", "bowl", "bowl.stl", [0.46, -0.25, 0.76])  # before the milk
+    world.simulate(0.5)
+    return table
 
 
 def perform(**slots: object) -> object:
@@ -46,12 +75,26 @@ def perform(**slots: object) -> object:
     return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
 
 
+def park() -> None:
+    """Folds the arms, however many there are."""
+    perform(type="move-arm-joints", **{f"{arm}_arm": "park" for arm in BulletWorld.robot.description.arms})
+
+
 def go(place: tuple[list[float], list[float]]) -> None:
-    """Drives somewhere with parked arms."""
+    """Drives somewhere with parked arms, if the robot drives."""
     position, orientation = place
     with par:
-        perform(type="move-arm-joints", left_arm="park", right_arm="park")
-        perform(type="moving", target=position, orientation=orientation)
+        park()
+        if BulletWorld.robot.description.drives:
+            perform(type="moving", target=position, orientation=orientation)
+
+
+def find(known: Object) -> Object:
+    """Looks at an object and detects it, if the robot has a camera."""
+    if BulletWorld.robot.description.camera is None:
+        return perform(type="world-state-detecting", object=known.type)
+    perform(type="looking", object=known)
+    return perform(type="detecting", object=known.type)
 
 
 def open_drawer(kitchen: Object) -> None:
@@ -67,51 +110,62 @@ def open_drawer(kitchen: Object) -> None:
     perform(type="move-arm-joints", left_arm="park")
 
 
-def move_object(object_type: str, kitchen: Object) -> None:
+def targets() -> dict[str, tuple[list[float], str]]:
+    """Returns goal and arm for each type of object, for this robot."""
+    description = BulletWorld.robot.description
+    if description.drives:
+        return TARGETS
+    (arm,) = description.arms
+    return {kind: (goal, arm) for kind, (goal, _) in TARGETS_ON_TABLE.items()}
+
+
+def move_object(object_type: str, furniture: Object) -> None:
     """Carries an object to its place, and whatever blocks it before it (Listings 5.3-5.5)."""
-    target, arm = TARGETS[object_type]
+    target, arm = targets()[object_type]
     robot = BulletWorld.robot
     gripper = robot.description.arm(arm).tool_frame
+    counter = COUNTERS.get(robot.name, COUNTER)
     known = BulletWorld.current_bullet_world.get_objects_by_type(object_type)[0]
 
     print(f"{object_type}: fetching it with the {arm} arm")
-    go(COUNTER)
-    if object_type == "spoon":
-        open_drawer(kitchen)
-    perform(type="looking", object=known)
-    found = perform(type="detecting", object=object_type)
+    go(counter)
+    if object_type == "spoon" and furniture.name == "kitchen":
+        open_drawer(furniture)
+    found = find(known)
 
     blocking = [body for body in btr.blocking(found, robot, gripper) if body.type != "environment"]
     if blocking:
         print(f"{object_type}: {blocking[0].type} is in the way and goes first")
-        move_object(blocking[0].type, kitchen)
-        go(COUNTER)
+        move_object(blocking[0].type, furniture)
+        go(counter)
     perform(type="pick-up", object=found, arm=arm)
     go(ISLAND)
 
     if not btr.reachable_pose(target, robot, gripper):
         raise btr.ReasoningError(f"the place for {object_type} is out of reach")
     perform(type="place", object=found, target=target, arm=arm)
-    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    park()
     if not btr.stable(found):
         raise btr.ReasoningError(f"{object_type} doesn't stand safely")
     print(f"{object_type}: placed at", [round(x, 3) for x in found.get_position()])
 
 
-def set_table(kitchen: Object) -> None:
+def set_table(furniture: Object) -> None:
     """Carries everything to its place."""
-    for object_type, (target, _) in TARGETS.items():
+    for object_type, (target, _) in targets().items():
         body = BulletWorld.current_bullet_world.get_objects_by_type(object_type)[0]
         away = max(abs(a - b) for a, b in zip(body.get_position(), target, strict=True))
         if away > 0.1:  # the way of another one may have led over it
-            move_object(object_type, kitchen)
+            move_object(object_type, furniture)
 
 
-def main() -> None:
-    set_table(build_scene())
+def main(robot: str = "pr2") -> None:
+    set_table(build_scene(robot))
     print("the table is set")
     BulletWorld.current_bullet_world.exit()
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description="Sets the table.")
+    parser.add_argument("--robot", choices=ROBOTS, default="pr2")
+    main(parser.parse_args().robot)

@@ -1,4 +1,4 @@
-"""The command line: ``pycram demo`` and ``pycram run PLAN.py``; any plan is recorded without editing it."""
+"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
+from pycram.models import robot_urdfs
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
     from recorder import Recording
 
+_WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
 _SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
@@ -50,9 +52,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     options, unknown = parser.parse_known_args(given)
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
+    if options.command == "describe":
+        return _describe(options)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
+    if options.command == "demo" and options.robot:
+        if options.name != _WITH_ROBOTS:
+            parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
+        arguments = ["--robot", options.robot, *arguments]
     log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
     return run(plan, log, arguments, options.rerun)
 
@@ -64,20 +72,40 @@ def _parser() -> argparse.ArgumentParser:
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
+    robots = sorted(Path(name).stem for name in robot_urdfs.NAMES)
+    demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {_WITH_ROBOTS} (default: pr2)")
     plan = commands.add_parser(
         "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
     )
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
-    for command in (demo, plan):
-        command.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
-        command.add_argument(
+    for recorded in (demo, plan):
+        recorded.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
+        recorded.add_argument(
             "--rerun",
             metavar="VIEWER",
             type=_viewer,
             help="show it live: --rerun opens a viewer, --rerun=connect or =connect:URL uses a running one, "
             "--rerun=serve serves a page for the browser",
         )
+    describe = commands.add_parser(
+        "describe",
+        help="describe a robot",
+        description="Writes a first description of a robot, guessed from its URDF, to stdout; or checks a description.",
+    )
+    describe.add_argument("file", nargs="?", metavar="ROBOT.urdf", help="a URDF, or the name of a robot in the box")
+    describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
+    describe.add_argument("--picture", metavar="FILE", type=Path, help="also write a picture of the robot, parked")
     return parser
+
+
+def _describe(options: argparse.Namespace) -> int:
+    try:
+        from pycram.describing import command  # noqa: PLC0415  needs the engine
+
+        return command.run(options)
+    except NotInstalled as error:
+        print(f"pycram: {error}", file=sys.stderr)
+        return _WRONG_USAGE
 
 
 def _viewer(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Make everything in this folder from numbers: the kitchen, the floor and the household objects.
+"""Make everything in this folder from numbers: kitchen, floor, table, gripper and household objects.
 
 Run ``python resources/make_resources.py`` to write the files beside this script, or ``--into DIR`` to write them
 elsewhere. Running it again gives the same bytes. ``make/thing.py`` says which files an object has and how they are to
@@ -13,7 +13,9 @@ from pathlib import Path
 from make import crockery, cutlery, packages
 from make.files import write_text, write_things
 from make.floor import floor
+from make.gripper import two_finger_gripper
 from make.kitchen import kitchen
+from make.table import table
 
 THINGS = (
     packages.milk,
@@ -41,6 +43,8 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "kitchen.urdf", kitchen())
     write_text(folder / "plane.urdf", floor())
+    write_text(folder / "table.urdf", table())
+    write_text(folder / "two_finger_gripper.urdf", two_finger_gripper())
     write_things([make() for make in THINGS], folder)
 
 

@@ -68,6 +68,44 @@ def test_the_demo_sets_the_table_and_records_it(tmp_path: Path) -> None:
         assert attached == ["bowl", "milk", "cereal", "spoon"], "what blocks goes first"
 
 
+ON_TABLE = {
+    "milk": [0.45, 0.4, 0.82],
+    "bowl": [0.5, 0.15, 0.75],
+    "cereal": [0.3, 0.45, 0.84],
+    "spoon": [0.5, 0.15, 0.78],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robot", "goals"), [("tiago_pro", GOALS), ("panda", ON_TABLE), ("ur5", ON_TABLE)])
+def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals: dict[str, list[float]]) -> None:
+    ended = pycram("demo", "--robot", robot, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    file = tmp_path / "set_the_table.mcap"
+    with replay.open(file) as log:
+        closing = next(r.seq for r in log.records(Mutation) if r.WhichOneof("command") == "close_world")
+        world = log.state_at(closing - 1).world()
+        for name, goal in goals.items():
+            body = world.body(name)
+            assert math.dist(body.position, goal) < 0.03, name
+            assert geometry.rotate(body.orientation, (0.0, 0.0, 1.0))[2] > math.cos(math.radians(5)), name
+        assert not world.attachments
+        assert world.robot == robot
+        stable = [json.loads(record.answer_json) for record in log.records(Query) if record.name == "stable"]
+        assert stable == [True] * 4
+    verified = subprocess.run(
+        [sys.executable, "-m", "replay", "verify", str(file)], cwd=REPO, capture_output=True, text=True, check=False
+    )
+    assert verified.returncode == 0, verified.stdout + verified.stderr
+
+
+def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:
+    ended = pycram("demo", "fails_to_reach", "--robot", "panda", cwd=tmp_path)
+    assert ended.returncode == 2
+    assert "--robot goes with the demo set_the_table" in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_the_failing_demo_records_its_failure(tmp_path: Path) -> None:
     ended = pycram("demo", "fails_to_reach", "--log", "fails.mcap", cwd=tmp_path)

@@ -81,7 +81,7 @@ def holding(robot: Object, arm: str | None = None) -> Fluent:
 
     Args:
         robot: The robot, or any other object that carries things.
-        arm: One of its arms ("left", "right"); by default all its links.
+        arm: The name of one of its arms; by default all its links.
 
     Raises:
         BadArgument: It isn't an object, or has no arms.
@@ -209,4 +209,4 @@ def _gripper(robot: Object, arm: str) -> frozenset[str]:
     if robot.description is None:
         raise BadArgument("robot", robot, "a robot with arms")
     described = robot.description.arm(arm)
-    return frozenset((described.tool_frame, described.gripper.palm, *described.gripper.fingers))
+    return frozenset(described.links()) - {described.base_link}

@@ -34,6 +34,7 @@ __all__ = [
     "InCollision",
     "JointLimitError",
     "LookingFailed",
+    "MissingPart",
     "NoWorld",
     "NotDrivable",
     "PerceptionError",
@@ -302,6 +303,20 @@ class PostureInCollision(PlanFailure):
         self.arms = list(arms)
         self.bodies = list(bodies)
         self.pairs = list(pairs)
+
+
+class MissingPart(PlanFailure):
+    """A robot doesn't have a part that a motion needs; another arm or another robot may.
+
+    Attributes:
+        owner: the robot, or its arm.
+        part: what is missing: "gripper", "camera".
+    """
+
+    def __init__(self, owner: str, part: str) -> None:
+        super().__init__(f"the {owner} has no {part}, says its description")
+        self.owner = owner
+        self.part = part
 
 
 class LookingFailed(PlanFailure):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import canonical, mesh, packages as packages_of, store
+from pycram.models import canonical, mesh, packages as packages_of, robot_urdfs, store
 from pycram.models.files import parse_urdf, read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
@@ -59,7 +59,7 @@ def find(path: str | Path) -> Path:
 
     Args:
         path: A file; a bare name that isn't in the working directory is looked for among PyCRAM's resources, and
-            ``pr2.urdf`` is the PR2 of example-robot-data.
+            ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` and ``ur5.urdf`` are robots of example-robot-data.
 
     Raises:
         BadArgument: It isn't a path.
@@ -73,15 +73,13 @@ def find(path: str | Path) -> Path:
     if given.exists():
         raise AssetError(path, "is not a file")
     if given.name == str(path):
-        if given.name == "pr2.urdf":
-            from pycram.models.robot_urdfs import pr2_urdf  # noqa: PLC0415  only for the robot
-
-            return pr2_urdf()
+        if given.name in robot_urdfs.NAMES:
+            return robot_urdfs.robot_urdf(given.name, resources())
         shipped = resources() / given
         if shipped.is_file():
             return shipped
     known = sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))
-    raise AssetError(path, f"no such file; PyCRAM's own are pr2.urdf, {', '.join(known)}")
+    raise AssetError(path, f"no such file; PyCRAM's own are {', '.join([*robot_urdfs.NAMES, *known])}")
 
 
 def load(path: str | Path, color: Sequence[float] | None = None, packages: Sequence[str | Path] = ()) -> Model:

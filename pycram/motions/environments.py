@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
 from pycram.foundation.names import export
+from pycram.models.robots.description import why_none
 from pycram.scheduling.cancellation import Binding
 
 if TYPE_CHECKING:
@@ -56,17 +57,20 @@ class NoProcessModule(UsageError):
         robot: Name of the robot.
         environment: The execution environment.
         known: The ``cmd`` of each of its modules.
+        undescribed: Why the robot has no description, without which it has no modules of PyCRAM's; "" if it has one.
     """
 
-    def __init__(self, cmd: str, robot: str, environment: str, known: list[str]) -> None:
+    def __init__(self, cmd: str, robot: str, environment: str, known: list[str], undescribed: str = "") -> None:
         super().__init__(
             f"no process module of {robot} in the {environment} environment takes {cmd!r}; "
-            f"it has modules for {', '.join(known) or 'nothing'}; add one with register() or ProcessModule.resolvers"
+            f"it has modules for {', '.join(known) or 'nothing'}; {undescribed}"
+            "add one with register() or ProcessModule.resolvers"
         )
         self.cmd = cmd
         self.robot = robot
         self.environment = environment
         self.known = known
+        self.undescribed = undescribed
 
 
 export("pycram.process_module", NoProcessModule)
@@ -130,8 +134,16 @@ def module_for(cmd: str, world: BulletWorld) -> Module:
         raise NoWorld("robot")
     modules = _modules_of(world, world.robot)
     if cmd not in modules:
-        raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules))
+        why = "" if world.robot.description else _undescribed(world.robot)
+        raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules), why)
     return modules[cmd]
+
+
+def _undescribed(robot: Object) -> str:
+    """Return why a robot has no description, and what to do."""
+    misfit = why_none(robot.urdf)
+    but = f" (PyCRAM's own description of {robot.urdf.name} doesn't fit it: {misfit})" if misfit else ""
+    return f"it has no description{but}: pycram describe writes one for Object(..., description=...); else "
 
 
 def _modules_of(world: BulletWorld, robot: Object) -> Modules:

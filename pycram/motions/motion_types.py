@@ -6,7 +6,7 @@ the process module, inferred if the plan left it out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
 
 from pycram.foundation.failures import BadArgument
@@ -82,6 +82,10 @@ class MotionType:
     only_one: bool = False
     fixed: tuple[tuple[str, str], ...] = ()
 
+    def for_robot(self) -> MotionType:
+        """Return it with the slots that it has for the current robot."""
+        return self
+
     def describe(self) -> str:
         """Describe its slots, for messages."""
         lines = [f"a {self.type} designator takes", "  type (required): " + repr(self.type)]
@@ -92,48 +96,59 @@ class MotionType:
         return "\n".join(lines)
 
 
+class _PosturesOfArms(MotionType):
+    """A type with a slot ``NAME-arm`` for the posture of each arm that the current robot has."""
+
+    __slots__ = ()
+
+    def for_robot(self) -> MotionType:
+        """Return it with these slots."""
+        names = tuple(f"{arm}-arm" for arm in slot_checks.arm_names())
+        return replace(self, slots=tuple(Slot(name, slot_checks.posture) for name in names), one_of=names)
+
+
 def _heading(_: dict[str, Value]) -> Value:
     return BulletWorld.current_robot().get_orientation()
 
 
-def _left(_: dict[str, Value]) -> Value:
-    return "left"
+def _default_arm(_: dict[str, Value]) -> Value:
+    return slot_checks.default_arm()
 
 
 def _holding_arm(given: dict[str, Value]) -> Value:
-    """Return the arm that holds the object; the left one if none does."""
+    """Return the arm that holds the object; the default one if none does."""
     body = given.get("object")
     attachment = None if body is None or body.carrier is None else body.attachments[body.carrier]
     description = BulletWorld.current_robot().description
     if attachment is None or description is None:
-        return "left"
+        return slot_checks.default_arm()
     arm = description.arm_of(attachment.carrier_link)
-    return arm.name if arm else "left"
+    return arm.name if arm else slot_checks.default_arm()
 
 
 def _arm_resources(given: dict[str, Value]) -> Resources:
-    return Resources({f"{side}-{part}" for side in _sides(given, "arm") for part in ("arm", "gripper")}, {"base"})
+    return Resources({f"{arm}-{part}" for arm in _arms(given, "arm") for part in ("arm", "gripper")}, {"base"})
 
 
 def _gripper_resources(given: dict[str, Value]) -> Resources:
-    return Resources({f"{side}-gripper" for side in _sides(given, "gripper")})
+    return Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")})
 
 
 def _joint_resources(given: dict[str, Value]) -> Resources:
-    return Resources({f"{side}-arm" for side in slot_checks.sides() if f"{side}-arm" in given})
+    return Resources({f"{arm}-arm" for arm in slot_checks.arm_names() if f"{arm}-arm" in given})
 
 
 def _base_resources(_: dict[str, Value]) -> Resources:
-    return Resources({"base"}, {f"{side}-{part}" for side in slot_checks.sides() for part in ("arm", "gripper")})
+    return Resources({"base"}, {f"{arm}-{part}" for arm in slot_checks.arm_names() for part in ("arm", "gripper")})
 
 
-def _sides(given: dict[str, Value], slot: str) -> tuple[str, ...]:
-    side = given.get(slot)
-    return (side,) if isinstance(side, str) else slot_checks.sides()  # not known yet: it may be any
+def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
+    arm = given.get(slot)
+    return (arm,) if isinstance(arm, str) else slot_checks.arm_names()  # not known yet: it may be any
 
 
-_ARM: Final = Slot("arm", slot_checks.side, default=_left)
-_GRIPPER: Final = Slot("gripper", slot_checks.side, required=True)
+_ARM: Final = Slot("arm", slot_checks.arm, default=_default_arm)
+_GRIPPER: Final = Slot("gripper", slot_checks.arm, required=True)
 
 TYPES: Final = {
     motion.type: motion
@@ -160,7 +175,7 @@ TYPES: Final = {
                 Slot("object", slot_checks.body, required=True),
                 Slot("target", slot_checks.position, required=True),
                 Slot("orientation", slot_checks.orientation),
-                Slot("arm", slot_checks.side, default=_holding_arm),
+                Slot("arm", slot_checks.arm, default=_holding_arm),
             ),
             _arm_resources,
         ),
@@ -198,13 +213,7 @@ TYPES: Final = {
             (Slot("target", slot_checks.position, required=True), Slot("orientation", slot_checks.orientation), _ARM),
             _arm_resources,
         ),
-        MotionType(
-            "move-arm-joints",
-            "move-joints",
-            (Slot("left-arm", slot_checks.posture), Slot("right-arm", slot_checks.posture)),
-            _joint_resources,
-            one_of=("left-arm", "right-arm"),
-        ),
+        _PosturesOfArms("move-arm-joints", "move-joints", (), _joint_resources),
         MotionType(
             "world-state-detecting",
             "world-state-detecting",
@@ -250,12 +259,16 @@ def resolve(designator: Described) -> Iterator[Solution]:
         unknown = f"has the unknown type {kind!r}{did_you_mean(kind, TYPES)}"
         problem = f"the designator {'has no slot type' if kind is None else unknown}"
         raise DesignatorError(problem, type=str(kind or ""), slot="type", value=kind, takes=f"types: {known}")
-    motion = TYPES[kind]
+    motion = TYPES[kind].for_robot()
     checked = _checked(motion, given)
     solution = {"cmd": motion.cmd, **dict(motion.fixed), **checked}
     for slot in motion.slots:
         if slot.name not in solution and slot.default is not None:
-            solution[slot.name] = slot.default(checked)
+            try:
+                solution[slot.name] = slot.default(checked)
+            except BadArgument as error:
+                problem, takes = f"missing slot {slot.name}: {error.expected}", motion.describe()
+                raise DesignatorError(problem, type=motion.type, slot=slot.name, takes=takes) from error
     yield solution
     if motion.type == "moving" and "orientation" in checked:
         yield {**solution, "orientation": _heading(checked)}

@@ -23,9 +23,21 @@ Value: TypeAlias = Any
 Check: TypeAlias = Callable[[str, Value], Value]
 
 
-def sides() -> tuple[str, ...]:
-    """Return the names of the current robot's arms; "left" and "right" if it has no description."""
+def arm_names() -> tuple[str, ...]:
+    """Return the names of the current robot's arms; "left" and "right" if none is known."""
     return tuple(_arms()) or ("left", "right")
+
+
+def default_arm() -> str:
+    """Return the arm that is meant where a plan names none: the only one, or the left one as in the thesis.
+
+    Raises:
+        BadArgument: The robot has several arms, and none is called "left".
+    """
+    arms = arm_names()
+    if len(arms) > 1 and "left" not in arms:
+        raise BadArgument("arm", None, f"one of {', '.join(arms)}, as the robot has several")
+    return arms[0] if len(arms) == 1 else "left"
 
 
 def position(name: str, value: Value) -> Value:
@@ -58,9 +70,9 @@ def kind(name: str, value: Value) -> Value:
     return checks.text(name, getattr(value, "type", value))
 
 
-def side(name: str, value: Value) -> Value:
+def arm(name: str, value: Value) -> Value:
     """An arm's name: "left" or "right" on the PR2."""
-    arms = sides()
+    arms = arm_names()
     if checks.text(name, value) not in arms:
         raise BadArgument(name, value, f"one of {', '.join(arms)}")
     return value
@@ -80,16 +92,16 @@ def distance(name: str, value: Value) -> Value:
 
 def posture(name: str, value: Value) -> Value:
     """A named posture such as "park", or a list of joint values in rad."""
-    arm = _arms().get(name.removesuffix("-arm"))
+    described = _arms().get(name.removesuffix("-arm"))
     if isinstance(value, str):
-        if arm is not None and checks.text(name, value) not in arm.poses:
-            raise BadArgument(name, value, f"one of {', '.join(arm.poses)}, or a list of joint values")
+        if described is not None and checks.text(name, value) not in described.poses:
+            raise BadArgument(name, value, f"one of {', '.join(described.poses)}, or a list of joint values")
         return value
     if not isinstance(value, Iterable | np.ndarray):
         raise BadArgument(name, value, '"park" or a list of joint values')
     values = [checks.number(name, item) for item in value]
-    if arm is not None and len(values) != len(arm.joints):
-        raise BadArgument(name, value, f"{len(arm.joints)} joint values, for {', '.join(arm.joints)}")
+    if described is not None and len(values) != len(described.joints):
+        raise BadArgument(name, value, f"{len(described.joints)} joint values, for {', '.join(described.joints)}")
     return values
 
 

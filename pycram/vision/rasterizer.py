@@ -131,8 +131,9 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]
-    return np.concatenate([weights, (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)], axis=1)
+        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for an edge-on triangle
+        nearness = (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)
+    return np.concatenate([weights, nearness], axis=1)
 
 
 def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

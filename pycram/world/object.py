@@ -95,9 +95,9 @@ class Object:
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | None = None
         if self.is_robot:
-            self.description = description or find_description(self.urdf.name)
-            if self.description is not None:
-                self.description.check(self.urdf)
+            if description is not None:
+                description.check(self.urdf)
+            self.description = description or find_description(self.urdf)
         self.original_pose: Pose = pose
         self.original_joints: dict[str, float] = {}
         self._attachments: dict[Object, Attachment] = {}

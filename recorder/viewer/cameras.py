@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import rerun as rr
 
+from recorder import geometry
 from recorder.viewer.colors import BLUE
 from recorder.viewer.positions import position
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.geometry import Vector
+    from recorder.geometry import Pose, Vector
     from recorder.records import LoadBody
     from recorder.viewer.columns import Columns, TimePoint
     from recorder.viewer.scene import Scene, SceneBody
@@ -48,10 +49,20 @@ class CameraFrustums:
             frame = self._scene.frame(world, name, str(camera["frame"]))
         except (KeyError, TypeError):
             return  # a robot without one
-        corners = [(right * x, down * y, _FRUSTUM) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        strips = [[*corners, corners[0]], *([(0.0, 0.0, 0.0), corner] for corner in corners)]
+        offset = _offset(camera)
+        corners = [
+            geometry.transform(offset, (right * x, down * y, _FRUSTUM)) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+        ]
+        strips = [[*corners, corners[0]], *([offset[0], corner] for corner in corners)]
         self._columns.set_frame(path, frame)
         self._columns.send(path, now, rr.LineStrips3D(strips, colors=[BLUE], radii=[_LINE]))
+
+
+def _offset(camera: Mapping[str, Any]) -> Pose:
+    """Pose of a described camera's optical frame in its link."""
+    offset = camera.get("frame_offset", {})
+    x, y, z = offset.get("xyz", (0.0, 0.0, 0.0))
+    return (x, y, z), geometry.from_rpy(*offset.get("rpy", (0.0, 0.0, 0.0)))
 
 
 def camera_position(scene: Scene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:

@@ -124,7 +124,7 @@ class Scene:
         own = description.camera if description else None
         if own is None or own.frame != frame:
             return _pinhole(self._robot.frames[frame], _FIELD_OF_VIEW, size)
-        return _pinhole(self._robot.frames[frame], own.horizontal_fov, size, max(own.near, _NEAR), own.far)
+        return _pinhole(own.pose(self._robot.frames[frame]), own.horizontal_fov, size, max(own.near, _NEAR), own.far)
 
     def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return lowest and highest corner of robots and movable objects; of everything if there are none."""

@@ -1,6 +1,7 @@
 """What process modules and queries have to know of a robot, checked against its URDF.
 
-A process module never holds the name or number of a joint: a second robot is a second TOML file.
+A process module never holds the name or number of a joint: a second robot is a second TOML file. What a robot doesn't
+have, its description leaves out: arms, grippers, a head, a camera, a torso (docs/robots.md).
 """
 
 from __future__ import annotations
@@ -8,12 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import AssetError, BadArgument, UnknownName
 from pycram.models.files import parse_toml, read_text
 from pycram.models.robots import tables
+from pycram.models.robots.arm import Arm, read_arm
+from pycram.models.robots.gripper import Gripper
+from pycram.models.robots.sensors import CameraDescription, Head, read_camera, read_head
 from recorder.geometry.joints import UrdfError
 
 if TYPE_CHECKING:
@@ -21,106 +25,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry.urdf import Urdf
 
-_MAX_SIGHT: Final = 1e4  # m
-_MAX_FOV: Final = 3.1  # rad
-_MAX_PIXELS: Final = 1e5
-
-
-@dataclass(frozen=True, slots=True)
-class Gripper:
-    """A parallel gripper.
-
-    Attributes:
-        joints: all joints that move with its fingers.
-        closed: their value when closed, rad or m.
-        open: their value when open.
-        palm: link of the palm.
-        fingers: links of the fingers.
-        aperture: m between the finger tips when open.
-        depth: m that it may take in of an object, from the tool frame back towards the palm.
-        tips: m from the tool frame on to the finger tips when closed; open ones reach less far.
-        underside: m from the tool frame down to the gripper's lowest point when it lies level.
-    """
-
-    joints: tuple[str, ...]
-    closed: float
-    open: float
-    palm: str
-    fingers: tuple[str, ...]
-    aperture: float
-    depth: float
-    tips: float
-    underside: float
-
-    def positions(self, motion: str) -> dict[str, float]:
-        """Return joint values for the motion "open" or "close"."""
-        return self.at(1.0 if motion == "open" else 0.0)
-
-    def at(self, share: float) -> dict[str, float]:
-        """Return joint values for a share between closed (0) and open (1)."""
-        return dict.fromkeys(self.joints, self.closed + share * (self.open - self.closed))
-
-
-@dataclass(frozen=True, slots=True)
-class Arm:
-    """An arm.
-
-    Attributes:
-        name: "left", "right", ...
-        joints: its joints from the shoulder on.
-        base_link: the link that its first joint hangs on.
-        tool_frame: x points out of the gripper, the fingers close along y.
-        gripper: its gripper.
-        poses: named postures, values in the order of the joints.
-    """
-
-    name: str
-    joints: tuple[str, ...]
-    base_link: str
-    tool_frame: str
-    gripper: Gripper
-    poses: Mapping[str, tuple[float, ...]]
-
-    def posture(self, name: str) -> dict[str, float]:
-        """Return the joint values of a named posture.
-
-        Raises:
-            UnknownName: The arm has none of that name.
-        """
-        if name not in self.poses:
-            raise UnknownName("named pose", name, f"the {self.name} arm", self.poses)
-        return dict(zip(self.joints, self.poses[name], strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class Head:
-    """A pan-tilt head: names of its two joints."""
-
-    pan: str
-    tilt: str
-
-
-@dataclass(frozen=True, slots=True)
-class CameraDescription:
-    """A camera.
-
-    Attributes:
-        frame: its optical frame, z forward, x right, y down.
-        horizontal_fov: field of view in rad.
-        vertical_fov: field of view in rad.
-        width: pixels.
-        height: pixels.
-        near: m from which on it sees.
-        far: m up to which it sees.
-    """
-
-    frame: str
-    horizontal_fov: float
-    vertical_fov: float
-    width: int
-    height: int
-    near: float
-    far: float
+__all__ = ["Arm", "CameraDescription", "Gripper", "Head", "RobotDescription", "Torso", "find_description"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +52,8 @@ class RobotDescription:
         head: its head, if it has one that turns.
         camera: its camera, if it has one.
         torso: its torso, if it lifts.
+        drives: whether its base does; else it stays where it was loaded.
+        may_touch: pairs of its own links that may overlap, as their shapes do where the robot itself doesn't.
         text: the TOML that it was read from.
         source: the TOML's file, for errors.
     """
@@ -157,6 +64,8 @@ class RobotDescription:
     head: Head | None
     camera: CameraDescription | None
     torso: Torso | None
+    drives: bool
+    may_touch: frozenset[frozenset[str]]
     text: str
     source: str
 
@@ -178,15 +87,17 @@ class RobotDescription:
         """
         table = parse_toml(text, source)
         try:
-            tables.only(table, "robot", "base_link", "arms", "head", "camera", "torso")
-            arms = tables.table(table, "arms")
+            tables.only(table, "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso")
+            arms = tables.table(table, "arms") if "arms" in table else {}
             return cls(
                 robot=checks.text("robot", table["robot"]),
                 base_link=checks.text("base_link", table["base_link"]),
-                arms={name: _arm(name, tables.table(arms, name)) for name in arms},
-                head=tables.record(Head, tables.table(table, "head")) if "head" in table else None,
-                camera=_camera(tables.table(table, "camera")) if "camera" in table else None,
+                arms={name: read_arm(name, tables.table(arms, name)) for name in arms},
+                head=read_head(tables.table(table, "head")) if "head" in table else None,
+                camera=read_camera(tables.table(table, "camera")) if "camera" in table else None,
                 torso=tables.record(Torso, tables.table(table, "torso")) if "torso" in table else None,
+                drives=checks.switch("drives", table.get("drives", True)),
+                may_touch=_pairs(table.get("may_touch", [])),
                 text=text,
                 source=source,
             )
@@ -206,89 +117,77 @@ class RobotDescription:
         return self.arms[name]
 
     def arm_of(self, tool_frame: str) -> Arm | None:
-        """Return the arm with a tool frame; None if there is none."""
+        """Return the arm with a tool frame's link; None if there is none."""
         return next((arm for arm in self.arms.values() if arm.tool_frame == tool_frame), None)
 
     def check(self, urdf: Urdf) -> None:
         """Check that all names and values fit the robot's URDF.
 
         Raises:
-            AssetError: A joint or link doesn't exist, a chain isn't one, or a value is outside limits.
+            AssetError: A joint or link doesn't exist, a chain isn't one, a value is outside limits, or fingers don't
+                close around the tool frame.
         """
         try:
             for link in self._links():
                 urdf.parent_joint(link)
             for name, values in self._values().items():
                 joint = urdf.joint(name)
+                if not joint.movable:
+                    raise AssetError(self.source, f"moves {name}, which is fixed")
                 for value in values:
                     if not joint.lower <= value <= joint.upper:
                         limits = f"{joint.lower:g} to {joint.upper:g}"
                         raise AssetError(self.source, f"puts {name} to {value:g}, outside of its limits {limits}")
             for arm in self.arms.values():
-                self._check_chain(arm, urdf)
+                for problem in arm.problems(urdf):
+                    raise AssetError(self.source, problem)
         except UrdfError as error:
             raise AssetError(self.source, str(error)) from error
+
+    def misfit(self, urdf: Urdf) -> str:
+        """Return why it doesn't fit a URDF; "" if it does."""
+        try:
+            self.check(urdf)
+        except AssetError as error:
+            return error.cause
+        return ""
 
     def _links(self) -> list[str]:
         """Return all links that it names."""
         links = [self.base_link] + ([self.camera.frame] if self.camera else [])
-        for arm in self.arms.values():
-            links += [arm.base_link, arm.tool_frame, arm.gripper.palm, *arm.gripper.fingers]
-        return links
+        links += [link for pair in self.may_touch for link in sorted(pair)]
+        return links + [link for arm in self.arms.values() for link in arm.links()]
 
     def _values(self) -> dict[str, list[float]]:
         """Return all joints that it names, with all values that it has for them."""
-        values: dict[str, list[float]] = {}
-        if self.head:
-            values |= {self.head.pan: [], self.head.tilt: []}
+        values: dict[str, list[float]] = {joint: [] for joint in (self.head.joints if self.head else ())}
         if self.torso:
             values[self.torso.joint] = [self.torso.default]
         for arm in self.arms.values():
-            values |= {joint: [posture[i] for posture in arm.poses.values()] for i, joint in enumerate(arm.joints)}
-            values |= {joint: [arm.gripper.open, arm.gripper.closed] for joint in arm.gripper.joints}
+            values |= arm.values()
         return values
 
-    def _check_chain(self, arm: Arm, urdf: Urdf) -> None:
-        chain = tuple(joint.name for joint in urdf.chain(arm.base_link, arm.tool_frame) if joint.movable)
-        if chain != arm.joints:
-            found = ", ".join(chain)
-            raise AssetError(self.source, f"the {arm.name} arm's joints from base_link to tool_frame are {found}")
+
+def find_description(urdf: Urdf) -> RobotDescription | None:
+    """Return PyCRAM's own description of a robot, by the name in its URDF; None if none is of that name, or fits it."""
+    return next((own for own in _own() if own.robot == urdf.name and not own.misfit(urdf)), None)
+
+
+def why_none(urdf: Urdf) -> str:
+    """Return why PyCRAM's own description of a robot isn't for this one; "" if it has none of that name."""
+    return next((own.misfit(urdf) for own in _own() if own.robot == urdf.name), "")
 
 
 @cache
-def find_description(robot: str) -> RobotDescription | None:
-    """Return PyCRAM's own description of a robot, by the name in its URDF; None if there is none."""
-    descriptions = (RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
-    return next((description for description in descriptions if description.robot == robot), None)
+def _own() -> tuple[RobotDescription, ...]:
+    return tuple(RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
 
 
-def _camera(table: tables.Table) -> CameraDescription:
-    fov, pixels, sight = (1e-3, _MAX_FOV), (1, _MAX_PIXELS), (1e-4, _MAX_SIGHT)
-    camera = tables.record(
-        CameraDescription,
-        table,
-        horizontal_fov=fov,
-        vertical_fov=fov,
-        width=pixels,
-        height=pixels,
-        near=sight,
-        far=sight,
-    )
-    checks.in_range("far", camera.far, camera.near)
-    return camera
-
-
-def _arm(name: str, table: tables.Table) -> Arm:
-    tables.only(table, "base_link", "tool_frame", "joints", "poses", "gripper")
-    joints = tables.texts("joints", table["joints"])
-    poses: dict[str, tuple[float, ...]] = {}
-    for pose, values in tables.table(table, "poses").items():
-        if not isinstance(values, list) or len(values) != len(joints):
-            raise BadArgument(f"arms.{name}.poses.{pose}", values, f"{len(joints)} numbers")
-        poses[pose] = tuple(checks.number(pose, value) for value in values)
-    size = (0.0, 1.0)
-    gripper = tables.record(
-        Gripper, tables.table(table, "gripper"), aperture=(1e-3, 1.0), depth=size, tips=size, underside=size
-    )
-    base_link, tool_frame = (checks.text(key, table[key]) for key in ("base_link", "tool_frame"))
-    return Arm(name, joints, base_link, tool_frame, gripper, poses)
+def _pairs(value: object) -> frozenset[frozenset[str]]:
+    """Return pairs of two links each."""
+    if not isinstance(value, list):
+        raise BadArgument("may_touch", value, "a list of pairs of links")
+    pairs = frozenset(frozenset(tables.texts("may_touch", pair)) for pair in value)
+    if any(len(pair) != 2 for pair in pairs):
+        raise BadArgument("may_touch", value, "pairs of two different links each")
+    return pairs

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
+from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from recorder.geometry import Pose
 
 T = TypeVar("T")
 Table: TypeAlias = dict[str, object]
@@ -37,28 +40,23 @@ def texts(key: str, value: object) -> tuple[str, ...]:
     return tuple(checks.text(key, item) for item in value)
 
 
+def pose(parent: Table, key: str) -> Pose:
+    """Return a pose, given as a table with xyz in m and roll, pitch, yaw in rad, both zero by default."""
+    offset = table(parent, key) if key in parent else {}
+    only(offset, "xyz", "rpy")
+    origin, no_turn = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    position = checks.vector(f"{key}.xyz", offset.get("xyz", origin))
+    return position, geometry.from_rpy(*checks.vector(f"{key}.rpy", offset.get("rpy", no_turn)))
+
+
 _CHECKS: Final[dict[object, Callable[[str, object], object]]] = {
     "str": checks.text,
     "float": checks.number,
-    "tuple[str, ...]": texts,
 }
 
 
-def record(kind: type[T], table: Table, **ranges: tuple[float, float]) -> T:
-    """Return a dataclass with the entries of a table.
-
-    Args:
-        kind: The dataclass; its fields are of the types str, float and tuple[str, ...], or have a range.
-        table: The table; it has an entry for each field and no others.
-        ranges: Lowest and highest value of numeric fields.
-    """
+def record(kind: type[T], table: Table) -> T:
+    """Return a dataclass with the entries of a table, one for each of its fields, which are str or float."""
     fields: dict[str, Any] = {field.name: field.type for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     only(table, *fields)
-    values: dict[str, Any] = {}
-    for name, type_name in fields.items():
-        if name in ranges:
-            number = checks.in_range(name, table[name], *ranges[name])
-            values[name] = int(number) if type_name == "int" else number
-        else:
-            values[name] = _CHECKS[type_name](name, table[name])
-    return kind(**values)
+    return kind(**{name: _CHECKS[type_name](name, table[name]) for name, type_name in fields.items()})

@@ -28,6 +28,8 @@ class Navigation(SimulatedModule):
         solution = designator.reference()
         robot = self.robot()
         target, orientation = solution["target"], solution["orientation"]
+        if robot.description is not None and not robot.description.drives:
+            raise NotDrivable(target, orientation, "its base is fixed")
         with robot.world.lock:
             _check_ground(robot, target, orientation)
             touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.failures import PerceptionError
-from pycram.motions.modules.simulated import NoDescription, SimulatedModule
+from pycram.foundation.failures import MissingPart, PerceptionError
+from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.queries.visibility import visible
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class Detecting(SimulatedModule):
         robot = self.robot()
         camera = self.description(robot).camera
         if camera is None:
-            raise NoDescription(robot.name)
+            raise MissingPart(robot.name, "camera")
         reasons: dict[str, str] = {}
         seen: list[tuple[float, Object]] = []
         with robot.world.lock:

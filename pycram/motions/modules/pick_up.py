@@ -39,11 +39,12 @@ class PickUp(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
+        gripper = arm.gripper
         with robot.world.lock:
             self._check_free(robot, arm, body)
             names = (solution["grasp"],) if "grasp" in solution else None
             posture, closed = _plan(robot, arm, body, names)
-            robot.set_joint_positions(arm.gripper.positions("open"))
+            robot.set_joint_positions(gripper.positions("open"))
             robot.set_joint_positions(posture)
             robot.set_joint_positions(closed)
             robot.attach(body, arm.tool_frame)

@@ -98,7 +98,7 @@ def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orient
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),
-        robot.get_link_position_and_orientation(arm.tool_frame),
+        arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
     )
     refusals = _Refusals()
     turns = _orientations(robot, body, body_T_tool, orientation)

@@ -65,6 +65,9 @@ class MovingLinks:
         counts = np.array([self.joint_counts[link] for link in boxes.links])
         names = np.array(boxes.links)
         apart = moving[:, None] & (np.abs(counts[:, None] - counts) > _NEIGHBOURS)
+        for link, other in robot.description.may_touch if robot.description else ():
+            pair = (names[:, None] == link) & (names == other)
+            apart &= ~(pair | pair.T)
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
 
     def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[str, str]]:

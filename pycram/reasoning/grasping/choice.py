@@ -90,6 +90,8 @@ def _best(
     off_center: bool,
 ) -> GraspPlan:
     arm = robot.description.arm_of(link) if robot.description else None
+    if arm is not None and arm.hand is None:  # it takes nothing, and gets to places as any link does
+        arm = None
     if arm is None and off_center:
         return GraspPlan(None, None)
     solver = Solver(robot, link)

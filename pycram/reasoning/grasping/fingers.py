@@ -28,7 +28,9 @@ CLEAR: Final = 0.002  # m of air around what is let go of: the engine pads shape
 _SLACK: Final = 5e-4  # m of overlap that is a touch
 _STEPS: Final = 16  # of the way between open and closed: no finger of the PR2 moves by more than 3 mm in one
 _HALVINGS: Final = 6  # of such a step
-_CLOSING_HALVINGS: Final = 8  # of the interval between open and closed: 0.4 mm of the PR2's aperture
+_AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
+_CLOSING_STEPS: Final = 8  # from open to closed, less than a finger's thickness each
+_CLOSING_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
 _REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
 _ACROSS: Final = 0.5  # of a unit normal along the way of the fingers
 _NEAR: Final = 0.25  # m from the tool frame: fingers don't get farther
@@ -84,7 +86,7 @@ def moved(
     bodies = clone.sync()
     engine, hand = clone.engine, bodies[robot.name]
     engine.pose_joints(hand, {**robot.get_joint_positions(), **(posture or {})})
-    tool = engine.link_pose(hand, arm.tool_frame)[0]
+    tool = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
     others = {
         body: bodies[body.name] for body in robot.world.objects if body not in (robot, release) and _is_near(body, tool)
     }
@@ -114,7 +116,7 @@ class Closing:
 
     Attributes:
         positions: joint values of the gripper, by name.
-        sides: on how many sides of the object a finger is: 0, 1 or 2.
+        sides: on how many sides of the object a finger is: 0, 1 or 2; a suction cup needs no other and counts as 2.
         obstacles: what else the fingers would overlap, deepest first.
     """
 
@@ -147,9 +149,15 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
 
     try:
         engine.pose_joints(hand, {**robot.get_joint_positions(), **posture})
-        if not touches(0.0):
+        if gripper.suction:
+            at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
+            return Closing({}, 2) if at_cup else None
+        # something hollow may be touched on the way only: closed, the fingers would be within it
+        tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
+        stuck = next((share for share in tried if touches(share)), None)
+        if stuck is None:
             return None
-        free, stuck = 1.0, 0.0
+        free = stuck + 1.0 / _CLOSING_STEPS
         for _ in range(_CLOSING_HALVINGS):
             share = (free + stuck) / 2
             if touches(share):
@@ -157,7 +165,7 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
             else:
                 free = share
         engine.pose_joints(hand, coupled(robot, gripper.at(stuck)))
-        position, turn = engine.link_pose(hand, arm.tool_frame)
+        position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
         across = geometry.rotate(turn, (0.0, 1.0, 0.0))
         sides = set()
         for finger in gripper.fingers:

@@ -1,9 +1,9 @@
-"""How a parallel gripper can take an object: from which side, and where.
+"""How a gripper can take an object: from which side, and where.
 
 Candidates come from ray casts at the object: from the front, the top, the left and the right where it fits between the
 fingers, else over its rim from the top. The gripper is turned with an object that lies across or leans, and takes it in
-the middle between its fingers. Which of them the arm takes is chosen elsewhere
-(:mod:`pycram.reasoning.grasping.choice`).
+the middle between its fingers. A suction cup takes it where it is flat, opposite its middle. Which of them the arm
+takes is chosen elsewhere (:mod:`pycram.reasoning.grasping.choice`).
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ _STEP: Final = 0.004  # m between such points along the fingers
 _LEVELS: Final = 6  # at which the wall below a rim is looked for
 _EDGE: Final = 0.004  # m below a rim where its wall begins
 _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
+_FLAT: Final = 0.002  # m that a surface may be uneven below a suction cup
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
 _LONG: Final = 2.0  # times as long as it is wide
 _LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
@@ -133,7 +134,11 @@ def _upright(
         if names is None or name in names:
             turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
             sides.append([(name, other) for other in (turn, *_along(turn, lying))])
-    fitting = iter(_between_fingers(caster, [option for options in sides for option in options], arm, middle))
+    every = [option for options in sides for option in options]
+    if arm.gripper.suction:
+        fitting = _on_surface(caster, every, arm)
+    else:
+        fitting = iter(_between_fingers(caster, every, arm, middle))
     found: list[Grasp] = []
     for options in sides:
         (_, turn), *_ = options
@@ -141,7 +146,8 @@ def _upright(
         if fit:  # as the robot stands, unless the object lies across
             widths = [grasp.width + (grasp.orientation != turn) * _FREE for grasp in fit]
             found.append(fit[widths.index(min(widths))])
-    if middle == caster.center and all(grasp.name != "top" for grasp in found) and (names is None or "top" in names):
+    rims = arm.gripper.fingers and middle == caster.center and (names is None or "top" in names)
+    if rims and all(grasp.name != "top" for grasp in found):
         found.extend(_rims(caster, robot, arm))
     return found
 
@@ -187,11 +193,28 @@ def _between_fingers(
     held = solid & (points <= depths[:, None] + gripper.tips)
     lows = np.where(held, lows, np.inf).min(axis=1)
     highs = np.where(held, highs, -np.inf).max(axis=1)
-    fits = held.any(axis=1) & (highs - lows <= gripper.aperture - _FREE)
+    widths = highs - lows
+    fits = held.any(axis=1) & (widths <= gripper.aperture - _FREE) & (widths >= gripper.gap)
     found = zip(options, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
     for (name, turn), scan, fit, deep, low, high in found:
         tool = deep, (low + high) / 2, 0.0
         yield Grasp(name, geometry.transform(scan.frame, tool), turn, high - low) if fit else None
+
+
+def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
+    """Yield for each side and orientation the grasp with a suction cup on a flat place; None if there is none."""
+    gripper = arm.gripper
+    radius = gripper.suction
+    for name, turn in options:
+        x, y, z = caster.center
+        if name != "top":
+            z = max(z, caster.low[2] + gripper.underside)
+        frame = (x, y, z), geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2))  # y is into the object
+        scan = Scan(frame, -radius, radius)
+        points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
+        uneven = float(np.ptp(points))
+        on_surface = geometry.transform(frame, (0.0, float(points[1][1]), 0.0))
+        yield Grasp(name, on_surface, turn, 0.0) if uneven <= _FLAT else None  # nan where there is nothing
 
 
 def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
@@ -219,7 +242,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
         if floor < _LEVELS:  # tips stay above the floor of the hollow
             tips = max(tips, first + floor * step + gripper.tips + _CLEARANCE)
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
-        if outside - inside > gripper.aperture - _FREE:
+        if not gripper.gap <= outside - inside <= gripper.aperture - _FREE:
             continue
         turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))

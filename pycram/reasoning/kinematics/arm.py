@@ -102,17 +102,41 @@ class ArmKinematics:
             starts = self._starts_of_closed_form(self._closed, goals, turns, home, enough)
         else:
             starts = [self._starts_of_search(goal, home, first) for goal in goals]
+        tried = [[known] for known, _ in starts]
+        pending = list(range(len(starts)))
+        for level in range(0 if quick and self._closed is not None else 1 if quick else len(_BATCHES)):
+            pending = [number for number in pending if len(starts[number][1]) > level]
+            batches = [starts[number][1][level] for number in pending]
+            reached = self._search(tried, pending, batches, goals, turns, stop_early=not thorough)
+            if not thorough:
+                pending = [number for number, done in zip(pending, reached, strict=True) if not done]
         chosen = []
-        for number, (known, batches) in enumerate(starts):
+        for number, (known, *more) in enumerate(tried):
             goal, turn = goals[number], None if turns is None else turns[number]
-            tried = [known]
-            for batch in batches if not quick else batches[:1] if self._closed is None else ():
-                postures, reached = descend(self.chain, batch, goal, turn, stop_early=not thorough)
-                tried.append(postures)
-                if reached.any() and not thorough:
-                    break
-            chosen.append(self._best(np.vstack(tried), home, goal, turn) if len(tried) > 1 else known)
+            chosen.append(self._best(np.vstack([known, *more]), home, goal, turn) if more else known)
         return self._postures(chosen, goals, turns)
+
+    def _search(
+        self,
+        tried: Sequence[list[Array]],
+        numbers: Sequence[int],
+        batches: Sequence[Array],
+        goals: Array,
+        turns: Array | None,
+        *,
+        stop_early: bool,
+    ) -> list[bool]:
+        """Search for some targets at once and add what is found to ``tried``; return which of them are reached."""
+        if not numbers:
+            return []
+        counts = [len(batch) for batch in batches]
+        which = np.repeat(np.array(numbers, dtype=np.intp), counts)
+        turned = None if turns is None else turns[which]
+        found, reached = descend(self.chain, np.vstack(batches), goals[which], turned, which, stop_early=stop_early)
+        ends = np.cumsum(counts)[:-1]
+        for number, postures in zip(numbers, np.split(found, ends), strict=True):
+            tried[number].append(postures)
+        return [bool(part.any()) for part in np.split(reached, ends)]
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
         """Return those that reach and differ, or else the nearest miss."""
@@ -188,7 +212,8 @@ class ArmKinematics:
         """Return where to search from: only the stretched arm if that is too short, else all over its range."""
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
-            return descend(self.chain, home[None], goal, None, stop_early=True)[0], []
+            one = np.zeros(1, dtype=np.intp)
+            return descend(self.chain, home[None], goal[None], None, one, stop_early=True)[0], []
         starts = [np.vstack([home, *seeds, *spread(self.chain, 0, few)]), spread(self.chain, few, many)]
         return home[None], starts
 

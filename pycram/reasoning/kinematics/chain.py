@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from recorder.geometry import Pose
     from recorder.geometry.urdf import Urdf
 
     Array = NDArray[np.float64]
@@ -33,6 +34,7 @@ class Chain:
         tool_link: the link at the end.
         joints: names of the joints that may move, in order; others of the chain keep their value.
         fixed: values of those others; 0 by default.
+        tool: pose of the tool in the link at the end.
 
     Attributes:
         joints: names of those that move.
@@ -51,6 +53,7 @@ class Chain:
         tool_link: str,
         joints: Sequence[str],
         fixed: Mapping[str, float] | None = None,
+        tool: Pose = geometry.IDENTITY,
     ) -> None:
         self.joints = tuple(joints)
         values = fixed or {}
@@ -64,7 +67,7 @@ class Chain:
             else:
                 before = before @ geometry.pose_matrix(joint.pose(values.get(joint.name, 0.0)))
         self._before = np.array(befores).reshape(-1, 4, 4)
-        self._tool = before
+        self._tool = before = before if tool == geometry.IDENTITY else before @ geometry.pose_matrix(tool)
         self._axes = np.array([joint.axis for joint in moving]).reshape(-1, 3)
         slides = np.array([joint.type == "prismatic" for joint in moving], dtype=bool)
         self.sliding = np.flatnonzero(slides).tolist()
@@ -81,6 +84,10 @@ class Chain:
         """Return poses (n, 4, 4) of the tool in the base link for postures (n, joints)."""
         poses: Array = self._transforms(postures)[-1] @ self._tool
         return poses
+
+    def frames(self, postures: Array) -> Array:
+        """Return frames (joints, n, 4, 4) behind the joints in the base link for postures (n, joints)."""
+        return self._transforms(postures)[1:]
 
     def at_zero(self) -> tuple[Array, Array, Array]:
         """Return for joints at zero points (joints, 3) of axes, axes (joints, 3), and the pose of the tool."""
@@ -114,7 +121,7 @@ class Chain:
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
         """Return frames (joints, n, 4, 4) behind the joints, and their axes (n, 3, joints)."""
-        poses = self._transforms(postures)[1:]
+        poses = self.frames(postures)
         return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # no joint turns its own axis
 
     def _transforms(self, postures: Array) -> Array:

@@ -31,56 +31,72 @@ _CLOSE: Final = 0.02  # m or rad of error below which a search is never given up
 
 
 def descend(
-    chain: Chain, start: Array, goal: Array, turn: Array | None, *, stop_early: bool
+    chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Search for postures.
+    """Search for postures that reach targets, from several starts each, all at once.
+
+    What is found for a target doesn't depend on which others there are.
 
     Args:
         chain: whose tool is to get there.
         start: (n, joints) postures to search from.
-        goal: (3,) in the chain's base link, m.
-        turn: (3, 3) orientation there; None if any will do.
-        stop_early: end as soon as one gets there.
+        goals: (n, 3) where from each of them, in the chain's base link, m.
+        turns: (n, 3, 3) orientations there; None if any will do.
+        targets: (n,) ascending numbers of the targets that these are.
+        stop_early: end the search for a target as soon as one of its postures gets there.
 
     Returns:
         (n, joints) postures, and which of them reach.
     """
-    postures = chain.limited(start)
-    rows = 3 if turn is None else 6
-    reached = np.zeros(len(postures), dtype=bool)
-    damping = _DAMPING * np.eye(rows)
-    best = np.inf
+    found = chain.limited(start)
+    reached = np.zeros(len(found), dtype=bool)
+    rows = np.arange(len(found))  # that are searched on
+    size = 3 if turns is None else 6
+    damping = _DAMPING * np.eye(size)
+    nearest = np.full(int(targets.max(initial=-1)) + 1, np.inf)
     for iteration in range(_ITERATIONS):
+        postures = found[rows]
         pose, jacobian = chain.forward(postures)
-        error = np.zeros((len(postures), rows))
-        error[:, :3] = goal - pose[:, :3, 3]
+        error = np.zeros((len(rows), size))
+        error[:, :3] = goals[rows] - pose[:, :3, 3]
         near = norms(error[:, :3]) < 0.5 * POSITION_TOLERANCE
-        if turn is not None:
-            error[:, 3:] = rotation_error(pose[:, :3, :3], turn)
+        if turns is not None:
+            error[:, 3:] = rotation_error(pose[:, :3, :3], turns[rows])
             near &= norms(error[:, 3:]) < 0.5 * TURN_TOLERANCE
-        reached = near
-        if near.all() or (stop_early and near.any()):
-            break
-        length = norms(error)[:, None]
+        reached[rows] = near
+        length = norms(error)
+        first = np.flatnonzero(np.diff(targets[rows], prepend=-1))  # row of each target that is searched for
+        ended = (np.logical_or if stop_early else np.logical_and).reduceat(near, first)
         if iteration % _STALE[0] == 0:
-            nearest = float(length.min())
-            if nearest > _STALE[1] * best and nearest > _CLOSE:
+            which = targets[rows[first]]
+            least = np.minimum.reduceat(length, first)
+            ended |= (least > _STALE[1] * nearest[which]) & (least > _CLOSE)
+            nearest[which] = least
+        if ended.any():
+            going = ~np.repeat(ended, np.diff(first, append=len(rows)))
+            if not going.any():
                 break
-            best = nearest
-        correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-        j = jacobian[:, :rows]
-        # a joint at its limit that wants to go beyond takes no part
-        gradient = np.einsum("nrj,nr->nj", j, correction)
-        stuck = chain.bounded & (
-            ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
-        )
-        j = np.where(stuck[:, None, :], 0.0, j)
-        scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
-        inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
-        step = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
-        step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
-        postures = chain.limited(np.where(near[:, None], postures, postures + step))
-    return postures, reached
+            rows, postures, near, error, length = (part[going] for part in (rows, postures, near, error, length))
+            jacobian = jacobian[going]
+        step = _step(chain, postures, jacobian[:, :size], error, length[:, None], damping)
+        found[rows] = chain.limited(np.where(near[:, None], postures, postures + step))
+    return found, reached
+
+
+def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
+    """Return the changes (n, joints) of postures that lessen errors (n, 3 or 6) of a length (n, 1)."""
+    correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
+    # a joint at its limit that wants to go beyond takes no part
+    gradient = np.einsum("nrj,nr->nj", jacobian, correction)
+    stuck = chain.bounded & (
+        ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
+    )
+    j = np.where(stuck[:, None, :], 0.0, jacobian)
+    scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
+    inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
+    step: Array = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
+    step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
+    return step
 
 
 def spread(chain: Chain, start: int, count: int) -> Array:

@@ -1,7 +1,8 @@
-"""Aiming a pan-tilt head: Newton's method on its two joints turns the camera's axis to a point."""
+"""Aiming a head: Newton's method on its joints, a pan and a tilt or one of them, turns the camera's axis to a point."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +13,8 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from pycram.models.robots.sensors import CameraDescription
+    from recorder.geometry import Vector
     from recorder.geometry.urdf import Urdf
 
 _ITERATIONS: Final = 30
@@ -19,55 +22,61 @@ _DERIVATIVE_STEP: Final = 1e-5  # rad
 _TOLERANCE: Final = 1e-6  # rad
 _GOOD_ENOUGH: Final = 1e-4  # rad: further starts wouldn't be nearer to where the head is
 _MAX_STEP: Final = 0.5  # rad
+_STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 
 
 def look(
-    urdf: Urdf, joints: tuple[str, str], camera: str, point: Sequence[float], now: Mapping[str, float]
-) -> tuple[dict[str, float], float]:
-    """Turn the camera's axis (z of its frame) to a point.
+    urdf: Urdf, joints: Sequence[str], camera: CameraDescription, point: Sequence[float], now: Mapping[str, float]
+) -> tuple[dict[str, float], Vector]:
+    """Turn the camera's axis (z of its frame) to a point, or as near to it as the joints bring it.
 
     Args:
         urdf: of the robot.
-        joints: names of the pan and the tilt joint.
-        camera: the camera's optical frame.
+        joints: names of the pan and the tilt joint, of one of them, or none.
+        camera: the robot's camera.
         point: in the robot's root link, m.
         now: present values of all joints, rad or m.
 
     Returns:
-        Values of the two joints within their limits, and the angle in rad that remains to the point.
+        Values of the joints within their limits, and the point in the camera's frame then, m.
     """
 
-    def error(values: tuple[float, float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def seen(values: Sequence[float]) -> Vector:
+        pose = urdf.forward_kinematics({**now, **dict(zip(joints, values, strict=True))}, camera.frame)
+        return geometry.transform(geometry.invert(camera.pose(pose)), point)
+
+    def error(values: Sequence[float]) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         """Return the rotation vector's two parts, in the camera's frame, from its axis to the point, rad."""
-        pose = urdf.forward_kinematics({**now, **dict(zip(joints, values, strict=True))}, camera)
-        x, y, z = geometry.transform(geometry.invert(pose), point)
+        x, y, z = seen(values)
         off_axis = math.hypot(x, y)
         angle = math.atan2(off_axis, z)
         scale = angle / off_axis if off_axis > 1e-12 else 1.0
         return np.array([x * scale, y * scale])
 
     limits = [(max(urdf.joint(name).lower, -math.pi), min(urdf.joint(name).upper, math.pi)) for name in joints]
-    best, least = (0.0, 0.0), math.inf
-    for start in ((now.get(joints[0], 0.0), now.get(joints[1], 0.0)), (0.0, 0.0), (2.0, 0.3), (-2.0, 0.3)):
-        pan, tilt = start
-        for _ in range(_ITERATIONS):
-            here = error((pan, tilt))
+    best, least = [0.0] * len(joints), math.inf
+    for start in itertools.chain([[now.get(name, 0.0) for name in joints]], _STARTS):
+        turned = list(start[: len(joints)])
+        for _ in range(_ITERATIONS if joints else 0):
+            here = error(turned)
             if float(np.linalg.norm(here)) < _TOLERANCE:
                 break
-            moved = (pan + _DERIVATIVE_STEP, tilt), (pan, tilt + _DERIVATIVE_STEP)
+            moved = [
+                [value + _DERIVATIVE_STEP * (i == k) for i, value in enumerate(turned)] for k in range(len(turned))
+            ]
             jacobian = np.column_stack([(error(values) - here) / _DERIVATIVE_STEP for values in moved])
             step = np.linalg.lstsq(jacobian, -here, rcond=None)[0]
             step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
-            before = pan, tilt
-            pan, tilt = (
+            before = turned
+            turned = [
                 min(max(value + float(change), low), high)
                 for value, change, (low, high) in zip(before, step, limits, strict=True)
-            )
-            if (pan, tilt) == before:
+            ]
+            if turned == before:
                 break
-        remaining = float(np.linalg.norm(error((pan, tilt))))
+        remaining = float(np.linalg.norm(error(turned)))
         if remaining < least - _TOLERANCE:
-            best, least = (pan, tilt), remaining
+            best, least = turned, remaining
         if remaining < _GOOD_ENOUGH:
             break
-    return dict(zip(joints, best, strict=True)), least
+    return dict(zip(joints, best, strict=True)), seen(best)

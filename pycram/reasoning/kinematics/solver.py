@@ -12,12 +12,13 @@ from weakref import WeakKeyDictionary
 from pycram.reasoning.kinematics.arm import THRESHOLD, ArmKinematics, Posture
 from pycram.reasoning.kinematics.chain import Chain
 from recorder import geometry
+from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
 
     from pycram.world.object import Object
-    from recorder.geometry import PoseLike, Quaternion, Vector
+    from recorder.geometry import Pose, PoseLike, Quaternion, Vector
 
     #: Position and orientation in the world, and the pose that the robot's base is taken to have.
     Target = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
@@ -45,7 +46,7 @@ class Solver:
 
     Args:
         robot: the robot.
-        link: an arm's tool frame, or any other link.
+        link: the link with an arm's tool frame, which is then what is brought to targets, or any other link.
 
     Attributes:
         joints: names of the joints that bring the link to a target.
@@ -65,7 +66,8 @@ class Solver:
             root = turning[0].parent if turning else robot.base_link
             self.joints = tuple(joint.name for joint in turning)
         self._now = robot.get_joint_positions()
-        self._kinematics = _kinematics(robot, root, link, self.joints, self._now)
+        tool = self._arm.tool_offset if self._arm else IDENTITY
+        self._kinematics = _kinematics(robot, root, link, self.joints, self._now, tool)
         self._root_T_world = geometry.invert(robot.get_link_position_and_orientation(root))
         self._root_T_link = geometry.transform(self._root_T_world, robot.get_link_position(link))
         self._root_T_base = geometry.multiply(self._root_T_world, robot.get_position_and_orientation())
@@ -121,7 +123,9 @@ class Solver:
 _chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDictionary()
 
 
-def _kinematics(robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float]) -> ArmKinematics:
+def _kinematics(
+    robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float], tool: Pose
+) -> ArmKinematics:
     """Return a chain's kinematics, which are kept: making them takes as long as solving them."""
     others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
     key = (link, *(now[name] for name in others))
@@ -129,5 +133,5 @@ def _kinematics(robot: Object, root: str, link: str, joints: Sequence[str], now:
     if key not in chains:
         if len(chains) >= _MAX_CHAINS:
             chains.clear()
-        chains[key] = ArmKinematics(Chain(robot.urdf, root, link, joints, now))
+        chains[key] = ArmKinematics(Chain(robot.urdf, root, link, joints, now, tool))
     return chains[key]

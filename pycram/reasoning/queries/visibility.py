@@ -155,6 +155,7 @@ def _camera_of(robot: Object | None, frame: str) -> Camera:
     if description is None or description.camera is None or description.camera.frame != frame:
         return Camera(pose, _FIELD, _FIELD)
     camera = description.camera
+    pose = camera.pose(pose)
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
 
 

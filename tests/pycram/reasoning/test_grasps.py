@@ -88,4 +88,4 @@ def test_fingers_stay_as_far_apart_as_the_object_is_wide(kitchen: BulletWorld) -
         perform(type="pick-up", object=body, arm="left")
         opened[kind] = robot.get_joint_position(gripper.joints[0])
         body.remove()
-    assert gripper.closed <= opened["knife"] < 0.2 < opened["milk"] < gripper.open
+    assert gripper.closed[0] <= opened["knife"] < 0.2 < opened["milk"] < gripper.open[0]

@@ -1,0 +1,1 @@
+"""First descriptions of robots, guessed from their URDFs, and checks of descriptions: ``pycram describe``."""

@@ -1,0 +1,178 @@
+"""What of a URDF's tree is an arm, a gripper, a torso, a head or a camera: guesses by joints first, then by names."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.geometry.joints import Joint
+    from recorder.geometry.urdf import Urdf
+
+_ARM: Final = 4  # joints one after the other that make an arm
+_LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
+_WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
+_FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
+_OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
+_CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
+_NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
+_UPRIGHT: Final = 0.9  # of an axis along the vertical
+
+
+@dataclass(frozen=True, slots=True)
+class ArmChain:
+    """An arm in a URDF.
+
+    Attributes:
+        name: what it is called.
+        joints: its joints from the shoulder on.
+        fingers: joints that hang on its last link.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    fingers: tuple[Joint, ...]
+
+
+class Tree:
+    """The movable joints of a robot, each with those that hang on it next.
+
+    Args:
+        urdf: of the robot.
+        mimics: names of joints that follow another: name of that, factor and offset.
+    """
+
+    def __init__(self, urdf: Urdf, mimics: dict[str, tuple[str, float, float]]) -> None:
+        self.urdf = urdf
+        self.mimics = mimics
+        self._next: dict[str, list[Joint]] = {"": []}
+        self._above: dict[str, Joint | None] = {}
+        for link in urdf.links[1:]:  # parents come before their children
+            joint = urdf.parent_joint(link)
+            if joint is None or not joint.movable:
+                continue
+            above = self._movable_above(joint.parent)
+            self._above[joint.name] = above
+            self._next[joint.name] = []
+            if not _WHEEL.search(joint.name):
+                self._next[above.name if above else ""].append(joint)
+
+    def _movable_above(self, link: str) -> Joint | None:
+        joint = self.urdf.parent_joint(link)
+        while joint is not None and not joint.movable:
+            joint = self.urdf.parent_joint(joint.parent)
+        return joint
+
+    def above(self, joint: Joint) -> Joint | None:
+        """Return the next movable joint that one hangs on."""
+        return self._above[joint.name]
+
+    def below(self, joint: Joint) -> list[Joint]:
+        """Return all movable joints that hang on one."""
+        found = []
+        for child in self._next[joint.name]:
+            found += [child, *self.below(child)]
+        return found
+
+    def arms(self) -> list[ArmChain]:
+        """Return the arms: joints one after the other that end at a gripper, or at nothing, and are no legs."""
+        found = []
+        pending = list(self._next[""])
+        leading = {leader for leader, _, _ in self.mimics.values()}
+        while pending:
+            run = [pending.pop(0)]
+            while len(self._next[run[-1].name]) == 1 and not self._begins_hand(run[-1], leading):
+                run.append(self._next[run[-1].name][0])
+            last = run[-1]
+            below = self.below(last)
+            text = " ".join(joint.name for joint in run)
+            while run and run[0].type == "prismatic" and self._upright(run[0]):
+                run.pop(0)  # a torso
+            if len(run) >= _ARM and not _LEG.search(text) and not _branches(below):
+                found.append((run, below))
+            else:
+                pending += self._next[last.name]
+        names = _short_names([[joint.name for joint in run] for run, _ in found], self.urdf.name)
+        return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
+
+    def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
+        """Whether the joint next to one is a finger's."""
+        (after,) = self._next[joint.name]
+        return after.name in leading or after.name in self.mimics or bool(_FINGER.search(after.name))
+
+    def _upright(self, joint: Joint) -> bool:
+        _, turn = self.urdf.forward_kinematics({}, joint.child)
+        return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
+
+    def torso(self, arms: list[ArmChain]) -> Joint | None:
+        """Return the joint that lifts the arms."""
+        for arm in arms:
+            joint = self._above[arm.joints[0].name]
+            while joint is not None:
+                if joint.type == "prismatic" and self._upright(joint):
+                    return joint
+                joint = self._above[joint.name]
+        return None
+
+    def camera(self) -> str:
+        """Return the link with the camera's frame: an optical one if there is any; "" if there is none."""
+        links = [link for link in self.urdf.links if _CAMERA.search(link) and not _NO_PICTURE.search(link)]
+        links = links or [link for link in self.urdf.links if _OPTICAL.search(link) and not _NO_PICTURE.search(link)]
+        return min(links, key=lambda link: (not _OPTICAL.search(link), links.index(link)), default="")
+
+    def head(self, camera: str, arms: list[ArmChain]) -> dict[str, str]:
+        """Return the joints that turn a camera: "pan" and "tilt", as far as there are any."""
+        of_arms = {joint.name for arm in arms for joint in (*arm.joints, *arm.fingers)}
+        found: dict[str, str] = {}
+        joint = self._movable_above(camera) if camera else None
+        while joint is not None and joint.type != "prismatic" and joint.name not in of_arms and len(found) < 2:
+            found.setdefault("pan" if self._upright(joint) else "tilt", joint.name)
+            joint = self._above[joint.name]
+        return found
+
+    def drives(self) -> bool:
+        """Whether there are wheels, or a footprint as bases have that drive."""
+        return "footprint" in self.urdf.root or any(_WHEEL.search(name) for name in self.urdf.joints)
+
+
+def _branches(below: list[Joint]) -> bool:
+    """Whether what hangs on an arm is more than a hand."""
+    return any(_LEG.search(joint.name) or _WHEEL.search(joint.name) for joint in below)
+
+
+def _short_names(runs: list[list[str]], robot: str) -> list[str]:
+    """Return names of arms: by side if their joints say it, the robot's for a single one."""
+    if len(runs) == 1:
+        return [robot]
+    names = []
+    for number, run in enumerate(runs, 1):
+        text = "_".join(run).lower()
+        left, right = (
+            bool(re.search(rf"(^|_){side}(_|$)|{word}", text)) for side, word in (("l", "left"), ("r", "right"))
+        )
+        names.append("left" if left and not right else "right" if right and not left else f"arm{number}")
+    return names if len(set(names)) == len(names) else [f"arm{number}" for number in range(1, len(runs) + 1)]
+
+
+def fingers_of(tree: Tree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[Joint]]]:
+    """Yield links of finger tips, the last of each branch of an arm's hand that have a shape, and what moves each."""
+    hand = {joint.name for joint in arm.fingers}
+    for joint in arm.fingers:
+        if tree.below(joint) or joint.child not in with_shape:
+            continue
+        moving, above = [joint], tree.above(joint)
+        while above is not None and above.name in hand:
+            moving.insert(0, above)
+            above = tree.above(above)
+        yield joint.child, moving
+
+
+def limits(joint: Joint) -> tuple[float, float]:
+    """Return the limits of a joint, a turn about zero where there are none."""
+    return max(joint.lower, -math.pi), min(joint.upper, math.pi)

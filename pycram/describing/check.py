@@ -1,0 +1,154 @@
+"""Checks of a robot's description that need the robot itself: reach, fingers, postures, the head, and stillness."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.describing.hand import Corners
+from pycram.describing.postures import chain_of
+from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.kinematics import pan_tilt
+from pycram.reasoning.kinematics.descent import spread
+from pycram.reasoning.kinematics.solver import Solver
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pycram.models.robots.arm import Arm
+    from pycram.models.robots.description import RobotDescription
+    from pycram.models.robots.gripper import Gripper
+    from pycram.world.object import Object
+
+_POSES: Final = 40  # of the tool that an arm is asked to reach
+_ENOUGH: Final = 0.9  # of them that it has to reach again
+_CENTRED: Final = 0.003  # m that the middle between fingers may be beside the tool frame
+_APERTURE: Final = 0.005  # m by which a description may be wrong about fingers
+_STILL_TIME: Final = 2.0  # s
+_STILL: Final = 1e-3  # rad or m
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check has found.
+
+    Attributes:
+        passed: whether it is as it should be.
+        about: what was checked.
+        text: what was found.
+    """
+
+    passed: bool
+    about: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{'ok    ' if self.passed else 'FAILED'}  {self.about}: {self.text}"
+
+
+def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
+    """Check a robot that was loaded with a description into a world of its own, in the air; it is moved.
+
+    Args:
+        robot: the robot.
+        description: its description, which fits its URDF.
+    """
+    for arm in description.arms.values():
+        yield _reach(robot, arm)
+        if arm.hand is not None and arm.hand.fingers:
+            yield from _fingers(robot, arm, arm.hand)
+        yield from _postures(robot, arm)
+    if description.camera is not None:
+        yield _head(robot, description)
+    yield _stillness(robot)
+
+
+def _reach(robot: Object, arm: Arm) -> Finding:
+    """Check that poses that the tool has in some postures are found again, as solving starts from elsewhere."""
+    chain = chain_of(robot, arm)
+    postures = chain.limited(spread(chain, 0, _POSES))
+    root = robot.get_link_position_and_orientation(arm.base_link)
+    poses = []
+    for matrix in chain.poses(postures):
+        x, y, z = matrix[:3, 3].tolist()
+        poses.append(geometry.multiply(root, ((x, y, z), geometry.from_matrix(matrix[:3, :3]))))
+    found = Solver(robot, arm.tool_frame).search([(*pose, None) for pose in poses])
+    reached = sum(postures[0].reaches() for postures in found)
+    far = max(math.dist(position, root[0]) for position, _ in poses)
+    return Finding(
+        reached >= _ENOUGH * _POSES,
+        f"{arm.name} arm, reach",
+        f"{reached} of {_POSES} poses of its tool are found again, up to {far:.2f} m from {arm.base_link}",
+    )
+
+
+def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
+    """Check where the fingers are, open and closed, by the corners of their shapes."""
+    corners = Corners(robot.model)
+    about = f"{arm.name} gripper"
+    opened, closed = (
+        corners.jaws(gripper.fingers, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)
+    )
+    if opened is None or closed is None:
+        yield Finding(False, about, "its fingers have no shapes on both sides of the tool frame")
+        return
+    middle = max(abs(jaws.left + jaws.right) / 2 for jaws in (opened, closed))
+    yield Finding(
+        middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm beside the tool frame"
+    )
+    for name, said, measured in (
+        ("aperture", gripper.aperture, opened.gap),
+        ("gap", gripper.gap, max(closed.gap, 0.0)),
+        ("tips", gripper.tips, closed.tip),
+    ):
+        text = f"{name} is said to be {1e3 * said:.1f} mm, and is {1e3 * measured:.1f} mm"
+        yield Finding(abs(said - measured) <= _APERTURE, about, text)
+
+
+def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
+    """Check that named postures don't make the robot touch itself."""
+    for name in arm.poses:
+        with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
+            (candidate,) = checker.predict([arm.posture(name)])
+            pairs = checker.self_collisions(candidate)
+        text = (
+            "; ".join(f"{pair.link} would be in {pair.body_link}" for pair in pairs) or "the robot doesn't touch itself"
+        )
+        yield Finding(not pairs, f"{arm.name} arm, {name}", text)
+
+
+def _head(robot: Object, description: RobotDescription) -> Finding:
+    """Check that the camera can be turned to a point before the robot."""
+    camera = description.camera
+    assert camera is not None  # noqa: S101  as the caller knows
+    joints = description.head.joints if description.head else ()
+    now = robot.get_joint_positions()
+    frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
+    point = frame[0][0] + 1.5, frame[0][1], max(frame[0][2] - 0.5, 0.0)
+    _, (x, y, z) = pan_tilt.look(robot.urdf, joints, camera, point, now)
+    angle = math.degrees(math.atan2(math.hypot(x, y), z))
+    limit = math.degrees(min(camera.horizontal_fov, camera.vertical_fov)) / 2
+    text = f"it looks {angle:.1f} degrees past a point 1.5 m before it and 0.5 m below"
+    return Finding(angle <= (1.0 if len(joints) > 1 else limit), "camera", text)
+
+
+def _stillness(robot: Object) -> Finding:
+    """Check that nothing moves in two seconds with parked arms, without a floor that holds it."""
+    if robot.description is not None:
+        for arm in robot.description.arms.values():
+            robot.set_joint_positions(arm.posture("park") if "park" in arm.poses else {})
+    robot.world.set_gravity([0, 0, -9.8])
+    before = robot.get_joint_positions()
+    robot.world.simulate(_STILL_TIME)
+    now = robot.get_joint_positions()
+    moved = {name: abs(now[name] - value) for name, value in before.items()}
+    worst = max(moved, key=lambda name: moved[name], default="")
+    text = f"no joint moves in {_STILL_TIME:g} s" if not moved else ""
+    if worst:
+        text = f"in {_STILL_TIME:g} s of simulation {worst} moves most, by {moved[worst]:.5f} rad or m"
+    finite = all(np.isfinite(value) for value in moved.values())
+    return Finding(finite and (not worst or moved[worst] < _STILL), "stillness", text)

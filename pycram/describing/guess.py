@@ -1,0 +1,227 @@
+"""A first description of a robot, from its URDF alone: what is there, with the values that its shapes and limits tell.
+
+It is a guess to go on from. What no URDF says, such as fields of view, gets usual values and says so.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.describing.chains import ArmChain, Tree, fingers_of, limits
+from pycram.describing.hand import Corners
+from recorder import geometry
+from recorder.geometry import IDENTITY
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.describing.hand import Jaws
+    from pycram.models.load import Model
+    from recorder.geometry import Pose, Quaternion
+    from recorder.geometry.joints import Joint
+
+    Array = NDArray[np.float64]
+
+_TIPS: Final = 0.015  # m that the tool frame is behind the finger tips
+_NEAR_TIP: Final = 0.02  # m behind the tips up to which a link is one that takes hold
+_MAX_DEPTH: Final = 0.03  # m
+_PALM_CLEARANCE: Final = 0.003  # m that an object keeps from the palm
+_PADDING: Final = 1e-3  # m by which the engine makes shapes thicker
+_STRAIGHT: Final = math.cos(math.radians(10))  # of an axis that is taken to be one of the link's
+_SIDES: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class HandGuess:
+    """A gripper, as far as it can be told from its shapes.
+
+    Attributes:
+        palm: the link that the fingers hang on, in which the tool frame is given.
+        offset: the tool frame's pose in it.
+        fingers: links that take hold.
+        closed: values of its joints when closed.
+        open: their values when open, in the same order.
+        aperture: m between the fingers when open.
+        gap: m between them when closed.
+        depth: m from the tool frame back to the palm.
+        underside: m from the tool frame down to the lowest point.
+    """
+
+    palm: str
+    offset: Pose
+    fingers: tuple[str, ...]
+    closed: Mapping[str, float]
+    open: Mapping[str, float]
+    aperture: float
+    gap: float
+    depth: float
+    underside: float
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """What was found in a URDF.
+
+    Attributes:
+        model: the robot's.
+        arms: its arms, with what is at their ends; None where nothing was recognised.
+        torso: the joint that lifts the arms.
+        camera: the link of a camera, "" for none.
+        head: its joints.
+        drives: whether its base does.
+    """
+
+    model: Model
+    arms: Sequence[tuple[ArmChain, HandGuess | None]]
+    torso: Joint | None
+    camera: str
+    head: Mapping[str, str]
+    drives: bool
+
+
+def guess(model: Model) -> Guess:
+    """Return what can be recognised of a robot."""
+    tree = Tree(model.urdf, _mimics(model))
+    corners = Corners(model)
+    arms = tree.arms()
+    camera = tree.camera()
+    return Guess(
+        model=model,
+        arms=[(arm, _hand(tree, arm, corners)) for arm in arms],
+        torso=tree.torso(arms),
+        camera=camera,
+        head=tree.head(camera, arms),
+        drives=tree.drives(),
+    )
+
+
+def _mimics(model: Model) -> dict[str, tuple[str, float, float]]:
+    """Return joints that follow another: its name, factor and offset."""
+    found = {}
+    for element in ET.parse(model.path).getroot().findall("joint"):  # noqa: S314  checked when it was loaded
+        mimic = element.find("mimic")
+        if mimic is not None:
+            factor, offset = (float(mimic.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0")))
+            found[element.get("name", "")] = (mimic.get("joint", ""), factor, offset)
+    return found
+
+
+def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
+    """Return the gripper of an arm; None if it has none that closes from two sides."""
+    tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
+    if len(tips) < _SIDES:
+        return None
+    joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
+    palm = joints[0].parent
+    links = [link for link, _ in tips]
+    closed, opened = _ends(tree, corners, palm, tips)
+    there, here = ([corners.of([link], end, palm, IDENTITY).mean(axis=0) for link in links] for end in (closed, opened))
+    axes = _axes(corners, palm, there, here)
+    if axes is None:
+        return None
+    middle = np.mean(there, axis=0)
+    frame: Pose = ((float(middle[0]), float(middle[1]), float(middle[2])), axes)
+    shut, wide = (corners.jaws(links, positions, palm, frame) for positions in (closed, opened))
+    if shut is None or wide is None or wide.gap <= shut.gap:
+        return None
+    return _measured(corners, palm, frame, links, shut, (closed, opened), (shut.gap, wide.gap))
+
+
+def _ends(
+    tree: Tree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[Joint]]]
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return values of joints when closed and when open: a finger is open where it is far from the others."""
+    joints = {joint.name: joint for _, moving in tips for joint in moving}
+    middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
+    closed: dict[str, float] = {}
+    opened: dict[str, float] = {}
+    for link, moving in tips:
+        others = np.vstack([corners.of([other], middles, palm, IDENTITY) for other, _ in tips if other != link])
+        ends = [{joint.name: limits(joint)[end] for joint in moving} for end in (0, 1)]
+        away = [
+            np.linalg.norm(corners.of([link], {**middles, **end}, palm, IDENTITY).mean(axis=0) - others.mean(axis=0))
+            for end in ends
+        ]
+        near, far = ends if away[0] < away[1] else ends[::-1]
+        for chosen, end in ((closed, near), (opened, far)):
+            for name, value in end.items():
+                chosen.setdefault(name, value)
+    for values in (closed, opened):
+        for name, joint in joints.items():
+            leader, factor, offset = tree.mimics.get(name, ("", 1.0, 0.0))
+            if leader in values:
+                low, high = limits(joint)
+                values[name] = min(max(factor * values[leader] + offset, low), high)
+    return closed, opened
+
+
+def _measured(
+    corners: Corners,
+    palm: str,
+    frame: Pose,
+    links: Sequence[str],
+    shut: Jaws,
+    positions: tuple[Mapping[str, float], Mapping[str, float]],
+    gaps: tuple[float, float],
+) -> HandGuess:
+    closed, opened = positions
+    middle = (shut.tip - _TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
+    offset = geometry.transform(frame, middle), frame[1]
+    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > _TIPS - _NEAR_TIP]
+    body = corners.of([palm], closed, palm, offset)
+    front = float(body[:, 0].max(initial=-_MAX_DEPTH))
+    every = np.vstack([body, corners.of(links, closed, palm, offset), corners.of(links, opened, palm, offset)])
+    return HandGuess(
+        palm=palm,
+        offset=offset,
+        fingers=tuple(taking),
+        closed=closed,
+        open=opened,
+        aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
+        gap=max(gaps[0] - _PADDING, 0.0),  # with the engine's padding, thicker things are pressed
+        depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
+        underside=float(-every[:, 2].min()) + 2 * _PADDING,
+    )
+
+
+def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
+    """Return the orientation in the palm of a frame whose x points out of the hand, along whose y the fingers close.
+
+    Args:
+        corners: of the robot.
+        palm: the link.
+        closed: middles of the fingers in it when closed, m.
+        opened: the same when open.
+    """
+    ways = [b - a for a, b in zip(closed, opened, strict=True)]
+    apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
+    out = np.mean([*closed, *opened], axis=0)
+    body = corners.of([palm], {}, palm, IDENTITY)
+    out -= body.mean(axis=0) if len(body) else 0.0
+    if np.linalg.norm(apart) < _PADDING:
+        return None
+    y = _straightened(apart / np.linalg.norm(apart))
+    out -= (out @ y) * y
+    if np.linalg.norm(out) < _PADDING:
+        return None
+    x = _straightened(out / np.linalg.norm(out))
+    y -= (x @ y) * x
+    y /= np.linalg.norm(y)
+    return geometry.from_matrix(np.column_stack([x, y, np.cross(x, y)]))
+
+
+def _straightened(axis: Array) -> Array:
+    """Return an axis of the link if a unit vector nearly is one."""
+    largest = int(np.abs(axis).argmax())
+    if abs(axis[largest]) < _STRAIGHT:
+        return axis
+    straight = np.zeros(3)
+    straight[largest] = math.copysign(1.0, axis[largest])
+    return straight

@@ -1,0 +1,141 @@
+"""A guessed description as TOML, with comments where a person has to look again."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from recorder.geometry import IDENTITY
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from pycram.describing.chains import ArmChain
+    from pycram.describing.guess import Guess, HandGuess
+    from recorder.geometry import Pose, Quaternion
+
+_WIDTH: Final = 110  # letters a line
+_DIGITS: Final = 4
+
+#: For cameras: what URDFs don't tell.
+_USUAL: Final = """horizontal_fov = 1.2  # usual values: no URDF tells
+vertical_fov = 0.96
+width = 640
+height = 480
+near = 0.05
+far = 10.0"""
+_OPTICAL_OFFSET: Final = (
+    "frame_offset = { rpy = [-1.5707963267948966, 0, -1.5707963267948966] }  # x looks ahead, z is up"
+)
+
+
+def as_toml(
+    guess: Guess,
+    postures: Mapping[str, Sequence[float]] | None = None,
+    may_touch: Iterable[tuple[str, str]] = (),
+) -> str:
+    """Return the TOML of a guess.
+
+    Args:
+        guess: what was found.
+        postures: for arms by name, where they are parked.
+        may_touch: pairs of links that may.
+    """
+    urdf = guess.model.urdf
+    lines = [
+        "# Written by pycram describe: a first description, to be looked through. Metres, radians.",
+        f"robot = {_quoted(urdf.name)}",
+        f"base_link = {_quoted(urdf.root)}",
+        f"drives = {'true' if guess.drives else 'false'}",
+    ]
+    pairs = sorted(may_touch)
+    if pairs:
+        lines += ["may_touch = [  # they overlap in every posture", *(f"    {_list(pair)}," for pair in pairs), "]"]
+    if guess.torso is not None:
+        middle = (guess.torso.lower + guess.torso.upper) / 2
+        lines += [
+            "",
+            "[torso]",
+            f"joint = {_quoted(guess.torso.name)}",
+            f"default = {_number(middle)}  # it is loaded with this",
+        ]
+    if guess.camera:
+        if guess.head:
+            lines += [
+                "",
+                "[head]",
+                *(f"{part} = {_quoted(guess.head[part])}" for part in ("pan", "tilt") if part in guess.head),
+            ]
+        lines += ["", "[camera]", f"frame = {_quoted(guess.camera)}"]
+        lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
+    for arm, hand in guess.arms:
+        lines += _arm(arm, hand, (postures or {}).get(arm.name))
+    return "\n".join(lines) + "\n"
+
+
+def _arm(arm: ArmChain, hand: HandGuess | None, park: Sequence[float] | None) -> Iterator[str]:
+    yield from ("", f"[arms.{arm.name}]", f"base_link = {_quoted(arm.joints[0].parent)}")
+    yield f"tool_frame = {_quoted(hand.palm if hand else arm.joints[-1].child)}"
+    if hand and hand.offset != IDENTITY:
+        yield _offset(hand.offset)
+    yield from _listed("joints", [joint.name for joint in arm.joints])
+    if park is not None:
+        yield from ("", f"[arms.{arm.name}.poses]", f"park = {_row(park)}")
+    if hand is None:
+        what = f"{len(arm.fingers)} joints hang on it, not understood" if arm.fingers else "nothing hangs on it"
+        yield f"# no gripper: {what}"
+        return
+    yield from ("", f"[arms.{arm.name}.gripper]", f"palm = {_quoted(hand.palm)}")
+    yield from _listed("fingers", hand.fingers)
+    yield from _listed("joints", list(hand.closed))
+    yield f"closed = {_row(hand.closed.values())}"
+    yield f"open = {_row(hand.open.values())}"
+    yield f"aperture = {_number(hand.aperture)}  # between the finger tips when open"
+    if hand.gap:
+        yield f"gap = {_number(hand.gap)}  # between them when closed"
+    yield f"depth = {_number(hand.depth)}  # from the tool frame back: what the fingers take in"
+    yield "tips = 0.015  # from the tool frame on, closed"
+    yield f"underside = {_number(hand.underside)}  # below the tool frame when the gripper lies level"
+
+
+def _offset(offset: Pose) -> str:
+    (x, y, z), turn = offset
+    return f"tool_offset = {{ xyz = {_row((x, y, z))}, rpy = {_row(_rpy(turn), 16)} }}"
+
+
+def _rpy(turn: Quaternion) -> tuple[float, float, float]:
+    """Return roll, pitch and yaw of a quaternion xyzw."""
+    x, y, z, w = turn
+    sine = max(-1.0, min(1.0, 2 * (w * y - x * z)))
+    if abs(sine) > 1 - 1e-9:  # pitch by a right angle: roll and yaw are about one axis
+        return 0.0, math.copysign(math.pi / 2, sine), -math.copysign(2 * math.atan2(x, w), sine)
+    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    return roll, math.asin(sine), math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _number(value: float, digits: int = _DIGITS) -> str:
+    """Return a number, cut towards zero: limits of joints stay limits."""
+    scale = 10**digits
+    return (
+        f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
+        if digits < 8
+        else repr(value + 0.0)
+    )
+
+
+def _row(values: Iterable[float], digits: int = _DIGITS) -> str:
+    return f"[{', '.join(_number(value, digits) for value in values)}]"
+
+
+def _list(names: Iterable[str]) -> str:
+    return f"[{', '.join(map(_quoted, names))}]"
+
+
+def _listed(key: str, names: Sequence[str]) -> list[str]:
+    """Return the lines of a list of names, several where it is long."""
+    line = f"{key} = {_list(names)}"
+    return [line] if len(line) <= _WIDTH else [f"{key} = [", *(f"    {_quoted(name)}," for name in names), "]"]

@@ -1,0 +1,159 @@
+"""``pycram describe``: from a URDF to a description with which the robot works, and checks that find what is wrong."""
+
+from __future__ import annotations
+
+import math
+import re
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.models.robots.description import RobotDescription
+from pycram.process_module import ProcessModule
+
+REPO = Path(__file__).parent.parent
+ROBOTS = REPO / "pycram" / "models" / "robots"
+
+
+def describe(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "pycram", "describe", *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin", "PYTHONWARNINGS": "error"},
+    )
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def urdf_of(name: str) -> str:
+    files = metadata.files("example-robot-data") or []
+    return next(str(Path(str(file.locate())).resolve()) for file in files if file.as_posix().endswith(name))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
+def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(tmp_path: Path, robot: str) -> None:
+    ended = describe(f"{robot}.urdf", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    guessed = RobotDescription.parse(ended.stdout)
+    known = RobotDescription.load(ROBOTS / f"{robot}.toml")
+    assert guessed.drives == known.drives
+    assert guessed.head == known.head
+    assert (guessed.torso and guessed.torso.joint) == (known.torso and known.torso.joint)
+    assert (guessed.camera and guessed.camera.frame) == (known.camera and known.camera.frame)
+    assert {arm.joints for arm in guessed.arms.values()} == {arm.joints for arm in known.arms.values()}
+    for arm in known.arms.values():
+        (same,) = (other for other in guessed.arms.values() if other.joints == arm.joints)
+        assert "park" in same.poses
+        assert set(same.gripper.joints) == set(arm.gripper.joints)
+        assert same.gripper.aperture == pytest.approx(arm.gripper.aperture, abs=0.003)
+        for share in (0.0, 1.0):
+            assert same.gripper.at(share) == pytest.approx(arm.gripper.at(share), abs=1e-3)
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", f"{robot}.urdf", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
+def test_the_robots_in_the_box_pass_all_checks(tmp_path: Path, robot: str) -> None:
+    ended = describe("--check", str(ROBOTS / f"{robot}.toml"), "--picture", "robot.png", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    lines = ended.stdout.splitlines()
+    assert all(line.startswith("ok") for line in lines)
+    assert {"reach", "gripper", "park", "stillness"} <= set(re.findall(r"reach|gripper|park|stillness", ended.stdout))
+    picture = Image.open(tmp_path / "robot.png")
+    colors = picture.convert("RGB").getcolors(1 << 20)
+    assert picture.size == (800, 600)
+    assert len(colors) > 200, "more than a sky"
+
+
+def test_a_robot_that_nobody_described_takes_things(tmp_path: Path, world: BulletWorld) -> None:
+    """Baxter's right arm takes a block with the description that was guessed; its fingers open from 20 to 58 mm."""
+    world.set_gravity([0, 0, -9.8])
+    file = urdf_of("robots/baxter_description/urdf/baxter.urdf")
+    ended = describe(file, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    described = RobotDescription.parse(ended.stdout)
+    assert set(described.arms) == {"left", "right"}
+    Object("floor", "environment", "plane.urdf")
+    world.robot = robot = Object("baxter", "robot", file, [0, 0, 0.93], description=described)
+    Object("table", "environment", "table.urdf", [0.75, 0, 0])
+    (tmp_path / "block.urdf").write_text(BLOCK)
+    block = Object("block", "block", tmp_path / "block.urdf", [0.75, -0.3, 0.78])
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    world.simulate(0.5)
+    perform(type="pick-up", object=block, arm="right")
+    perform(type="place", object=block, target=[0.75, -0.15, 0.78], arm="right")
+    perform(type="move-arm-joints", right_arm="park")
+    assert math.dist(block.get_position()[:2], [0.75, -0.15]) < 0.02
+    assert btr.stable(block)
+    assert not robot.carried
+
+
+BLOCK = """<robot name="block"><link name="block"><collision><geometry><box size="0.04 0.04 0.1"/></geometry></collision>
+</link></robot>"""
+WRONG = {
+    "aperture": (
+        "aperture = 0.078",
+        "aperture = 0.06",
+        "panda gripper: aperture is said to be 60.0 mm, and is 80.0 mm",
+    ),
+    "tool frame": (
+        "tool_offset = { rpy",
+        "tool_offset = { xyz = [0, 0.01, 0], rpy",
+        "panda gripper: the middle between its fingers is 10.0 mm beside the tool frame",
+    ),
+    "tips": ("tips = 0.0095", "tips = 0.03", "panda gripper: tips is said to be 30.0 mm, and is 9.5 mm"),
+    "park": (
+        "park = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]",
+        "park = [0.0, 1.7, 0.0, -3.0, 0.0, 0.5, 0.785]",
+        "panda arm, park: panda_",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", WRONG)
+def test_checks_find_what_is_wrong(tmp_path: Path, what: str) -> None:
+    good, bad, message = WRONG[what]
+    text = (ROBOTS / "panda.toml").read_text()
+    assert good in text
+    (tmp_path / "mine.toml").write_text(text.replace(good, bad))
+    ended = describe("--check", "mine.toml", cwd=tmp_path)
+    assert ended.returncode == 1
+    assert any(line.startswith("FAILED") and message in line for line in ended.stdout.splitlines()), ended.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "takes a URDF, or --check"),
+        (("nothing.urdf",), "nothing.urdf: no such file"),
+        (("--check", "nothing.toml"), "nothing.toml"),
+        (("--check", "other.toml"), "describes other, which isn't in the box"),
+        (("panda.urdf", "--check", "other.toml"), "other.toml: "),
+    ],
+)
+def test_wrong_usage_is_refused_in_a_line(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    text = (ROBOTS / "ur5.toml").read_text()
+    (tmp_path / "other.toml").write_text(text.replace('robot = "ur5_with_gripper"', 'robot = "other"'))
+    ended = describe(*arguments, cwd=tmp_path)
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert message in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
