@@ -64,7 +64,7 @@ class PickUp(SimulatedModule):
             moves = f"it moves, with {speed:.2f} m/s and {turning:.1f} rad/s"
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
         for other in robot.world.objects:
-            if other is not body and not other.is_robot:
+            if other is not body and not other.fixed:  # hulls of furniture may hold what lies in it
                 depth = overlaps.depth(body, other)
                 if depth > overlaps.DEEP:
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
 
     from pycram.foundation.collision_pair import CollisionPair
+    from pycram.models.robots.description import Arm
     from pycram.reasoning.collision.checker import Candidate, Collision
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
@@ -72,35 +73,25 @@ def best(
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
     """
-    plan = _best(body, robot, link, names, refused, off_center=False)
+    arm = robot.description.arm_of(link) if robot.description else None
+    if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
+        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, link, None)
+    central = [grasp for grasp in candidates(body, robot, arm, names) if grasp not in refused]
+    plan = _best_of(central, body, robot, link, arm)
     if plan.grasp is None or plan.obstacles:
-        other = _best(body, robot, link, names, refused, off_center=True)
+        beside = [grasp for grasp in candidates(body, robot, arm, names, off_center=True) if grasp not in refused]
+        other = _best_of(beside, body, robot, link, arm) if beside else plan
         if other.grasp is not None and not other.obstacles:
             return other
     return plan
 
 
-def _best(
-    body: Object,
-    robot: Object,
-    link: str,
-    names: Sequence[str] | None,
-    refused: Collection[Grasp],
-    *,
-    off_center: bool,
-) -> GraspPlan:
-    arm = robot.description.arm_of(link) if robot.description else None
-    if arm is not None and arm.hand is None:  # it takes nothing, and gets to places as any link does
-        arm = None
-    if arm is None and off_center:
-        return GraspPlan(None, None)
+def _best_of(grasps: Sequence[Grasp], body: Object, robot: Object, link: str, arm: Arm | None) -> GraspPlan:
+    """Return the one of some grasps that touches least."""
     solver = Solver(robot, link)
     if arm is None:
-        grasps: Sequence[Grasp] = [Grasp("any", center(body), IDENTITY[1], 0.0)]
         solved = solver.search([(grasp.position, None, None) for grasp in grasps])
     else:
-        every = candidates(body, robot, arm, names, off_center=off_center)
-        grasps = [grasp for grasp in every if grasp not in refused]
         targets = [(grasp.position, grasp.orientation, None) for grasp in grasps]
         solved = solver.closed_form(targets)
         if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
