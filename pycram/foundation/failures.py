@@ -5,7 +5,7 @@ Plan failures: out of reach, not seen, in collision. Usage errors: a misspelt jo
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.error_families import PlanFailure, PycramError, UsageError
@@ -29,6 +29,8 @@ __all__ = [
     "DisplayError",
     "GraspFailed",
     "GripperBlocked",
+    "HandleBlocked",
+    "HandleUnreachable",
     "InCollision",
     "JointLimitError",
     "LookingFailed",
@@ -387,17 +389,87 @@ class PlaceFailed(PlanFailure):
 
 
 class AccessFailed(PlanFailure):
-    """A container can't be opened as asked.
+    """A door or drawer can't be opened or closed as asked.
 
     Attributes:
         joint: its joint.
         reason: why not.
+        handle: the link by which it should be moved.
+        arm: name of the arm.
+        asked: value of the joint that was asked for, rad or m.
+        value: of the joint, from which on it fails; None if it isn't the way that fails.
+        reached: value up to which that arm would move it from where the robot stands; None if it can't begin.
+        orientation: xyzw of the gripper that was asked for at that value, in the world; None where it doesn't matter.
+        remedies: what would do, in words.
     """
 
-    def __init__(self, joint: str, reason: str) -> None:
-        super().__init__(f"{joint} can't be opened: {reason}")
+    def __init__(
+        self,
+        joint: str,
+        reason: str,
+        *,
+        handle: str = "",
+        arm: str = "",
+        asked: float | None = None,
+        value: float | None = None,
+        reached: float | None = None,
+        orientation: Sequence[float] | None = None,
+        remedies: Sequence[str] = (),
+    ) -> None:
+        moved = "opened" if asked is None else f"moved to {asked:g}"
+        way = "" if value is None else f" by {handle} with the {arm} arm: at {joint} = {value:.3f}"
+        turned = "" if orientation is None else f", with the gripper turned to {_point(orientation)}"
+        hints = "".join(f"; {remedy}" for remedy in remedies)
+        why = f"{way}{turned}, {reason}" if way else f": {reason}"
+        PlanFailure.__init__(self, f"{joint} can't be {moved}{why}{hints}")
         self.joint = joint
         self.reason = reason
+        self.handle = handle
+        self.arm = arm
+        self.asked = asked
+        self.value = value
+        self.reached = reached
+        self.orientation = None if orientation is None else [float(x) for x in orientation]
+        self.remedies = list(remedies)
+
+
+class HandleUnreachable(AccessFailed, Unreachable):
+    """The arm doesn't get to the handle, or doesn't stay at it, as far as a door or drawer should move.
+
+    Attributes:
+        target: xyz of the tool there in m, world frame.
+        distance: m that the tool stays away.
+        turn: rad that remain to the orientation.
+    """
+
+    def __init__(
+        self,
+        joint: str,
+        reason: str,
+        *,
+        target: Sequence[float],
+        distance: float | None,
+        turn: float,
+        **way: Any,
+    ) -> None:
+        AccessFailed.__init__(self, joint, reason, **way)
+        self.target = [float(x) for x in target]
+        self.distance = distance
+        self.turn = turn
+
+
+class HandleBlocked(AccessFailed):
+    """The arm, or the door or drawer itself, would touch something on the way.
+
+    Attributes:
+        pairs: which link would touch which.
+        bodies: names of what is in the way.
+    """
+
+    def __init__(self, joint: str, reason: str, *, pairs: Sequence[CollisionPair], **way: Any) -> None:
+        AccessFailed.__init__(self, joint, reason, **way)
+        self.pairs = list(pairs)
+        self.bodies = list(dict.fromkeys(pair.body for pair in pairs))
 
 
 export("pycram.failures", *(globals()[name] for name in __all__))

@@ -6,7 +6,8 @@ import atexit
 import shutil
 import tempfile
 import threading
-from functools import cache
+import xml.etree.ElementTree as ET
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -14,6 +15,7 @@ from recorder.records.asset import AssetFile
 
 MESH_TYPE: Final = "model/mesh"
 URDF_TYPE: Final = "application/xml"
+_CACHED_DOCUMENTS: Final = 64
 
 
 @cache
@@ -33,6 +35,12 @@ def write(name: str, content: bytes) -> Path:
         partial.write_bytes(content)
         partial.replace(target)
     return target
+
+
+@lru_cache(maxsize=_CACHED_DOCUMENTS)
+def document(path: Path) -> ET.Element:
+    """Return the root element of a canonical URDF in the store; nobody may change it."""
+    return ET.fromstring(path.read_bytes())  # noqa: S314  written by PyCRAM
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:

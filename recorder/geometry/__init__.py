@@ -18,5 +18,6 @@ from recorder.geometry.transforms import (
     rotate as rotate,
     to_matrices as to_matrices,
     to_matrix as to_matrix,
+    to_rpy as to_rpy,
     transform as transform,
 )

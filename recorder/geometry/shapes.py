@@ -45,7 +45,11 @@ class Shape:
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
     """The "visual" or "collision" shapes of a URDF by link; only of links that have any."""
-    root = ET.fromstring(model)  # noqa: S314  canonical: written by PyCRAM
+    return shapes_in(ET.fromstring(model), role)  # noqa: S314  canonical: written by PyCRAM
+
+
+def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:
+    """The same of a URDF that is parsed already."""
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
     by_link = {}
     for link in root.findall("link"):

@@ -38,6 +38,7 @@ IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
 _TINY = 1e-12
+_VERTICAL = 1e-9  # of a unit axis that is level: with less, roll and yaw turn about the same axis
 
 # A rotation's matrix minus identity, row by row, as a linear map of the products of the quaternion's components.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
@@ -128,6 +129,16 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
         cr * cp * sy - sr * sp * cy,
         cr * cp * cy + sr * sp * sy,
     )
+
+
+def to_rpy(rotation: Numbers) -> Vector:
+    """URDF's roll, pitch, yaw of a rotation, rad; see :func:`from_rpy`. Straight up or down, yaw is 0."""
+    m = to_matrix(rotation).tolist()
+    level = math.hypot(m[0][0], m[1][0])
+    pitch = math.atan2(-m[2][0], level)
+    if level < _VERTICAL:
+        return math.atan2(-m[1][2], m[1][1]), pitch, 0.0
+    return math.atan2(m[2][1], m[2][2]), pitch, math.atan2(m[1][0], m[0][0])
 
 
 def to_matrix(rotation: Numbers) -> NDArray[np.float64]:

@@ -19,9 +19,13 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
+from pycram.models import rigid_parts, store, visual
+from pycram.models.convex import solids_of
 from pycram.physics.engine import bullet
+from pycram.reasoning.collision import boxes, simulation_clone
 from pycram.vision.camera import FAR, NEAR
 from recorder import geometry
+from tests import large_kitchen
 from tests.benchmarks.timing import goal, ratio, seconds
 
 if TYPE_CHECKING:
@@ -114,6 +118,45 @@ def test_what_queries_cost(kitchen: Object) -> None:
         costs[name] = cost_of(query, unit[of]), of, most
     for name, (cost, of, most) in costs.items():
         goal(f"{name}, in {of}s", cost, most)
+
+
+def forget() -> None:
+    """Begin as if no query had been asked yet, nor anything been loaded for one."""
+    for cached in (visual.shapes_of, visual._read, visual._mesh, visual._mesh_ends, boxes._bounds, solids_of):
+        cached.cache_clear()
+    for cached in (store.document, rigid_parts.divided, rigid_parts.single_link):
+        cached.cache_clear()
+    for clones in simulation_clone._clones.values():
+        for clone in clones.values():
+            clone.close()
+        clones.clear()
+
+
+def test_what_queries_cost_in_a_large_kitchen(tmp_path: Path) -> None:
+    """Many links that never move cost little, the first time neither: then shapes are read and clones made."""
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        large_kitchen.furnish(world, tmp_path)
+        for name, x, y, height in (("milk", 1.3, 0.3, 0.099), ("bowl", 1.3, -0.1, 0.037), ("cup", 1.16, 0.3, 0.06)):
+            Object(name, name, f"{name}.stl", [x, y, large_kitchen.TOP + height])
+        world.simulate(0.5)
+        milk, robot, unit = world.get_object("milk"), world.robot, units(world)
+        assert [body.name for body in btr.blocking(milk, robot, LEFT)] == ["cup"]
+        assert btr.stable(milk)
+        print()
+        goal("stable, in steps", cost_of(lambda: btr.stable(milk), unit["step"]), 10)
+
+        def first(query: Callable[[], object]) -> float:
+            forget()
+            return seconds(query)
+
+        for name, query in {
+            "visible": lambda: btr.visible(milk, FRAME),
+            "blocking": lambda: btr.blocking(milk, robot, LEFT),
+            "stable": lambda: btr.stable(milk),
+        }.items():
+            cost = ratio(lambda query=query: first(query), lambda: seconds(unit["image"]))
+            goal(f"first {name}, in images", cost, 3 if name == "stable" else 1)
 
 
 def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:

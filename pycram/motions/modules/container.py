@@ -1,27 +1,29 @@
-"""Opening drawers and doors by their handle."""
+"""Opening and closing drawers and doors by their handle."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import AccessFailed, BadArgument, Unreachable
+from pycram.foundation.collision_pair import CollisionPair, phrases
+from pycram.foundation.failures import AccessFailed, BadArgument, HandleBlocked, HandleUnreachable
+from pycram.models.visual import shapes_of
 from pycram.motions.modules.simulated import SimulatedModule
-from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
-from pycram.reasoning.collision.ray_cast import half_extent
+from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.sides import grasp_orientation
-from pycram.reasoning.kinematics import solver
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan
+from pycram.reasoning.grasping.handles import Handle
+from pycram.reasoning.grasping.remedies import remedies
 from pycram.world import carried
-from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
-    from pycram.models.robots.description import Arm, Gripper
+    from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.reasoning.grasping.handle_path import HandlePath
     from pycram.world.object import Object
-    from recorder.geometry import Pose
 
 _STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next
 
@@ -29,106 +31,108 @@ _STEP: Final = 0.1  # m or rad of the opened joint from one posture to the next
 class Accessing(SimulatedModule):
     """Grips a handle and moves it along the joint's own motion, as wide as asked, with what lies inside.
 
-    Everything is planned before anything moves: a failure leaves the world as it was.
+    With a distance of 0 it closes. Everything is planned before anything moves: a failure leaves the world as it was.
     """
 
     def _execute(self, designator: Designator) -> None:
         solution = designator.reference()
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
-        container, joint, handle = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
+        container, joint, link = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
         with robot.world.lock:
             held = self.held(robot, arm)
             if held is not None:
-                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}")
+                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}", handle=link, arm=arm.name)
             start = container.get_joint_position(joint)
-            container.check_link(handle)
-            if handle not in carried.moved_links(container.urdf, [joint]):
-                raise BadArgument("drawer-handle", handle, f"a link that {joint} moves")
-            lower, upper = container.joint_limits(joint)
-            end = max(lower, 0.0) + solution["distance"]
+            container.check_link(link)
+            if link not in carried.moved_links(container.urdf, [joint]):
+                raise BadArgument("drawer-handle", link, f"a link that {joint} moves")
+            handle = Handle(container, joint, link)
+            upper = container.joint_limits(joint)[1]
+            end = handle.closed + solution["distance"]
             if end > upper + 1e-9:
-                raise AccessFailed(joint, f"it opens up to {upper:g}, not {end:g}")
+                reason = f"it opens up to {upper:g}, not {end:g}"
+                raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
             steps = max(1, math.ceil(abs(end - start) / _STEP))
             values = [start + (end - start) * i / steps for i in range(steps + 1)]
-            postures = self._plan(robot, arm, container, joint, handle, values)
-            blockers = {*_touched(robot, arm, container, joint, postures), *_swept(container, joint, values)}
-            if blockers:
-                names = ", ".join(sorted(body.name for body in blockers))
-                raise AccessFailed(joint, f"{names} would be in the way")
+            path = self._path(robot, arm, handle, values)
             robot.set_joint_positions(arm.gripper.positions("open"))
-            robot.set_joint_positions(postures[0])
+            robot.set_joint_positions(path.postures[0])
             robot.set_joint_positions(arm.gripper.positions("close"))
-            for value, posture in zip(values[1:], postures[1:], strict=True):
+            for value, posture in zip(path.values[1:], path.postures[1:], strict=True):
                 container.set_joint_position(joint, value)
                 robot.set_joint_positions(posture)
             robot.set_joint_positions(arm.gripper.positions("open"))
 
     @staticmethod
-    def _plan(
-        robot: Object, arm: Arm, container: Object, joint: str, handle: str, values: list[float]
-    ) -> list[Mapping[str, float]]:
-        tool = _tool_at(robot, arm.gripper, container, handle)
-        link_T_tool = geometry.multiply(geometry.invert(container.get_link_position_and_orientation(handle)), tool)
-        postures: list[Mapping[str, float]] = []
-        now = container.get_joint_positions()
-        seed: Mapping[str, float] | None = None
-        for value in values:
-            root_T_link = container.urdf.forward_kinematics({**now, joint: value}, handle)
-            link = geometry.multiply(container.get_position_and_orientation(), root_T_link)
-            position, orientation = geometry.multiply(link, link_T_tool)
-            posture = solver.postures(robot, arm.tool_frame, position, orientation, seed=seed)[0]
-            if not posture.reaches():
-                raise Unreachable(arm.name, position, posture.position_error, f"{handle} at {joint} = {value:.3f}")
-            seed = posture.positions
-            postures.append(seed)
-        return postures
+    def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> HandlePath:
+        """Return the arm's way.
+
+        Raises:
+            HandleUnreachable: the arm doesn't get there.
+            HandleBlocked: something would be in the way.
+        """
+        found = plan(robot, arm, handle, values)
+        swept = list(_swept(handle, values))
+        if swept:
+            names = ", ".join(sorted({pair.body for _, pair in swept}))
+            pairs = [pair for _, pair in swept]
+            reason = f"{names} would be in the way: {phrases(pairs)}"
+            way = {"handle": handle.link, "arm": arm.name, "asked": values[-1], "value": swept[0][0]}
+            raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
+        if not isinstance(found, DeadEnd):
+            return found
+        hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values)]
+        if found.reached is not None and found.reached != values[0]:
+            hints.insert(0, f"from here it would get to {found.reached:.3f}")
+        raise _failure(arm, handle, values[-1], found, hints or ["no arm could from any place nearby"])
 
 
-def _touched(
-    robot: Object, arm: Arm, container: Object, joint: str, postures: Sequence[Mapping[str, float]]
-) -> Iterator[Object]:
-    """Yield what the arm would touch while it opens something, but for that."""
-    moved = set(carried.moved_links(container.urdf, [joint]))
-    opened = arm.gripper.positions("open")
-    with CollisionChecker(robot, [*arm.joints, *opened]) as checker:
-        for candidate in checker.predict([{**posture, **opened} for posture in postures]):
-            for body, collision in checker.touched(candidate).items():
-                if body is not container or not moved.issuperset(collision["by"]):
-                    yield body
+def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
+    """Return the failure that says where the arm's way ends, and what would do."""
+    way = {
+        "handle": handle.link,
+        "arm": arm.name,
+        "asked": asked,
+        "value": end.value,
+        "reached": end.reached,
+        "orientation": end.orientation,
+        "remedies": hints,
+    }
+    if end.pairs:
+        names = ", ".join(sorted({pair.body for pair in end.pairs}))
+        return HandleBlocked(handle.joint, f"{names} would be in the way: {phrases(end.pairs)}", pairs=end.pairs, **way)
+    if end.distance is None:
+        reason = "the arm would have to change its posture while it holds on"
+    else:
+        reason = f"the nearest posture stays {end.distance:.3f} m and {math.degrees(end.turn):.0f} degrees away"
+    return HandleUnreachable(handle.joint, reason, target=end.position, distance=end.distance, turn=end.turn, **way)
 
 
-def _swept(container: Object, joint: str, values: Sequence[float]) -> Iterator[Object]:
-    """Yield what a drawer or door would push away when it opens; what lies in it moves along."""
-    moved = carried.moved_links(container.urdf, [joint])
+def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:
+    """Yield what a drawer or door would push away, and at which value; what lies in it moves along."""
+    container = handle.container
+    moved = carried.moved_links(container.urdf, [handle.joint])
     supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
     bodies = clone.sync()
-    engine, opening = clone.engine, bodies[container.name]
+    solid = shapes_of(container.model.path, "collision").links
     others = [
         body for body in container.world.objects if not body.fixed and body not in supported and body.carrier is None
     ]
+    known: set[str] = set()
     try:
-        for value in values[1:]:
-            engine.pose_joints(opening, {joint: value})
+        for value, link in itertools.product(values[1:], moved):
+            if link not in solid or len(known) == len(others):
+                continue
+            part = clone.link(container, link)
+            clone.engine.set_pose(part, handle.pose(value, link))
             for body in others:
-                copy = bodies[body.name]
-                points = (point for link in moved for point in engine.link_closest_points(opening, link, copy))
-                if any(point.distance < -DEPTH for point in points):
-                    yield body
+                points = clone.engine.closest_points(part, bodies[body.name]) if body.name not in known else ()
+                deepest = min(points, key=lambda point: point.distance, default=None)
+                if deepest is not None and deepest.distance < -DEPTH:
+                    known.add(body.name)
+                    pair = CollisionPair(container.name, link, body.name, deepest.link_b, -deepest.distance)
+                    yield value, pair
     finally:
         clone.invalidate(container.name)
-
-
-def _tool_at(robot: Object, gripper: Gripper, container: Object, handle: str) -> Pose:
-    """Return the pose of the tool at a handle: from the front, the fingers across the bar, the palm before it."""
-    low, high = container.get_AABB(handle)
-    tool = grasp_orientation("front", robot)
-    forward = geometry.rotate(tool, (1.0, 0.0, 0.0))
-    _, y, _ = geometry.rotate(tool, (0.0, 1.0, 0.0))
-    across = abs(y) * (high[1] - low[1]) + math.sqrt(max(0.0, 1 - y * y)) * (high[0] - low[0])
-    if across > high[2] - low[2]:  # a bar that lies
-        tool = geometry.product(tool, geometry.from_rpy(math.pi / 2, 0.0, 0.0))
-    back = max(half_extent(low, high, forward) - gripper.depth, 0.0)
-    x, y, z = ((a + b) / 2 - back * f for a, b, f in zip(low, high, forward, strict=True))
-    return (x, y, z), tool

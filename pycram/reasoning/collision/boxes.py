@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.visual import pieces_of
+from pycram.models import visual
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -82,17 +82,16 @@ class Boxes:
 @lru_cache(maxsize=256)
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Return links, and lowest and highest corners (k, 3) in their frames: of each piece, or of all if many."""
-    pieces: dict[str, list[Array]] = {}
-    for link, corners in pieces_of(path):
-        pieces.setdefault(link, []).append(corners)
+    pieces: dict[str, list[visual.Ends]] = {}
+    for link, ends in visual.piece_bounds(path):
+        pieces.setdefault(link, []).append(ends)
     boxes = [
-        (link, corners)
+        (link, ends)
         for link, each in pieces.items()
-        for corners in (each if len(each) <= _MAX_BOXES else [np.concatenate(each)])
+        for ends in (each if len(each) <= _MAX_BOXES else [visual.bounds(np.array(each))])
     ]
-    low = np.array([corners.min(axis=0) for _, corners in boxes]).reshape(-1, 3)
-    high = np.array([corners.max(axis=0) for _, corners in boxes]).reshape(-1, 3)
-    return tuple(link for link, _ in boxes), low, high
+    corners = np.array([ends for _, ends in boxes]).reshape(-1, 2, 3)
+    return tuple(link for link, _ in boxes), corners[:, 0], corners[:, 1]
 
 
 def concatenate(parts: Sequence[Boxes]) -> Boxes:

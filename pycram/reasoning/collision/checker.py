@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pycram.physics.body import Body
     from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
     from recorder.geometry import Pose
@@ -83,6 +84,7 @@ class CollisionChecker:
         joints: names of the joints that will be moved; what they don't move isn't checked.
         ignored: objects that don't count.
         all_links: check all links of the robot, not just those that the joints move.
+        ignored_links: objects with links of theirs that don't count, as those that move along.
 
     Attributes:
         robot: the robot.
@@ -90,7 +92,13 @@ class CollisionChecker:
     """
 
     def __init__(
-        self, robot: Object, joints: Iterable[str], ignored: Iterable[Object] = (), *, all_links: bool = False
+        self,
+        robot: Object,
+        joints: Iterable[str],
+        ignored: Iterable[Object] = (),
+        *,
+        all_links: bool = False,
+        ignored_links: Collection[tuple[Object, str]] = (),
     ) -> None:
         self.robot = robot
         self._clone = clone = clone_of(robot.world, "reach")
@@ -99,7 +107,9 @@ class CollisionChecker:
         self._links = links = clone.cached(
             robot,
             (MovingLinks, names, all_links),
-            lambda body: MovingLinks(clone.engine, body, robot, clone.boxes(robot), names, all_links=all_links),
+            lambda: MovingLinks(
+                robot.world.engine, robot.handle, robot, clone.boxes(robot), names, all_links=all_links
+            ),
         )
         self.moving = links.moving
         self._held = _held(robot)
@@ -112,8 +122,11 @@ class CollisionChecker:
         self._drivers = np.concatenate([links.drivers, np.array(drivers, dtype=np.intp)])
         skipped = {robot, *self._link_of, *ignored}
         others = [(body, clone.boxes(body)) for body in robot.world.objects if body not in skipped]
-        self._other_boxes = concatenate([boxes for _, boxes in others])
-        self._other_owners = [(body, link) for body, boxes in others for link in boxes.links]
+        every = concatenate([boxes for _, boxes in others])
+        owners = [(body, link) for body, boxes in others for link in boxes.links]
+        counted = [owner not in ignored_links for owner in owners]
+        self._other_boxes = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
+        self._other_owners = list(itertools.compress(owners, counted))
         self._base = links.base_pose  # of the clone's robot, as the candidate below
         self._placed: Candidate | None = None
 
@@ -230,9 +243,15 @@ class CollisionChecker:
         if pair not in candidate.touches:
             self._place(candidate)
             mover, link, body, other = pair
-            bodies = self._bodies[mover.name], self._bodies[body.name]
-            candidate.touches[pair] = self._clone.engine.link_closest_points(bodies[0], link, bodies[1], link_b=other)
+            a = self._bodies[mover.name]
+            b = self._clone.link(body, other) if body.is_environment else self._bodies[body.name]
+            candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
         return candidate.touches[pair]
+
+    def closest_points(self, candidate: Candidate, other: Body) -> list[ClosestPoint]:
+        """Return where the whole robot, as in a candidate, overlaps a body of the clone."""
+        self._place(candidate)
+        return self._clone.engine.closest_points(self._bodies[self.robot.name], other)
 
     def _place(self, candidate: Candidate) -> None:
         """Move the clone's robot, with what it holds, into a candidate's posture."""
@@ -255,7 +274,7 @@ class CollisionChecker:
             joints: names of some of those that will be moved, one after the other.
         """
         urdf, names = self.robot.urdf, tuple(joints)
-        counts = self._clone.cached(self.robot, (joint_counts, names), lambda _: joint_counts(urdf, names))
+        counts = self._clone.cached(self.robot, (joint_counts, names), lambda: joint_counts(urdf, names))
         return {link for link, count in counts.items() if count == len(names)}
 
     def constant_links(self, link: str | None) -> set[str]:

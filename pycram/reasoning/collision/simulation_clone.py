@@ -1,24 +1,30 @@
 """Simulation clones: copies of a world in physics clients of their own, where things may be tried.
 
-Whatever happens in a clone, the world has the same bits afterwards. A clone is made of the same models and is brought
-to the world's state whenever somebody asks; bodies that have not changed cost a comparison.
+Whatever happens in a clone, the world has the same bits afterwards. There are two kinds. In a :class:`PosingClone`
+bodies are put into poses and postures and pass through each other; each is loaded when somebody asks for it, furniture
+link by link. A :class:`PhysicsClone` is stepped: its bodies collide. Both are brought to the world's state before each
+query; bodies that have not changed cost a comparison.
 """
 
 from __future__ import annotations
 
 import threading
 import weakref
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypeVar, cast
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeVar, cast, overload
 
+from pycram.models import rigid_parts
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes
 from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Hashable, Iterable, Mapping
+    from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+    from pathlib import Path
 
+    from pycram.models.rigid_parts import Part
     from pycram.physics.body import Body
     from pycram.world.attachment import Attachment
     from pycram.world.object import Object
@@ -26,73 +32,249 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_MAX_CACHED: Final = 8  # values of a copy
+_MAX_CACHED: Final = 8  # values of an object
 _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
 @dataclass(slots=True)
 class _Copy:
+    """A body of the clone.
+
+    Attributes:
+        original: the object's body in the world, whose id a later one may get.
+        body: the copy.
+        state: the object's at which the copy is; None if it isn't as any.
+    """
+
     original: Body
     body: Body
-    state: Snapshot | None
-    cache: dict[Hashable, tuple[Snapshot, object]] = field(default_factory=dict)
+    state: Snapshot | None = None
 
 
 class SimulationClone:
-    """A copy of some of a world's objects.
+    """Copies of a world's objects, or of parts of them, in a physics client.
 
     Use it with the world's lock held.
 
     Args:
         world: the world.
-        solid: its bodies collide; else they pass through each other, which costs less.
+
+    Attributes:
+        world: the same.
+        engine: the physics client.
     """
 
-    def __init__(self, world: BulletWorld, *, solid: bool) -> None:
+    def __init__(self, world: BulletWorld) -> None:
         self.world = weakref.proxy(world)
-        self._solid = solid
-        self.engine = Engine()
-        self._copies: dict[str, _Copy] = {}
+        self._engine: Engine | None = None
+        self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
+        self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
+        self._values = weakref.WeakKeyDictionary()
+
+    @property
+    def engine(self) -> Engine:
+        """The physics client, started at its first use."""
+        if self._engine is None:
+            self._engine = Engine()
+        return self._engine
+
+    def _forget_removed(self) -> None:
+        """Remove copies of what is no longer in the world."""
+        living = {body.name: body.handle for body in self.world.objects}
+        for key, copy in list(self._copies.items()):
+            if living.get(key[0]) is not copy.original:
+                self.engine.remove(copy.body)
+                del self._copies[key]
+
+    def _load(self, body: Object, link: str, path: Path) -> _Copy:
+        """Load a model as an object, or as a part of one that has a link's frame; where it is doesn't matter yet."""
+        robot = body.is_robot and not link
+        loading = body.model.loading
+        loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=loading)
+        copy = self._copies[body.name, link] = _Copy(body.handle, loaded)
+        return copy
+
+    def invalidate(self, *names: str) -> None:
+        """Mark copies that are no longer as they were synced: they are put back before they are used again.
+
+        Args:
+            names: of the objects; all by default.
+        """
+        for (name, _), copy in self._copies.items():
+            if not names or name in names:
+                copy.state = None
+
+    def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
+        """Return what was computed of an object in the world; it is computed again when it has moved since.
+
+        Args:
+            body: the object.
+            key: identifies the value.
+            compute: makes it.
+        """
+        now = take_snapshot(body)
+        values = self._values.setdefault(body, {})
+        state, value = values.get(key, (None, None))
+        if state != now:
+            if len(values) >= _MAX_CACHED:
+                values.clear()
+            value = compute()
+            values[key] = now, value
+        return cast("T", value)
+
+    def close(self) -> None:
+        """End its physics client."""
+        if self._engine is not None:
+            self._engine.close()
+
+
+class PosingClone(SimulationClone):
+    """A clone whose bodies pass through each other, for closest points in poses and postures that are tried."""
+
+    def __init__(self, world: BulletWorld) -> None:
+        super().__init__(world)
+        self._states: dict[str, Snapshot] = {}
+
+    def sync(self) -> Mapping[str, Body]:
+        """Bring the clone to the world's state.
+
+        Returns:
+            The engine's bodies of all objects, by name; each is loaded and put where it belongs when it is asked for.
+        """
+        self._forget_removed()
+        self._states = {body.name: take_snapshot(body) for body in self.world.objects}
+        return _Bodies(self)
+
+    def body(self, name: str) -> Body:
+        """Return the copy of an object, as it was synced unless somebody has moved it since."""
+        copy = self._copies.get((name, ""))
+        if copy is not None and copy.state is self._states[name]:  # as mostly: it is asked for many times in a query
+            return copy.body
+        body: Object = self.world.get_object(name)
+        if copy is None:
+            copy = self._load(body, "", body.model.path)
+            self.engine.ghost(copy.body)
+        now = self._states[name]
+        if copy.state is None or copy.state.pose != now.pose:
+            self.engine.set_pose(copy.body, now.pose)
+        if now.positions and (copy.state is None or copy.state.positions != now.positions):
+            self.engine.pose_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
+        copy.state = now
+        return copy.body
+
+    def link(self, body: Object, link: str) -> Body:
+        """Return a copy of one link of an object that has collision shapes, as it was synced: furniture has many."""
+        copy = self._copies.get((body.name, link))
+        if copy is None:
+            copy = self._load(body, link, rigid_parts.single_link(body.model.path, link))
+            self.engine.ghost(copy.body)
+        now = self._states[body.name]
+        if copy.state != now:
+            self.engine.set_pose(copy.body, body.world.engine.link_pose(body.handle, link))
+            copy.state = now
+        return copy.body
+
+    def boxes(self, body: Object) -> Boxes:
+        """Return the boxes around an object's pieces, as it was synced."""
+        return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
+
+
+class _Bodies(Mapping[str, "Body"]):
+    """The copies in a clone, by the objects' names."""
+
+    def __init__(self, clone: PosingClone) -> None:
+        self._clone = clone
+
+    def __getitem__(self, name: str) -> Body:
+        return self._clone.body(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return (body.name for body in self._clone.world.objects)
+
+    def __len__(self) -> int:
+        return len(self._clone.world.objects)
+
+
+class PlacedPart(NamedTuple):
+    """A rigid part of furniture, and its body in a clone."""
+
+    part: Part
+    body: Body
+
+
+class PhysicsClone(SimulationClone):
+    """A clone that is stepped: its bodies collide."""
+
+    def __init__(self, world: BulletWorld) -> None:
+        super().__init__(world)
         self._gravity: tuple[float, float, float] | None = None
         self._held: list[tuple[int, Body, str, Body, bool]] = []
 
-    def sync(self, bodies: Iterable[Object] | None = None, *, holding: bool = False) -> Mapping[str, Body]:
-        """Bring the copies to the world's state.
+    def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, Body], dict[str, list[PlacedPart]]]:
+        """Bring some objects to the world's state, with the attachments among them; all others are out of the way.
+
+        Furniture is there as its rigid parts, of which a step costs less, unless it carries something.
 
         Args:
-            bodies: the objects that are wanted; others are put out of the way. All by default.
-            holding: attachments among them hold when the clone is stepped.
+            bodies: the objects.
 
         Returns:
-            The engine's bodies of the wanted objects, by name.
+            The engine's bodies of the objects that are whole, and the parts of the others, both by the objects' names.
         """
-        wanted = {body.name: body for body in (self.world.objects if bodies is None else bodies)}
+        wanted = list(bodies)
         self._release()
         if self._gravity != self.world.gravity:
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
-        self._put_away(wanted)
-        copies = {name: self._copy(body) for name, body in wanted.items()}
-        if self._solid:  # contacts of earlier queries would change the last bits of the answer
-            for body in wanted.values():
-                self.engine.reset_collision_filter(copies[body.name], fixed=body.fixed, robot=body.is_robot)
-        if holding:
-            for body in wanted.values():
-                for held in body.carried:
-                    if held.body.name in copies:
-                        self._hold(held, copies)
-        return copies
-
-    def _put_away(self, wanted: Container[str]) -> None:
-        """Remove copies of what is no longer in the world, and put those out of the way that aren't wanted now."""
-        living = {body.name: body for body in self.world.objects}
-        for name, copy in list(self._copies.items()):
-            if name not in living or living[name].handle is not copy.original:
-                self.engine.remove(copy.body)
-                del self._copies[name]
-            elif name not in wanted and copy.state is not None:
+        self._forget_removed()
+        divided = {body.name: rigid_parts.divided(body.model.path) for body in wanted if _divides(body)}
+        keys = {(body.name, "") for body in wanted if body.name not in divided}
+        keys |= {(name, str(part.path)) for name, each in divided.items() for part in each}
+        for key, copy in self._copies.items():
+            if key not in keys and copy.state is not None:
                 self.engine.set_pose(copy.body, _OUT_OF_THE_WAY)
                 copy.state = None
+        whole: dict[str, Body] = {}
+        placed: dict[str, list[PlacedPart]] = {}
+        for body in wanted:
+            if body.name in divided:
+                placed[body.name] = self._parts(body, divided[body.name])
+            else:
+                whole[body.name] = self._whole(body)
+        for body in wanted:
+            for held in body.carried:
+                if held.body.name in whole:
+                    self._hold(held, whole)
+        return whole, placed
+
+    def _whole(self, body: Object) -> Body:
+        now, copy = take_snapshot(body), self._copies.get((body.name, ""))
+        if copy is None:
+            copy = self._load(body, "", body.model.path)
+        if copy.state != now:
+            self.engine.set_pose(copy.body, now.pose)
+            if any(now.velocity) and not body.fixed:
+                self.engine.set_velocity(copy.body, now.velocity)
+            if now.positions and (copy.state is None or copy.state.positions != now.positions):
+                self.engine.set_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
+            copy.state = now
+        self._forget_contacts(copy.body, body)
+        return copy.body
+
+    def _parts(self, body: Object, divided: Sequence[Part]) -> list[PlacedPart]:
+        now, found = take_snapshot(body), []
+        for part in divided:
+            copy = self._copies.get((body.name, str(part.path))) or self._load(body, str(part.path), part.path)
+            if copy.state != now:
+                self.engine.set_pose(copy.body, body.world.engine.link_pose(body.handle, part.frame))
+                copy.state = now
+            self._forget_contacts(copy.body, body)
+            found.append(PlacedPart(part, copy.body))
+        return found
+
+    def _forget_contacts(self, copy: Body, body: Object) -> None:
+        """Forget the contacts of earlier queries, which would change the last bits of the answer."""
+        self.engine.reset_collision_filter(copy, fixed=body.fixed, robot=body.is_robot)
 
     def _hold(self, held: Attachment, copies: Mapping[str, Body]) -> None:
         carrier, body = copies[held.carrier.name], copies[held.body.name]
@@ -111,66 +293,22 @@ class SimulationClone:
             self.engine.pass_through(carrier, link, body, robot=robot, enable=False)
         self._held.clear()
 
-    def _copy(self, body: Object) -> Body:
-        now = take_snapshot(body)
-        copy = self._copies.get(body.name)
-        if copy is None:
-            loading = body.model.loading
-            loaded = self.engine.load(body.model.path, now.pose, fixed=body.fixed, robot=body.is_robot, loading=loading)
-            copy = self._copies[body.name] = _Copy(body.handle, loaded, None)
-            if not self._solid:
-                self.engine.ghost(loaded)
-        if copy.state != now:
-            self.engine.set_pose(copy.body, now.pose)
-            if any(now.velocity) and not body.fixed:
-                self.engine.set_velocity(copy.body, now.velocity)
-            if now.positions and (copy.state is None or copy.state.positions != now.positions):
-                # what isn't solid is never stepped
-                put = self.engine.set_joints if self._solid else self.engine.pose_joints
-                put(copy.body, dict(zip(body.joints, now.positions, strict=True)))
-            copy.state = now
-        return copy.body
 
-    def boxes(self, body: Object) -> Boxes:
-        """Return the boxes around an object's pieces, as it was last synced and not invalidated since."""
-        return self.cached(body, "boxes", lambda copy: Boxes.around(self.engine, copy, body))
-
-    def cached(self, body: Object, key: Hashable, compute: Callable[[Body], T]) -> T:
-        """Return what was computed of an object as it was last synced; it is computed again when it has moved since.
-
-        Args:
-            body: one of the objects that were wanted, and not invalidated since.
-            key: identifies the value.
-            compute: makes it of the engine's copy.
-        """
-        copy = self._copies[body.name]
-        if copy.state is None:
-            raise AssertionError(f"{body.name} isn't as it was synced")
-        state, value = copy.cache.get(key, (None, None))
-        if state != copy.state:
-            if len(copy.cache) >= _MAX_CACHED:
-                copy.cache.clear()
-            value = compute(copy.body)
-            copy.cache[key] = copy.state, value
-        return cast("T", value)
-
-    def invalidate(self, *names: str) -> None:
-        """Mark copies that are no longer as they were synced: the next sync puts them back.
-
-        Args:
-            names: of the objects; all by default.
-        """
-        for name in names or list(self._copies):
-            if name in self._copies:
-                self._copies[name].state = None
-
-    def close(self) -> None:
-        """End its physics client."""
-        self.engine.close()
+def _divides(body: Object) -> bool:
+    """Return whether an object can be simulated as its rigid parts: they are fixed, and their joints are held."""
+    return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
 _clones: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()
 _registry = threading.Lock()
+
+
+@overload
+def clone_of(world: BulletWorld, purpose: Literal["reach"]) -> PosingClone: ...
+
+
+@overload
+def clone_of(world: BulletWorld, purpose: Literal["physics", "physics with robots"]) -> PhysicsClone: ...
 
 
 def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
@@ -178,11 +316,11 @@ def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
 
     Args:
         world: the world; its lock is held.
-        purpose: "reach", whose bodies aren't solid; "physics" and "physics with robots", which are stepped.
+        purpose: "reach", for postures; "physics" and "physics with robots", which are stepped.
     """
     with _registry:
         clones = _clones.setdefault(world, {})
     if purpose not in clones:
-        clone = clones[purpose] = SimulationClone(world, solid=purpose != "reach")
+        clone = clones[purpose] = PosingClone(world) if purpose == "reach" else PhysicsClone(world)
         world.at_exit(clone.close)
     return clones[purpose]

@@ -17,11 +17,12 @@ one or is held together with the object; else they stay out, with what they hold
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.queries.query import Verdict, query
-from pycram.reasoning.queries.support_polygon import stands_firmly
+from pycram.reasoning.queries.support_polygon import Solid, SolidPart, stands_firmly
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
@@ -64,16 +65,25 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
     bodies = _participants(object)
     robots = any(body.is_robot for body in bodies)
-    clone = clone_of(object.world, "physics with robots" if robots else "physics")
-    copies = clone.sync(bodies, holding=True)
+    world = object.world
+    clone = clone_of(world, "physics with robots" if robots else "physics")
+    copies, furniture = clone.sync(bodies)
     free = [body for body in bodies if not body.fixed]
     on_their_own = [body for body in free if not _root(body).fixed]
     standing = [copies[body.name] for body in on_their_own]
     attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
-    models = {copies[body.name]: body.model.path for body in bodies}
+
+    of = {body.id: world.get_object(name) for name, body in copies.items()}
+    parts = {placed.body.id: (world.get_object(name), placed) for name, each in furniture.items() for placed in each}
+
+    @cache
+    def solid(number: int) -> Solid:
+        if number in parts:
+            return SolidPart(*parts[number])
+        return Solid(clone.engine, copies[of[number].name], of[number].model.path)
 
     def firm() -> bool:
-        return not attached and stands_firmly(clone.engine, models, standing, object.world.gravity)
+        return not attached and stands_firmly(clone.engine, solid, standing, world.gravity)
 
     try:
         return _simulate(clone.engine, copies[object.name], [copies[body.name] for body in free], firm)
@@ -86,7 +96,7 @@ def _participants(body: Object) -> list[Object]:
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
     holders = {other: holder for other in world.objects if (holder := _holder(other)) is not None}
-    boxes = {other: other.get_AABB() for other in world.objects if other not in robots}
+    boxes = {other: _bounds(other) for other in world.objects if other not in robots}
     reach = _reach(body, {other: box for other, box in boxes.items() if not other.fixed and other not in holders})
     near = [other for other, box in boxes.items() if _gap(box, boxes[body]) <= reach]
     needed = {holders[body]} if body in holders else set()
@@ -102,6 +112,11 @@ def _participants(body: Object) -> list[Object]:
     held = [other for other, holder in holders.items() if holder in needed and other not in kept]
     joined = [other for kin in kept for other in kin.attachments if other not in kept and other not in holders]
     return list(dict.fromkeys([*kept, *held, *needed, *(other for other in joined if other not in robots)]))
+
+
+def _bounds(body: Object) -> Box:
+    """Return the box around an object; furniture has many links, but moves seldom."""
+    return clone_of(body.world, "physics").cached(body, "bounds", body.get_AABB) if body.fixed else body.get_AABB()
 
 
 def _holder(body: Object) -> Object | None:

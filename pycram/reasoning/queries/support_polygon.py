@@ -8,17 +8,17 @@ whether it rolls.
 
 from __future__ import annotations
 
-import itertools
 import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.models.visual import shapes_of
+from pycram.reasoning.queries import polygon
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pycram.physics.body import Body
     from pycram.physics.contacts import Contact
     from pycram.physics.engine import Engine
+    from pycram.reasoning.collision.simulation_clone import PlacedPart
+    from pycram.world.object import Object
     from recorder.geometry import Vector
 
     Points = NDArray[np.float64]
@@ -36,12 +38,67 @@ _FRICTION: Final = 0.8  # of friction's angle that a contact may slope
 _TILT: Final = math.radians(3)  # by which a firm body can be tilted before it tips
 
 
-def stands_firmly(engine: Engine, models: Mapping[Body, Path], standing: Sequence[Body], gravity: Vector) -> bool:
+class Solid:
+    """A body with its collision shapes.
+
+    Args:
+        engine: where it is.
+        body: the body.
+        model: its canonical URDF.
+    """
+
+    def __init__(self, engine: Engine, body: Body, model: Path) -> None:
+        self._engine, self._body = engine, body
+        self._shapes = shapes_of(model, "collision")
+        self._names = {index: link for link, index in body.links.items()}
+
+    def link(self, contact: Contact) -> str:
+        """Return the link of it that carries another body at a contact of that one."""
+        return self._names[contact.other_link]
+
+    def corners(self, link: str | None = None) -> Points:
+        """Return corners (n, 3) in the world of its collision shapes, or of those of a link."""
+        chosen = [i for i, name in enumerate(self._shapes.links) if link in {None, name}]
+        if not chosen:
+            return np.zeros((0, 3))
+        frames = self._engine.link_frames(self._body, [self._shapes.links[i] for i in chosen])
+        turns = geometry.to_matrices(frames[1])
+        moved = [self._shapes.triangles[i].reshape(-1, 3) @ turns[k].T + frames[0][k] for k, i in enumerate(chosen)]
+        return np.concatenate(moved)
+
+
+class SolidPart(Solid):
+    """A rigid part of furniture, whose links the engine doesn't tell from each other.
+
+    Args:
+        furniture: the object that it is of, in its world, where it is as in the clone.
+        placed: the part.
+    """
+
+    def __init__(self, furniture: Object, placed: PlacedPart) -> None:
+        super().__init__(furniture.world.engine, furniture.handle, furniture.model.path)
+        wanted = set(placed.part.links)
+        chosen = [i for i, name in enumerate(self._shapes.links) if name in wanted]
+        self._links: list[str] = [self._shapes.links[i] for i in chosen]
+        self._low, self._high = self._shapes.low[chosen], self._shapes.high[chosen]
+        self._volumes = (self._high - self._low).prod(axis=1)
+        self._positions, orientations = self._engine.link_frames(self._body, self._links)
+        self._turns = geometry.to_matrices(orientations)
+
+    def link(self, contact: Contact) -> str:
+        """Return the link whose box is nearest to a contact, of several around it the smallest."""
+        within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
+        beyond = np.maximum(np.maximum(self._low - within, within - self._high), 0.0)
+        distances = np.maximum((beyond**2).sum(axis=1), _FLAT**2)
+        return self._links[int(np.lexsort([self._volumes, distances])[0])]
+
+
+def stands_firmly(engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[Body], gravity: Vector) -> bool:
     """Return whether bodies stand firmly.
 
     Args:
         engine: where they have just been simulated.
-        models: canonical URDFs of all bodies that are there.
+        solid_of: returns any body that is there by its id.
         standing: the bodies in question; all others carry without giving way.
         gravity: m/s^2.
 
@@ -53,8 +110,7 @@ def stands_firmly(engine: Engine, models: Mapping[Body, Path], standing: Sequenc
         return True
     up = np.array(gravity) / -strength
     level = geometry.to_matrix(geometry.look_at((0.0, 0.0, 0.0), up))  # its z axis points up
-    bodies = {body.id: body for body in models}
-    below = {body.id: _carriers(engine, body, up) for body in standing}
+    below = {body.id: _carriers(engine, body, solid_of, up) for body in standing}
     loads = {
         number: [other for other, carriers in below.items() if number in {carrier for carrier, _ in carriers}]
         for number in below
@@ -63,24 +119,25 @@ def stands_firmly(engine: Engine, models: Mapping[Body, Path], standing: Sequenc
     for body in standing:
         centers, weights = zip(*(masses[other] for other in _above(body.id, loads)), strict=True)
         center = np.average(np.array(centers), axis=0, weights=weights) @ level
-        tops = [
-            (_corners(engine, bodies[other], models[bodies[other]], contacts[0].other_link) @ level, contacts)
-            for (other, _), contacts in below[body.id].items()
-        ]
-        support = _support(engine, body, _corners(engine, body, models[body]) @ level, tops, level)
+        tops = [(solid_of(other).corners(link) @ level, contacts) for (other, link), contacts in below[body.id].items()]
+        support = _support(engine, body, solid_of(body.id).corners() @ level, tops, level)
         if not len(support):
             return False
-        if _margin(support[:, :2], center[:2]) < math.tan(_TILT) * (center[2] - support[:, 2].min()):
+        if polygon.margin(polygon.convex_hull(support[:, :2]), center[:2].tolist()) < math.tan(_TILT) * (
+            center[2] - support[:, 2].min()
+        ):
             return False
     return True
 
 
-def _carriers(engine: Engine, body: Body, up: Points) -> dict[tuple[int, int], list[Contact]]:
+def _carriers(
+    engine: Engine, body: Body, solid_of: Callable[[int], Solid], up: Points
+) -> dict[tuple[int, str], list[Contact]]:
     """Return what carries a body: ids and links, and where."""
-    found: dict[tuple[int, int], list[Contact]] = {}
+    found: dict[tuple[int, str], list[Contact]] = {}
     for contact in engine.contacts(body):
         if np.dot(contact.normal, up) > _CARRYING:
-            found.setdefault((contact.other, contact.other_link), []).append(contact)
+            found.setdefault((contact.other, solid_of(contact.other).link(contact)), []).append(contact)
     return found
 
 
@@ -110,11 +167,12 @@ def _support(
     parts = []
     for top, contacts in tops:
         height = float(np.dot(contacts[0].position, level[:, 2]))
-        lower = _convex_hull(underside[np.abs(underside[:, 2] - height) < _FLAT, :2])
-        upper = _convex_hull(top[np.abs(top[:, 2] - height) < _FLAT, :2])
+        lower, upper = (
+            polygon.convex_hull(corners[np.abs(corners[:, 2] - height) < _FLAT, :2]) for corners in (underside, top)
+        )
         if len(lower) > 2 and len(upper) > 2:
-            area = _intersection(lower, upper)
-            parts.append(np.column_stack([area, np.full(len(area), height)]))
+            area = [(x, y, height) for x, y in polygon.intersection(lower, upper)]
+            parts.append(np.array(area).reshape(-1, 3))
         points = [contact.position for contact in contacts if _holds(engine, body, contact, level[:, 2])]
         parts.append(np.array(points).reshape(-1, 3) @ level)
     return np.concatenate(parts) if parts else np.zeros((0, 3))
@@ -125,58 +183,3 @@ def _holds(engine: Engine, body: Body, contact: Contact, up: Points) -> bool:
     friction = engine.friction(body.id, contact.link) * engine.friction(contact.other, contact.other_link)
     slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))
     return contact.force > 0.0 and slope < _FRICTION * math.atan(friction)
-
-
-def _corners(engine: Engine, body: Body, model: Path, link: int | None = None) -> Points:
-    """Return corners (n, 3) in the world of the collision shapes of a body, or of one of its links."""
-    shapes = shapes_of(model, "collision")
-    chosen = [i for i, name in enumerate(shapes.links) if link is None or body.links[name] == link]
-    if not chosen:
-        return np.zeros((0, 3))
-    positions, orientations = engine.link_frames(body, [shapes.links[i] for i in chosen])
-    turns = geometry.to_matrices(orientations)
-    moved = [shapes.triangles[i].reshape(-1, 3) @ turns[k].T + positions[k] for k, i in enumerate(chosen)]
-    return np.concatenate(moved)
-
-
-def _convex_hull(points: Points) -> Points:
-    """Return the convex hull of points (n, 2) of the plane, counterclockwise (monotone chain)."""
-    ordered = np.unique(points.round(6), axis=0)
-
-    def half(sequence: Points) -> list[Points]:
-        chain: list[Points] = []
-        for point in sequence:
-            while len(chain) > 1 and _side(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        return chain[:-1]
-
-    return np.array(half(ordered) + half(ordered[::-1])).reshape(-1, 2) if len(ordered) > 2 else ordered
-
-
-def _intersection(polygon: Points, other: Points) -> Points:
-    """Return the corners (n, 2) of the intersection of two convex polygons (Sutherland and Hodgman)."""
-    kept = list(polygon)
-    for a, b in itertools.pairwise([*other, other[0]]):
-        corners, kept = kept, []
-        for now, after in zip(corners, [*corners[1:], *corners[:1]], strict=True):
-            left, follows = _side(a, b, now), _side(a, b, after)
-            if left >= 0:
-                kept.append(now)
-            if left * follows < 0:
-                kept.append(now + (after - now) * (left / (left - follows)))
-    return np.array(kept).reshape(-1, 2)
-
-
-def _side(a: Points, b: Points, point: Points) -> float:
-    """Return a number above 0 if a point lies left of the line from a to b."""
-    return float((b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]))
-
-
-def _margin(points: Points, center: Points) -> float:
-    """Return how far a point lies within the convex hull of points, m; less than 0 outside."""
-    corners = _convex_hull(points)
-    if len(corners) < 3:
-        return -math.inf
-    sides = itertools.pairwise([*corners, corners[0]])
-    return min(_side(a, b, center) / max(float(np.linalg.norm(b - a)), 1e-9) for a, b in sides)

@@ -67,6 +67,12 @@ def test_rotations_survive_conversion_to_matrices(rotation: geometry.Quaternion)
     assert again[3] >= 0
 
 
+@given(angles, st.one_of(angles, st.sampled_from([-math.pi / 2, math.pi / 2])), angles)
+def test_rotations_survive_conversion_to_roll_pitch_and_yaw(roll: float, pitch: float, yaw: float) -> None:
+    rotation = geometry.from_rpy(roll, pitch, yaw)
+    assert geometry.angle(geometry.from_rpy(*geometry.to_rpy(rotation)), rotation) < 1e-7
+
+
 @given(vectors, vectors)
 def test_look_at_puts_the_point_on_the_optical_axis(eye: geometry.Vector, target: geometry.Vector) -> None:
     distance = math.dist(eye, target)

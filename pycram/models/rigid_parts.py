@@ -1,0 +1,109 @@
+"""Rigid parts of a model, and single links, as models of their own for tries and simulations.
+
+An engine's step costs by the link, however far it is from anything, and loading costs by the mesh. So simulation clones
+take furniture as its rigid parts, and collision checks take single links.
+"""
+
+from __future__ import annotations
+
+import copy
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final
+
+from pycram.models import store
+from recorder import geometry
+from recorder.geometry.urdf import Urdf
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from recorder.geometry import Pose
+
+_INERTIA: Final = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
+_CACHED_MODELS: Final = 128
+_CACHED_LINKS: Final = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Links that fixed joints hold together, as one link.
+
+    Attributes:
+        frame: name of the link whose frame is the part's.
+        links: names of those that have collision shapes.
+        path: canonical URDF of the part.
+    """
+
+    frame: str
+    links: tuple[str, ...]
+    path: Path
+
+
+@lru_cache(maxsize=_CACHED_MODELS)
+def divided(path: Path) -> tuple[Part, ...]:
+    """Return the rigid parts of the model with a canonical URDF that have collision shapes.
+
+    Links that differ in friction or stiffness are different parts, as these belong to links.
+    """
+    elements = {link.get("name", ""): link for link in store.document(path).findall("link")}
+    urdf = Urdf.parse(path.read_bytes())
+    frames: dict[str, str] = {}
+    parts: dict[tuple[str, bytes], list[str]] = {}
+    for link in urdf.links:  # parents come before their children
+        joint = urdf.parent_joint(link)
+        frames[link] = frame = link if joint is None or joint.type != "fixed" else frames[joint.parent]
+        element = elements[link]
+        if element.find("collision") is not None:
+            contact = b"".join(ET.tostring(each) for each in element.findall("contact"))
+            parts.setdefault((frame, contact), []).append(link)
+    poses = urdf.link_poses({})
+    found = []
+    for (frame, _), links in parts.items():
+        placed = [(elements[link], geometry.multiply(geometry.invert(poses[frame]), poses[link])) for link in links]
+        found.append(Part(frame, tuple(links), _write(frame, placed)))
+    return tuple(found)
+
+
+@lru_cache(maxsize=_CACHED_LINKS)
+def single_link(path: Path, link: str) -> Path:
+    """Return a link, which has collision shapes, of the model with a canonical URDF as a model of its own."""
+    elements = store.document(path).findall("link")
+    return _write(link, [(element, geometry.IDENTITY) for element in elements if element.get("name") == link])
+
+
+def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
+    """Write a model of one link that has the collision shapes of links, which are alike but for these.
+
+    Args:
+        name: of the link.
+        links: elements, and their poses in its frame.
+    """
+    root = ET.Element("robot", name=name)
+    merged = ET.SubElement(root, "link", name=name)
+    inertial = ET.SubElement(merged, "inertial")  # the base of a part is fixed: any will do
+    ET.SubElement(inertial, "mass", value="1")
+    ET.SubElement(inertial, "inertia", attrib=_INERTIA)
+    for link, pose in links:
+        if not merged.findall("contact"):
+            merged.extend(link.findall("contact"))
+        merged.extend(_moved(collision, pose) for collision in link.findall("collision"))
+    return store.write_urdf(f"{name}.urdf", ET.tostring(root))[0]
+
+
+def _moved(collision: ET.Element, pose: Pose) -> ET.Element:
+    """Return a <collision> element as it is in another frame, in which its link has a pose."""
+    if pose == geometry.IDENTITY:
+        return collision
+    moved = copy.copy(collision)
+    origin = moved.find("origin")
+    xyz, rpy = ("0 0 0", "0 0 0") if origin is None else (origin.get("xyz", "0 0 0"), origin.get("rpy", "0 0 0"))
+    if origin is not None:
+        moved.remove(origin)
+    x, y, z = map(float, xyz.split())
+    at, turn = geometry.multiply(pose, ((x, y, z), geometry.from_rpy(*map(float, rpy.split()))))
+    attributes = {"xyz": " ".join(map(repr, at)), "rpy": " ".join(map(repr, geometry.to_rpy(turn)))}
+    moved.append(ET.Element("origin", attributes))
+    return moved

@@ -1,0 +1,291 @@
+"""The way of an arm that moves a door or drawer by its handle: a posture for each value of its joint.
+
+Postures for all ways to hold the handle are the nodes of a graph with one layer a value, as in Descartes of
+ROS-Industrial; the cheapest path turns the gripper little about the bar and moves the arm little. Collisions are looked
+for along that path only (lazy evaluation: Bohlin, Kavraki: Path Planning Using Lazy PRM, ICRA 2000), until one is free:
+of the whole robot, with the door or drawer as it stands at each value.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.foundation.collision_pair import CollisionPair
+from pycram.models.visual import shapes_of
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
+from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.reasoning.grasping.handles import ANGLES
+from pycram.reasoning.kinematics.solver import Solver
+from pycram.world import carried
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.collision.checker import Candidate
+    from pycram.reasoning.grasping.handles import Grip, Handle
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, Quaternion, Vector
+
+    Array = NDArray[np.float64]
+
+_MAX_TURN: Final = math.radians(31)  # about the bar from one value to the next
+_MAX_JUMP: Final = 1.6  # rad of a joint from one value to the next
+_TURNED: Final = 1.0  # cost of a square rad about the bar, against a square rad of a joint
+_TURNING: Final = 1.0  # of a square rad about the bar from one value to the next
+_APPROACH: Final = 0.01  # of a square rad of a joint from the present posture to the first
+_MAX_PATHS: Final = 40  # that are checked
+_MAX_QUICK_PATHS: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class HandlePath:
+    """Postures of an arm, one a value of the joint."""
+
+    values: Sequence[float]
+    postures: Sequence[Mapping[str, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class DeadEnd:
+    """Why there is no path.
+
+    Attributes:
+        value: of the joint, which the arm doesn't get to.
+        reached: the last value that it gets to; None if not even the first.
+        position: of the tool there, in the world, m.
+        orientation: of the tool there when it comes from the front, xyzw.
+        distance: m that the tool stays away at least; None if it gets there.
+        turn: rad that remain to that orientation where it comes nearest.
+        pairs: what would touch what, where it gets there.
+    """
+
+    value: float
+    reached: float | None
+    position: Vector
+    orientation: Quaternion
+    distance: float | None = None
+    turn: float = 0.0
+    pairs: Sequence[CollisionPair] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """Postures for one value of the joint.
+
+    Attributes:
+        joints: (n, joints) of the arm, rad or m.
+        angles: (n,) of the gripper about the bar, rad.
+    """
+
+    joints: Array
+    angles: Array
+
+
+def plan(
+    robot: Object,
+    arm: Arm,
+    handle: Handle,
+    values: Sequence[float],
+    base: Pose | None = None,
+    *,
+    quick: bool = False,
+) -> HandlePath | DeadEnd:
+    """Return the way of an arm that holds a handle while its joint goes through values.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        handle: the handle.
+        values: of its joint, rad or m, from the present one on.
+        base: where the robot's base is taken to stand; where it does by default.
+        quick: don't look long; a dead end then proves nothing.
+    """
+    moved = carried.moved_links(handle.container.urdf, [handle.joint])
+    ignored = {(handle.container, link) for link in moved}
+    joints = [*arm.joints, *arm.gripper.positions("open")]
+    grips = handle.grips(robot, arm.gripper)
+    ends: list[DeadEnd] = []
+    try:
+        with CollisionChecker(robot, joints, ignored_links=ignored) as checker:
+            search = _Search(robot, arm, handle, values, base, checker)
+            ways = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
+            for grip, angles in ways:
+                found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
+                if isinstance(found, HandlePath):
+                    return found
+                ends.append(found)
+    finally:
+        clone_of(robot.world, "reach").invalidate(handle.container.name)
+    return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
+
+
+class _Search:
+    """The search for a path; see :func:`plan` for the arguments."""
+
+    def __init__(
+        self,
+        robot: Object,
+        arm: Arm,
+        handle: Handle,
+        values: Sequence[float],
+        base: Pose | None,
+        checker: CollisionChecker,
+    ) -> None:
+        self._robot, self._arm, self._handle = robot, arm, handle
+        self._values, self._base, self._checker = values, base, checker
+        self._clone = clone_of(robot.world, "reach")
+        self._solver = Solver(robot, arm.tool_frame)
+        self._poses = [handle.pose(value) for value in values]
+        now = robot.get_joint_positions()
+        self._now = np.array([now[name] for name in arm.joints])
+        self._endless = np.array([not math.isfinite(robot.joint_limits(name)[1]) for name in arm.joints])
+        self._opened = arm.gripper.positions("open")
+        self._hand = checker.links_beyond(arm.joints)
+        solid = shapes_of(handle.container.model.path, "collision").links
+        self._moved = [link for link in carried.moved_links(handle.container.urdf, [handle.joint]) if link in solid]
+
+    def path(self, grip: Grip, angles: Sequence[float], tries: int) -> HandlePath | DeadEnd:
+        """Return a path for one place of the gripper on the bar, or the end of the longest; so many are checked."""
+        layers = self._rigid(grip) if len(angles) == 1 else self._turning(grip, angles)
+        edges = [self._edges(before, after) for before, after in itertools.pairwise(layers)]
+        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite where something would be touched
+        obstacles: dict[int, list[CollisionPair]] = {}
+        nodes: list[int] = []
+        for _ in range(tries):
+            nodes = self._cheapest(layers, edges, free)
+            postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
+            touching = False
+            for step, candidate in enumerate(self._checker.predict(postures, self._base)):
+                pairs = self._touching(candidate, self._values[step])
+                if pairs:
+                    touching = True
+                    obstacles.setdefault(step, pairs)
+                    free[step][self._alike(layers[step], nodes[step], pairs)] = np.inf
+            if not touching and len(nodes) == len(layers):
+                arm = [{name: posture[name] for name in self._arm.joints} for posture in postures]
+                return HandlePath(self._values, arm)
+            if not touching:
+                break
+        else:
+            nodes = nodes[: min(obstacles)]
+        return self._end(grip, layers, len(nodes), obstacles)
+
+    def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
+        """Return the nodes for which the same links are at the same place: all of a robot's body, many of a hand."""
+        if any(pair.link not in self._checker.moving for pair in pairs):
+            alike: Sequence[int] = range(len(layer.angles))
+        elif any(pair.link in self._hand for pair in pairs):
+            alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
+        else:
+            alike = [node]
+        return alike
+
+    def _posture(self, joints: Array) -> dict[str, float]:
+        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._opened
+
+    def _rigid(self, grip: Grip) -> list[_Layer]:
+        """Return postures in which the gripper comes from the front, each looked for from the one before."""
+        layers = []
+        seed = None
+        for pose in self._poses:
+            position, orientation = geometry.multiply(pose, grip.tool(0.0))
+            (found,) = self._solver.search([(position, orientation, self._base)], seed=seed)
+            rows = [posture.positions for posture in found if posture.reaches()]
+            layers.append(self._layer([(row, 0.0) for row in rows]))
+            if not rows:
+                break
+            seed = rows[0]
+        return layers + [self._layer([])] * (len(self._poses) - len(layers))
+
+    def _turning(self, grip: Grip, angles: Sequence[float]) -> list[_Layer]:
+        """Return postures in which the gripper is turned about the bar."""
+        tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
+        targets = [(*tool, self._base) for tool in tools]
+        found = self._solver.closed_form(targets)
+        if not any(found):  # an arm that has none, or can't get there anyway
+            found = self._solver.search(targets, quick=True)
+        count = len(angles)
+        return [
+            self._layer(
+                [
+                    (posture.positions, angle)
+                    for angle, each in zip(angles, found[start : start + count], strict=True)
+                    for posture in each
+                    if posture.reaches()
+                ]
+            )
+            for start in range(0, len(found), count)
+        ]
+
+    def _layer(self, found: Sequence[tuple[Mapping[str, float], float]]) -> _Layer:
+        rows = [[positions[name] for name in self._arm.joints] for positions, _ in found]
+        joints = np.array(rows, dtype=np.float64).reshape(-1, len(self._arm.joints))
+        return _Layer(joints, np.array([angle for _, angle in found]))
+
+    def _edges(self, before: _Layer, after: _Layer) -> Array:
+        """Return what it costs to get from nodes of a layer to those of the next; infinite where that is impossible."""
+        change = self._change(before.joints, after.joints)
+        turning = after.angles - before.angles[:, None]
+        costs: Array = (change**2).sum(axis=2) + _TURNING * turning**2
+        costs[(np.abs(change) > _MAX_JUMP).any(axis=2) | (np.abs(turning) > _MAX_TURN)] = np.inf
+        return costs
+
+    def _cheapest(self, layers: Sequence[_Layer], edges: Sequence[Array], free: Sequence[Array]) -> list[int]:
+        """Return the nodes of the cheapest path through all layers, or through as many of the first as it gets to."""
+        first = _APPROACH * (self._change(self._now[None], layers[0].joints) ** 2).sum(axis=2)[0]
+        costs = [first + _TURNED * layers[0].angles ** 2 + free[0]]
+        origins: list[NDArray[np.intp]] = []
+        while np.isfinite(costs[-1]).any():
+            step = len(costs)
+            if step == len(layers) or not len(layers[step].angles):
+                break
+            ways = costs[-1][:, None] + edges[step - 1]
+            origins.append(ways.argmin(axis=0))
+            costs.append(ways.min(axis=0) + _TURNED * layers[step].angles ** 2 + free[step])
+        reached = [cost for cost in costs if np.isfinite(cost).any()]
+        if not reached:
+            return []
+        nodes = [int(reached[-1].argmin())]
+        for origin in reversed(origins[: len(reached) - 1]):
+            nodes.append(int(origin[nodes[-1]]))
+        return nodes[::-1]
+
+    def _change(self, before: Array, after: Array) -> Array:
+        """Return by how much joints move (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
+        change = after - before[:, None]
+        wrapped = (change + math.pi) % (2 * math.pi) - math.pi
+        return np.where(self._endless, wrapped, change)
+
+    def _touching(self, candidate: Candidate, value: float) -> list[CollisionPair]:
+        """Return what would touch what while the joint is at a value: also the door or drawer itself."""
+        robot, container = self._robot.name, self._handle.container
+        pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
+        for link in self._moved if not pairs else ():
+            part = self._clone.link(container, link)
+            self._clone.engine.set_pose(part, self._handle.pose(value, link))
+            for touch in self._checker.closest_points(candidate, part):
+                gripped = link == self._handle.link and touch.link_a in self._hand
+                if touch.distance <= -DEPTH and not gripped:
+                    pairs.append(CollisionPair(robot, touch.link_a, container.name, link, -touch.distance))
+        return pairs or self._checker.self_collisions(candidate)
+
+    def _end(
+        self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
+    ) -> DeadEnd:
+        """Return what ends all paths at a step."""
+        position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
+        reached = self._values[step - 1] if step else None
+        if not len(layers[step].angles):
+            nearest = self._solver.search([(position, orientation, self._base)])[0][0]
+            miss = nearest.position_error, nearest.turn_error
+            return DeadEnd(self._values[step], reached, position, orientation, *miss)
+        return DeadEnd(self._values[step], reached, position, orientation, pairs=obstacles.get(step, ()))

@@ -1,0 +1,116 @@
+"""What would do where an arm can't open or close something: another arm, another place of the robot, less of it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.reasoning.collision import checker
+from pycram.reasoning.grasping.handle_path import HandlePath, plan
+from pycram.reasoning.grasping.handles import ANGLES
+from pycram.reasoning.kinematics.solver import Solver
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.grasping.handles import Handle
+    from pycram.world.object import Object
+    from recorder.geometry import Pose, Vector
+
+_STEP: Final = 0.15  # m between places that are tried
+_STEPS: Final = 5  # to each side
+_MAX_PLACES: Final = 4  # for which a way is looked for
+
+
+@dataclass(frozen=True, slots=True)
+class Remedy:
+    """An arm that could do it.
+
+    Attributes:
+        arm: its name.
+        base: where the robot would have to stand, m, with its present heading; None where it does.
+        distance: m from where it stands.
+    """
+
+    arm: str
+    base: Vector | None = None
+    distance: float = 0.0
+
+    def phrase(self) -> str:
+        """Return it in words."""
+        if self.base is None:
+            return f"the {self.arm} arm could from here"
+        place = ", ".join(f"{part:.2f}" for part in self.base)
+        return f"the {self.arm} arm could with the robot at [{place}], {self.distance:.2f} m from here"
+
+
+def remedies(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> list[Remedy]:
+    """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm that can't.
+        handle: of what should be moved.
+        values: of its joint, rad or m, from the present one on.
+    """
+    description = robot.description
+    free = [
+        other
+        for other in (description.arms.values() if description else ())
+        if all(held.carrier_link != other.tool_frame for held in robot.carried)
+    ]
+    found = [
+        Remedy(other.name)
+        for other in free
+        if other is not arm and isinstance(plan(robot, other, handle, values), HandlePath)
+    ]
+    places = (
+        _from_elsewhere(robot, other, handle, values) for other in sorted(free, key=lambda other: other is not arm)
+    )
+    elsewhere = next((place for place in places if place is not None), None)
+    return found + ([elsewhere] if elsewhere is not None else [])
+
+
+def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> Remedy | None:
+    """Return the nearest place, of those on a grid, from which an arm could do it."""
+    position, heading = robot.get_position_and_orientation()
+    now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
+    tried = 0
+    for base in _promising(robot, arm, handle, values, list(_places(now))):
+        if checker.touched(robot, {}, base, all_links=True):
+            continue
+        if isinstance(plan(robot, arm, handle, values, base, quick=True), HandlePath):
+            return Remedy(arm.name, base[0], math.dist(base[0], position))
+        tried += 1
+        if tried == _MAX_PLACES:
+            break
+    return None
+
+
+def _places(now: Pose) -> Iterator[Pose]:
+    """Yield places around the robot, nearest first, with its heading."""
+    steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
+    for x, y in sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at)):
+        if (x, y) != (0.0, 0.0):
+            yield geometry.transform(now, (x, y, 0.0)), now[1]
+
+
+def _promising(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], bases: Sequence[Pose]
+) -> Iterator[Pose]:
+    """Yield places from which the arm gets to the handle at the first, the middle and the last value, in some way."""
+    solver = Solver(robot, arm.tool_frame)
+    grip = handle.grips(robot, arm.gripper)[0]
+    picked = sorted({0, len(values) // 2, len(values) - 1})
+    tools = [geometry.multiply(handle.pose(values[number]), grip.tool(angle)) for number in picked for angle in ANGLES]
+    for base in bases:
+        found = solver.closed_form([(*tool, base) for tool in tools])
+        reached = np.array([bool(each) for each in found]).reshape(len(picked), len(ANGLES))
+        if reached.any(axis=1).all():
+            yield base

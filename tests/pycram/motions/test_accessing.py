@@ -1,0 +1,194 @@
+"""Doors and drawers: what opened from a place closes from there; a failure says where, why, and what would do."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.failures import AccessFailed, HandleBlocked, HandleUnreachable, PlanFailure, Unreachable
+from pycram.models.load import resources
+from pycram.process_module import ProcessModule
+from pycram.world.snapshot import restore_snapshot, take_snapshot
+from recorder import geometry
+from recorder.geometry.urdf import Urdf
+from tests import measures
+from tests.conftest import furnish
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+KITCHEN = Urdf.parse((resources() / "kitchen.urdf").read_text())
+HANDLES = sorted((link for link in KITCHEN.links if link.endswith("_handle")), key=lambda link: "door" not in link)
+CASES = list(itertools.product(HANDLES, ("left", "right")))  # doors first
+PLACES = 3  # from which each is opened and closed
+TRIED = 10  # places that are tried for it
+FRIDGE = "iai_fridge_door_joint", "iai_fridge_door_handle"
+
+
+@pytest.fixture(scope="module")
+def built() -> Iterator[BulletWorld]:
+    with BulletWorld() as made:
+        made.set_gravity([0, 0, -9.8])
+        furnish(made)
+        yield made
+
+
+@pytest.fixture
+def scene(built: BulletWorld) -> Iterator[BulletWorld]:
+    BulletWorld.current_bullet_world = built
+    before = {body: take_snapshot(body) for body in built.objects}
+    yield built
+    for body, state in before.items():
+        restore_snapshot(body, state)
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def access(scene: BulletWorld, joint: str, handle: str, arm: str, distance: float) -> None:
+    kitchen = scene.get_object("kitchen")
+    perform(type="accessing", drawer_joint=joint, drawer_handle=handle, part_of=kitchen, arm=arm, distance=distance)
+
+
+def go(x: float, y: float, yaw: float) -> None:
+    perform(type="moving", target=[x, y, 0.0], orientation=list(geometry.from_rpy(0, 0, yaw)))
+
+
+def joint_of(handle: str) -> str:
+    joint = KITCHEN.parent_joint(handle)
+    while not joint.movable:
+        joint = KITCHEN.parent_joint(joint.parent)
+    return joint.name
+
+
+def places(kitchen: Object, joint: str, handle: str) -> Iterator[tuple[float, float, float]]:
+    """Where a robot may stand before a handle and face it."""
+    closed = np.array(kitchen.get_link_position(handle))
+    kitchen.set_joint_position(joint, 0.05)
+    way = np.array(kitchen.get_link_position(handle)) - closed
+    kitchen.set_joint_position(joint, 0.0)
+    axis = int(np.argmax(np.abs(way[:2])))
+    out = np.sign(way[axis]) * np.eye(3)[axis]
+    side = np.array([-out[1], out[0], 0.0])
+    for distance, beside in itertools.product((0.7, 0.6, 0.8, 0.9), (0.0, -0.2, 0.2, -0.4, 0.4, -0.6, 0.6)):
+        x, y, _ = (closed + distance * out + beside * side).tolist()
+        yield x, y, math.atan2(-out[1], -out[0])
+
+
+@measures.seeded("doors and drawers that open close again", range(len(CASES)), 2)
+def test_what_opened_from_a_place_closes_from_there(
+    built: BulletWorld, seeds: range, record_property: pytest.RecordProperty
+) -> None:
+    BulletWorld.current_bullet_world = built
+    kitchen, before = built.get_object("kitchen"), {body: take_snapshot(body) for body in built.objects}
+    opened = somewhere = 0
+    for seed in seeds:
+        handle, arm = CASES[seed]
+        joint = joint_of(handle)
+        distance = 0.3 if KITCHEN.joint(joint).type == "prismatic" else 1.0
+        tried = times = 0
+        for place in list(places(kitchen, joint, handle)):
+            for body, state in before.items():
+                restore_snapshot(body, state)
+            try:
+                go(*place)
+                tried += 1
+                access(built, joint, handle, arm, distance)
+            except PlanFailure:
+                if tried == TRIED:
+                    break
+                continue
+            times += 1
+            assert kitchen.get_joint_position(joint) == pytest.approx(distance)
+            with suppress(PlanFailure):  # where it stands open in the way of the arm, that stays at the handle
+                perform(type="move-arm-joints", left_arm="park", right_arm="park")
+            access(built, joint, handle, arm, 0.0)
+            assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
+            if times == PLACES:
+                break
+        opened += times
+        somewhere += times > 0
+    for body, state in before.items():
+        restore_snapshot(body, state)
+    record_property("opened and closed", opened)
+    record_property("handles and arms that open something", somewhere)
+
+
+def test_a_handle_out_of_reach_is_named_with_joint_value_and_orientation_and_what_would_do(scene: BulletWorld) -> None:
+    joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
+    go(0.1, 0.7, 0.0)
+    with pytest.raises(HandleUnreachable) as raised:
+        access(scene, joint, handle, "left", 0.3)
+    failure = raised.value
+    assert isinstance(failure, AccessFailed)
+    assert isinstance(failure, Unreachable)  # recoveries by that type serve here, too
+    assert (failure.joint, failure.handle, failure.arm) == (joint, handle, "left")
+    assert (failure.value, failure.asked) == pytest.approx((0.0, 0.3), abs=1e-6)
+    assert failure.reached is None
+    assert failure.distance > 0.05
+    forward = geometry.rotate(failure.orientation, (1, 0, 0))
+    assert forward == pytest.approx((1, 0, 0), abs=1e-6)  # from the front
+    for part in (joint, handle, "left arm", f"stays {failure.distance:.3f} m"):
+        assert part in str(failure)
+    (place,) = [re.search(r"the (\w+) arm could with the robot at \[(.*?)\]", each) for each in failure.remedies]
+    x, y, _ = (float(part) for part in place[2].split(","))
+    go(x, y, 0.0)
+    access(scene, joint, handle, place[1], 0.3)
+
+
+def test_an_arm_that_gets_no_further_says_how_far_it_gets(scene: BulletWorld) -> None:
+    joint, handle = FRIDGE
+    before = take_snapshot(scene.robot)
+    x, y, yaw = next(places(scene.get_object("kitchen"), joint, handle))
+    go(x, y, yaw)
+    with pytest.raises(AccessFailed) as raised:
+        access(scene, joint, handle, "left", 1.5)
+    assert take_snapshot(scene.robot).positions == before.positions
+    reached = raised.value.reached
+    assert reached is not None
+    assert f"from here it would get to {reached:.3f}" in str(raised.value)
+    access(scene, joint, handle, "left", reached)
+    assert scene.get_object("kitchen").get_joint_position(joint) == pytest.approx(reached)
+
+
+def test_what_is_in_the_way_is_named_with_the_links_that_would_touch(scene: BulletWorld) -> None:
+    joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
+    x, y, z = scene.get_object("kitchen").get_link_position(handle)
+    pot = Object("pot", "pot", "pot.stl", [x - 0.1, y, z])
+    try:
+        with pytest.raises(HandleBlocked, match="pot would be in the way") as raised:
+            access(scene, joint, handle, "left", 0.3)
+    finally:
+        pot.remove()
+    (pair,) = [pair for pair in raised.value.pairs if pair.body == "pot"]
+    assert pair.mover == "kitchen"
+    assert pair.link in {handle, KITCHEN.joint(joint).child}
+    assert pair.depth > 0.002
+    assert raised.value.bodies == ["pot"]
+
+
+def test_a_door_doesnt_open_through_the_robot(scene: BulletWorld) -> None:
+    kitchen, robot, (joint, handle) = scene.get_object("kitchen"), scene.robot, FRIDGE
+    x, y, _ = kitchen.get_link_position(handle)
+    for place in itertools.product((0.6, 0.5, 0.7), (0.3, 0.2, 0.4, 0.1)):
+        go(x - place[0], y + place[1], 0.0)
+        with suppress(AccessFailed):
+            access(scene, joint, handle, "right", 1.2)
+            overlaps = [
+                touch
+                for touch in scene.engine.closest_points(robot.handle, kitchen.handle)
+                if touch.distance < -0.005 and touch.link_b.startswith("iai_fridge_door")
+            ]
+            assert all("gripper" in touch.link_a and touch.link_b == handle for touch in overlaps)
+            kitchen.set_joint_position(joint, 0.0)
+        for arm in robot.description.arms.values():
+            robot.set_joint_positions(arm.posture("park"))
