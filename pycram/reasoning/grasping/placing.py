@@ -78,7 +78,7 @@ def stands_alone(body: Object) -> bool:
     """Return whether an object stays where it is without robots and what they hold: tried for 1 s in a clone."""
     without = [other for other in body.world.objects if not _root(other).is_robot]
     clone = clone_of(body.world, "physics")
-    copies = clone.sync(without, holding=True)
+    copies, _ = clone.sync(without)
     try:
         before = clone.engine.pose(copies[body.name])
         clone.engine.step(_ALONE)
