@@ -1,7 +1,7 @@
-"""Parts of a model, as models of their own for tries and simulations: only what collides, and what doesn't move as one.
+"""Rigid parts of a model, and single links, as models of their own for tries and simulations.
 
 An engine's step costs by the link, however far it is from anything, and loading costs by the mesh. So simulation clones
-take furniture as its rigid parts, collision checks take single links, and neither takes what is only seen.
+take furniture as its rigid parts, and collision checks take single links.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Part:
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def rigid_parts(path: Path) -> tuple[Part, ...]:
+def divided(path: Path) -> tuple[Part, ...]:
     """Return the rigid parts of the model with a canonical URDF that have collision shapes.
 
     Links that differ in friction or stiffness are different parts, as these belong to links.

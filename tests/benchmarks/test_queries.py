@@ -124,7 +124,7 @@ def forget() -> None:
     """Begin as if no query had been asked yet, nor anything been loaded for one."""
     for cached in (visual.shapes_of, visual._read, visual._mesh, visual._mesh_ends, boxes._bounds, solids_of):
         cached.cache_clear()
-    for cached in (store.document, rigid_parts.rigid_parts, rigid_parts.single_link):
+    for cached in (store.document, rigid_parts.divided, rigid_parts.single_link):
         cached.cache_clear()
     for clones in simulation_clone._clones.values():
         for clone in clones.values():

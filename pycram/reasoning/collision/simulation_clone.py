@@ -89,7 +89,8 @@ class SimulationClone:
     def _load(self, body: Object, link: str, path: Path) -> _Copy:
         """Load a model as an object, or as a part of one that has a link's frame; where it is doesn't matter yet."""
         robot = body.is_robot and not link
-        loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=body.model.loading)
+        loading = body.model.loading
+        loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=loading)
         copy = self._copies[body.name, link] = _Copy(body.handle, loaded)
         return copy
 
@@ -226,7 +227,7 @@ class PhysicsClone(SimulationClone):
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
         self._forget_removed()
-        divided = {body.name: rigid_parts.rigid_parts(body.model.path) for body in wanted if _divides(body)}
+        divided = {body.name: rigid_parts.divided(body.model.path) for body in wanted if _divides(body)}
         keys = {(body.name, "") for body in wanted if body.name not in divided}
         keys |= {(name, str(part.path)) for name, each in divided.items() for part in each}
         for key, copy in self._copies.items():

@@ -46,13 +46,11 @@ def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld,
         return engine.load(path, row.get_link_position_and_orientation(link), fixed=True)
 
     path = row.model.path
-    rigid = [loaded(part.path, part.frame) for part in rigid_parts.rigid_parts(path)]
+    rigid = [loaded(part.path, part.frame) for part in rigid_parts.divided(path)]
     assert len(rigid) == 1 + len(row.joints), "what never moves, and each drawer"
     solid = visual.shapes_of(path, "collision").links
-    assert sorted(link for part in rigid_parts.rigid_parts(path) for link in part.links) == sorted(solid)
+    assert sorted(link for part in rigid_parts.divided(path) for link in part.links) == sorted(solid)
     single = [loaded(rigid_parts.single_link(path, link), link) for link in solid]
-    bare = engine.load(path, row.get_position_and_orientation(), fixed=True)
-    engine.pose_joints(bare, {joint: row.get_joint_position(joint) for joint in row.joints})
     model = load.load("knife.stl")
     probe, there = engine.load(model.path, geometry.IDENTITY, fixed=False), Object("knife", "knife", "knife.stl")
     rng, near = random.Random(1), 0
@@ -64,7 +62,7 @@ def test_rigid_parts_and_single_links_are_where_the_whole_is(world: BulletWorld,
         engine.set_pose(probe, (at, turn))
         expected = nearest(world.engine, there.handle, [row.handle])
         near += expected < NEAR
-        for bodies in (rigid, single, [bare]):
+        for bodies in (rigid, single):
             assert nearest(engine, probe, bodies) == pytest.approx(expected, abs=1e-5)
     assert near > 50
 
@@ -76,7 +74,7 @@ def test_links_of_other_friction_are_parts_of_their_own(tmp_path: Path) -> None:
     joint = '<joint name="{0}" type="fixed"><parent link="a"/><child link="{0}"/></joint>'
     file = tmp_path / "floor.urdf"
     file.write_text(f'<robot name="floor">{links}{joint.format("b")}{joint.format("c")}</robot>')
-    found = rigid_parts.rigid_parts(load.load(file).path)
+    found = rigid_parts.divided(load.load(file).path)
     assert [part.links for part in found] == [("a", "c"), ("b",)]
     assert [b"0.01" in part.path.read_bytes() for part in found] == [False, True]
 
