@@ -155,8 +155,8 @@ def test_what_queries_cost_in_a_large_kitchen(tmp_path: Path) -> None:
             "blocking": lambda: btr.blocking(milk, robot, LEFT),
             "stable": lambda: btr.stable(milk),
         }.items():
-            cost = ratio(lambda query=query: first(query), lambda: seconds(unit["image"]))
-            goal(f"first {name}, in images", cost, 3 if name == "stable" else 1)
+            cost = ratio(lambda query=query: first(query), lambda: seconds(unit["step"]))
+            goal(f"first {name}, in steps", cost, 150 if name == "stable" else 50)
 
 
 def test_what_blocking_costs_in_clutter(kitchen: Object) -> None:
