@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import signal
 import struct
 import subprocess
 import sys
@@ -476,16 +477,13 @@ def press():
     up.wait()
     os.kill(os.getpid(), signal.SIGINT)
 
-try:
-    with recorder.record(FILE), BulletWorld(), seq:
-        threading.Thread(target=press).start()
-        in_thread(watch)
-except KeyboardInterrupt:
-    os._exit(130)
+with recorder.record(FILE), BulletWorld(), seq:
+    threading.Thread(target=press).start()
+    in_thread(watch)
 """
 
 THREAD_GOES_ON = """
-import os, signal, threading
+import signal, threading
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.language import par
@@ -502,12 +500,9 @@ def begin():
     threading.Thread(target=watch, daemon=True).start()
     up.wait()
 
-try:
-    with recorder.record(FILE), BulletWorld(), par as block:
-        block(begin)
-        block(lambda: signal.raise_signal(signal.SIGINT))
-except KeyboardInterrupt:
-    os._exit(130)
+with recorder.record(FILE), BulletWorld(), par as block:
+    block(begin)
+    block(lambda: signal.raise_signal(signal.SIGINT))
 """
 
 BLOCKS_WITHOUT_END = """
@@ -540,7 +535,7 @@ def recorded_by(plan: str, file: Path, **values: object) -> subprocess.Completed
 @pytest.mark.parametrize("plan", [WORKER_IS_ABANDONED, THREAD_GOES_ON], ids=["worker", "daemon thread"])
 def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: str, tmp_path: Path, capfd) -> None:
     file = tmp_path / "run.mcap"
-    assert recorded_by(plan, file).returncode == 130
+    assert recorded_by(plan, file).returncode == -signal.SIGINT
     with replay.open(file) as log:
         verification = verify(log)
     assert verification.exact, verification
