@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from recorder.tracing import interrupts
+from recorder.tracing import interrupts, stack_room
 from recorder.tracing.branch_identity import enter_branch, new_branch
 from recorder.tracing.call_stack import plan_frame
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Self
 
-#: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: in s, how long one can be missed.
+#: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: seconds until that is noticed.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
@@ -207,6 +207,7 @@ class Scheduler:
                 if outside:
                     self._outside = waiter
                 if not self._loop:
+                    stack_room.greenlets_begin()
                     self._loop = greenlet(self._run)
                 self._loop.switch()
         finally:
