@@ -7,6 +7,7 @@ A cancelled branch stops by itself at its next checkpoint (:mod:`pycram.scheduli
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from contextlib import contextmanager
@@ -49,6 +50,9 @@ class CancelScope(Condition):
         remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 once it has passed; None for
             no deadline.
 
+    Raises:
+        RecursionError: It would be nested deeper than Python's recursion limit.
+
     Attributes:
         around: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
         cancel_called: Whether this very scope has been cancelled.
@@ -58,6 +62,8 @@ class CancelScope(Condition):
     def __init__(self, parent: CancelScope | None = None, remaining: Callable[[], float] | None = None) -> None:
         super().__init__()
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
+        if len(self.around) >= sys.getrecursionlimit():  # each branch has a stack of its own, so Python doesn't notice
+            raise RecursionError(f"{len(self.around)} blocks and timeouts of the plan within each other")
         known = parent.deadlines if parent is not None else ()
         self.deadlines: tuple[Callable[[], float], ...] = known if remaining is None else (remaining, *known)
         self._remaining = remaining

@@ -12,6 +12,7 @@ loop gives everybody a turn again: so nobody's turn is lost, and waits check the
 from __future__ import annotations
 
 import _thread
+import math
 import sys
 import threading
 import time
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from recorder.tracing import interrupts
+from recorder.tracing import interrupts, stack_room
 from recorder.tracing.branch_identity import enter_branch, new_branch
 from recorder.tracing.call_stack import plan_frame
 
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Self
 
+#: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: seconds until that is noticed.
+MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
@@ -204,6 +207,7 @@ class Scheduler:
                 if outside:
                     self._outside = waiter
                 if not self._loop:
+                    stack_room.greenlets_begin()
                     self._loop = greenlet(self._run)
                 self._loop.switch()
         finally:
@@ -255,9 +259,10 @@ class Scheduler:
 
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
-        first = min(self._deadlines.values(), default=None)
-        timeout = -1.0 if first is None else min(max(0.0, first - time.monotonic()), threading.TIMEOUT_MAX)
-        self._bell.acquire(timeout=timeout)
+        first = min(self._deadlines.values(), default=math.inf)
+        while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
+            if first <= time.monotonic():  # else Python has called the handlers of signals
+                break
 
     def _wake_overdue(self) -> None:
         if self._deadlines:

@@ -98,9 +98,7 @@ class Journal:
 
         Raises:
             RecordingError: a sink can't keep it.
-            RecursionError: there is no room on the stack for it; it isn't numbered.
         """
-        stack_room.require(stack_room.FOR_RECORD)
         topic = TOPICS[type(record)]
         with Uninterrupted(), self._lock:
             if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
@@ -204,7 +202,9 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
 
     Raises:
         RecordingError: a sink can't keep it.
+        RecursionError: there is no room on the stack for it; it isn't numbered.
     """
+    stack_room.require(stack_room.FOR_RECORD)
     record.world = world
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
@@ -301,8 +301,10 @@ def open_journal(journal: Journal) -> None:
 
     Raises:
         RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
+        RecursionError: there is no room on the stack for the keyframes.
     """
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
+    stack_room.require(stack_room.FOR_TASK)
     with _registry:
         _opened += 1
         sources = [source for reference in _sources if (source := reference()) is not None]

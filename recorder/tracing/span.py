@@ -101,7 +101,6 @@ class Span:
         Raises:
             RecursionError: there would be no room for recording its end; nothing is recorded of it.
         """
-        stack_room.require(stack_room.FOR_TASK)
         self._start_ns = time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
@@ -169,6 +168,7 @@ class Span:
             _current.reset(self._token)
 
     def _emit_begin(self, phase: Task.Phase, status: Task.Status) -> None:
+        stack_room.require(stack_room.FOR_TASK)
         record = self._record(phase, status)
         if self.source is None:
             self.source = current_call_stack()

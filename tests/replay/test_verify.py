@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import signal
 import struct
 import subprocess
 import sys
@@ -33,6 +34,7 @@ from tests.replay.plans import RandomPlan, Witness, everything
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from replay.restore.verify import Verification
     from replay.state.integrity import Problem
 
 
@@ -476,16 +478,13 @@ def press():
     up.wait()
     os.kill(os.getpid(), signal.SIGINT)
 
-try:
-    with recorder.record(FILE), BulletWorld(), seq:
-        threading.Thread(target=press).start()
-        in_thread(watch)
-except KeyboardInterrupt:
-    os._exit(130)
+with recorder.record(FILE), BulletWorld(), seq:
+    threading.Thread(target=press).start()
+    in_thread(watch)
 """
 
 THREAD_GOES_ON = """
-import os, signal, threading
+import signal, threading
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.language import par
@@ -502,12 +501,9 @@ def begin():
     threading.Thread(target=watch, daemon=True).start()
     up.wait()
 
-try:
-    with recorder.record(FILE), BulletWorld(), par as block:
-        block(begin)
-        block(lambda: signal.raise_signal(signal.SIGINT))
-except KeyboardInterrupt:
-    os._exit(130)
+with recorder.record(FILE), BulletWorld(), par as block:
+    block(begin)
+    block(lambda: signal.raise_signal(signal.SIGINT))
 """
 
 BLOCKS_WITHOUT_END = """
@@ -530,6 +526,35 @@ with recorder.record(FILE), BulletWorld() as world:
         sys.setrecursionlimit(1000)
 """
 
+BRANCHES_WITHOUT_END = """
+import sys
+import recorder
+from pycram.bullet_world import BulletWorld, Object
+from pycram.language import failure_handling, par, try_in_order
+
+def nested(depth, milk):
+    milk.set_position([depth % 9, 0, 1])
+    if depth % 3 == 0:
+        with par as s:
+            s(nested, depth + 1, milk)
+            s(milk.set_position, [0, 0, 1])
+    elif depth % 3 == 1:
+        for attempt in failure_handling(1):
+            with attempt:
+                nested(depth + 1, milk)
+    else:
+        with try_in_order as s:
+            s(nested, depth + 1, milk)
+
+with recorder.record(FILE), BulletWorld() as world:
+    milk = Object("milk", "milk", "milk.stl")
+    sys.setrecursionlimit(LIMIT)
+    try:
+        nested(0, milk)
+    finally:
+        sys.setrecursionlimit(1000)
+"""
+
 
 def recorded_by(plan: str, file: Path, **values: object) -> subprocess.CompletedProcess[str]:
     given = "".join(f"{name} = {value!r}\n" for name, value in values.items())
@@ -540,7 +565,7 @@ def recorded_by(plan: str, file: Path, **values: object) -> subprocess.Completed
 @pytest.mark.parametrize("plan", [WORKER_IS_ABANDONED, THREAD_GOES_ON], ids=["worker", "daemon thread"])
 def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: str, tmp_path: Path, capfd) -> None:
     file = tmp_path / "run.mcap"
-    assert recorded_by(plan, file).returncode == 130
+    assert recorded_by(plan, file).returncode == -signal.SIGINT
     with replay.open(file) as log:
         verification = verify(log)
     assert verification.exact, verification
@@ -551,15 +576,23 @@ def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: st
 
 @pytest.mark.parametrize("limit", [200, 201, 203])
 def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Path) -> None:
-    file = tmp_path / "run.mcap"
-    assert "RecursionError" in recorded_by(BLOCKS_WITHOUT_END, file, LIMIT=limit).stderr
+    verification, changes = verified_after_recursion_error(BLOCKS_WITHOUT_END, limit, tmp_path / "run.mcap")
+    assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
+
+
+def test_branches_within_each_other_without_end_end_in_a_recursion_error(tmp_path: Path) -> None:
+    verified_after_recursion_error(BRANCHES_WITHOUT_END, 200, tmp_path / "run.mcap")
+
+
+def verified_after_recursion_error(plan: str, limit: int, file: Path) -> tuple[Verification, int]:
+    assert "RecursionError" in recorded_by(plan, file, LIMIT=limit).stderr
     with replay.open(file) as log:
         verification = verify(log)
         changes = sum(1 for record in log.records(Mutation) if record.HasField("move_body"))
     assert verification.exact, verification
     assert verification.unfinished == 0
-    assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
     assert changes >= 3
+    return verification, changes
 
 
 def test_a_branch_without_end_is_found(tmp_path: Path) -> None:

@@ -89,28 +89,34 @@ def test_ctrl_c_in_a_branch_is_raised_in_the_outermost_block_at_the_next_checkpo
     assert_nothing_left()
 
 
-def test_ctrl_c_while_all_branches_wait_ends_them() -> None:
-    gate = Gate()
-    main = threading.get_ident()
-    waiting = threading.Event()
-    over = threading.Event()
+def test_one_ctrl_c_while_all_branches_wait_ends_them() -> None:
+    main, rounds = threading.get_ident(), 40
+    go = threading.Semaphore(0)
+    gates: list[Gate] = []
 
-    def press_when_all_wait() -> None:
-        waiting.wait(20)
-        while not over.wait(0.05):  # one that comes just before the thread goes to sleep is seen later
-            signal.pthread_kill(main, signal.SIGINT)
+    def press_once_a_round() -> None:
+        for _ in range(rounds):
+            go.acquire()
+            signal.pthread_kill(main, signal.SIGINT)  # perhaps just before the thread goes to sleep
+            if not go.acquire(timeout=20):
+                gates[-1].open()
+                go.acquire()
 
-    thread = threading.Thread(target=press_when_all_wait)
+    thread = threading.Thread(target=press_once_a_round)
     thread.start()
-    with pytest.raises(KeyboardInterrupt):
+    interrupted = 0
+    for _ in range(rounds):
+        gates.append(gate := Gate())
         try:
             with par as s:
                 s(gate.pass_through)
-                s(lambda: (waiting.set(), gate.pass_through()))
-        finally:
-            over.set()
-            thread.join()
-    assert {branch.state for branch in s.branches} == {C}
+                s(lambda gate=gate: (go.release(), gate.pass_through()))
+        except KeyboardInterrupt:
+            interrupted += 1
+            assert {branch.state for branch in s.branches} == {C}
+        go.release()
+    thread.join()
+    assert interrupted == rounds
     assert_nothing_left()
 
 

@@ -27,7 +27,7 @@ from pycram.scheduling.cancellation import checkpoint, wait
 from pycram.scheduling.locks import LockHeld
 from pycram.scheduling.schedule import Condition
 from recorder.records import Event, Mutation, Task
-from recorder.tracing import journal
+from recorder.tracing import journal, stack_room
 from tests.conftest import MemorySink
 from tests.pycram.language.gates import Gate, Meeting, fails, succeeds
 
@@ -323,6 +323,20 @@ def test_each_thread_has_branches_of_its_own() -> None:
     for thread in threads:
         thread.join()
     assert results == [[0, 1, 2], [0, 1, 2]]
+
+
+def test_a_branch_has_no_more_room_on_the_stack_than_its_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stack_room, "_outside", 0)
+
+    def recursive(left: int) -> None:
+        if left:
+            recursive(left - 1)
+        else:
+            par(lambda: stack_room.require(220))
+
+    recursive(20)
+    with pytest.raises(RecursionError):
+        recursive(sys.getrecursionlimit() - 260)
 
 
 def test_a_process_that_a_branch_forks_continues_all_branches() -> None:

@@ -12,6 +12,7 @@ from hypothesis import given, strategies as st
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import JointLimitError
 from recorder.records import arguments, failure, to_json
+from recorder.records.values import MAX_FRAMES
 
 scalars = st.none() | st.booleans() | st.integers(-(2**60), 2**60) | st.floats(allow_nan=False, allow_infinity=False)
 values = st.recursive(
@@ -79,6 +80,35 @@ def test_a_failure_holds_type_data_and_traceback() -> None:
     data = {argument.name: json.loads(argument.json) for argument in recorded.data}
     assert data["joint"] == "torso_lift_joint"
     assert data["value"] == 2.0
+
+
+def test_a_long_traceback_holds_the_innermost_frames_of_each_error() -> None:
+    def there(left: int) -> None:
+        back(left - 1)
+
+    def back(left: int) -> None:
+        if left <= 0:
+            raise ValueError("innermost")
+        there(left - 1)
+
+    def again() -> None:
+        try:
+            there(300)
+        except ValueError as error:
+            raise KeyError from error
+
+    def nested(left: int) -> None:
+        again() if left <= 0 else other(left - 1)
+
+    def other(left: int) -> None:
+        nested(left - 1)
+
+    with pytest.raises(KeyError) as raised:
+        nested(300)
+    cause, error = failure(raised.value).traceback.split("direct cause of")
+    assert cause.count('  File "') == error.count('  File "') == MAX_FRAMES
+    assert 'raise ValueError("innermost")' in cause
+    assert "raise KeyError from error" in error
 
 
 def test_errors_whose_message_raises_are_recorded_all_the_same() -> None:
