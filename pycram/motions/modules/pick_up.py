@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _MAX_GRASPS: Final = 6  # that are tried, one after the other
-_MOVING: Final = (0.1, 2.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
+_MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
 _LEANING: Final = math.radians(5)  # that the message tells
 
 
