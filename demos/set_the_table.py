@@ -20,7 +20,7 @@ ROBOTS = ("pr2", "tiago_pro", "panda", "ur5")
 BOLTED_DOWN = ("panda", "ur5")
 
 COUNTER = ([0.65, 0.7, 0], [0, 0, 0, 1])
-COUNTERS = {"tiago_pro": ([0.55, 0.9, 0], [0, 0, 0, 1])}  # where else a robot stands there
+COUNTERS = {"tiago_pro": ([0.5, 0.9, 0], [0, 0, 0, 1])}  # where else a robot stands there
 ISLAND = ([-0.3, 1, 0], [0, 0, 1, 0])
 
 # goal and arm for each type of object: in the kitchen, and on a table, where a robot has one arm

@@ -9,6 +9,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -157,3 +158,50 @@ def test_wrong_usage_is_refused_in_a_line(tmp_path: Path, arguments: tuple[str, 
     assert ended.stdout == ""
     assert message in ended.stderr
     assert len(ended.stderr.splitlines()) == 1
+
+
+ONE_ARM = """<robot name="my robot 2.0"><link name="base"/>{links}<link name="hand"/>
+{joints}<joint name="end" type="fixed"><parent link="link 3"/><child link="hand"/></joint></robot>"""
+
+
+def test_names_that_toml_has_no_plain_keys_for(tmp_path: Path) -> None:
+    shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.04 0.04 0.16"/></geometry>'
+    red = '<material name="red"><color rgba="1 0 0 1"/></material>'
+    box = f"<visual>{shape}{red}</visual><collision>{shape}</collision>"
+    links = "".join(f'<link name="link {i}">{box}</link>' for i in range(4))
+    joints = "".join(
+        f'<joint name="turn &quot;{i}&quot;" type="revolute"><origin xyz="0 0 0.2"/><axis xyz="0 {i % 2} {1 - i % 2}"/>'
+        f'<parent link="{f"link {i - 1}" if i else "base"}"/><child link="link {i}"/>'
+        '<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>'
+        for i in range(4)
+    )
+    (tmp_path / "mine.urdf").write_text(ONE_ARM.format(links=links, joints=joints))
+    ended = describe("mine.urdf", cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    guessed = RobotDescription.parse(ended.stdout)
+    assert guessed.robot == "my robot 2.0"
+    assert list(guessed.arms) == ["my-robot-2-0"]  # as a plan can write it: my_robot_2_0_arm="park"
+    assert guessed.arm("my-robot-2-0").joints[0] == 'turn "0"'
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", "mine.urdf", "--picture", "mine.png", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+    picture = np.asarray(Image.open(tmp_path / "mine.png")).astype(int)
+    rows, columns = np.nonzero((picture[..., 0] > 60) & (picture[..., 2] < 20))
+    assert 0 < rows.min() < 100, "all of a tall robot is in the picture, and fills it"
+    assert 400 < rows.max() < 599
+    assert 0 < columns.min() < columns.max() < 799
+
+
+@pytest.mark.slow
+def test_hands_that_are_not_understood_are_left_out(tmp_path: Path) -> None:
+    urdf = urdf_of("alex_sake_hands.urdf")
+    ended = describe(urdf, cwd=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    assert {name: arm.hand for name, arm in RobotDescription.parse(ended.stdout).arms.items()} == {
+        "left": None,
+        "right": None,
+    }
+    assert "# no gripper: 3 joints hang on it, not understood" in ended.stdout
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", urdf, cwd=tmp_path)
+    assert checked.returncode == 0, checked.stdout  # also that parked arms don't meet

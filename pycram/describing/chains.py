@@ -22,6 +22,7 @@ _FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
 _OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
 _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
+_NO_NAME: Final = re.compile(r"[^A-Za-z0-9]+")
 _UPRIGHT: Final = 0.9  # of an axis along the vertical
 
 
@@ -147,9 +148,12 @@ def _branches(below: list[Joint]) -> bool:
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:
-    """Return names of arms: by side if their joints say it, the robot's for a single one."""
+    """Return names of arms: by side if their joints say it, the robot's for a single one.
+
+    Names are keys of TOML and parts of slots (``NAME-arm``): letters, digits and hyphens.
+    """
     if len(runs) == 1:
-        return [robot]
+        return [_NO_NAME.sub("-", robot).strip("-") or "arm"]
     names = []
     for number, run in enumerate(runs, 1):
         text = "_".join(run).lower()

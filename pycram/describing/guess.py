@@ -14,6 +14,7 @@ import numpy as np
 
 from pycram.describing.chains import ArmChain, Tree, fingers_of, limits
 from pycram.describing.hand import Corners
+from pycram.models.robots.gripper import Gripper
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
@@ -131,7 +132,24 @@ def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in (closed, opened))
     if shut is None or wide is None or wide.gap <= shut.gap:
         return None
-    return _measured(corners, palm, frame, links, shut, (closed, opened), (shut.gap, wide.gap))
+    hand = _measured(corners, palm, frame, links, shut, (closed, opened), (shut.gap, wide.gap))
+    return hand if hand.fingers and not any(_gripper(hand).wrong_ways(tree.urdf, palm, hand.offset)) else None
+
+
+def _gripper(hand: HandGuess) -> Gripper:
+    """Return a gripper as its description would say it is."""
+    return Gripper(
+        palm=hand.palm,
+        joints=tuple(hand.closed),
+        closed=tuple(hand.closed.values()),
+        open=tuple(hand.open.values()),
+        fingers=hand.fingers,
+        aperture=hand.aperture,
+        depth=hand.depth,
+        tips=_TIPS,
+        underside=hand.underside,
+        gap=hand.gap,
+    )
 
 
 def _ends(

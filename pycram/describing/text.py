@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import TYPE_CHECKING, Final
 
@@ -114,7 +115,7 @@ def _rpy(turn: Quaternion) -> tuple[float, float, float]:
 
 
 def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON's
 
 
 def _number(value: float, digits: int = _DIGITS) -> str:

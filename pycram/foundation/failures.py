@@ -293,8 +293,8 @@ class PostureInCollision(PlanFailure):
 
     Attributes:
         arms: names of the arms.
-        bodies: names of what they would touch.
-        pairs: the links that would overlap most, one pair an object.
+        bodies: names of what they would touch, the robot's own for itself.
+        pairs: the links that would overlap most, one pair an object; of the robot itself all.
     """
 
     def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:

@@ -34,6 +34,7 @@ _ANY_CHILD: Final = ("geometry", "contact")  # shapes are checked by name; conta
 _XACRO: Final = "ros.org/wiki/xacro}"
 _MAX_JOINTS: Final = 127  # of PyBullet, fixed ones too; with one more it returns no states
 _MAX_MOVABLE: Final = 121  # 128 numbers of state less 7 of the base
+_MAX_NAME: Final = 1000  # bytes of a name; from about 1,024 on PyBullet crashes, and the process with it
 _FAR: Final = "10000"  # m: planar and floating joints have no limits
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
 
@@ -56,6 +57,7 @@ def read(source: Path, content: str | bytes) -> ET.Element:
         raise AssetError(source, f"is not well-formed XML: {error}") from error
     if source.suffix == ".xacro" or any(_XACRO in element.tag for element in root.iter()):
         raise _expand_first(source)
+    _unqualify(root)
     if root.tag != "robot":
         raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
     _strip(root)
@@ -72,6 +74,14 @@ def _expand_first(source: Path) -> AssetError:
     target = source.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
     target = target if target != source.name else f"expanded_{target}"
     return AssetError(source, f"is xacro, from which a URDF has yet to be made: xacro {source.name} > {target}")
+
+
+def _unqualify(root: ET.Element) -> None:
+    """Take from all names the namespace that a document declares for its own elements, as Drake's do."""
+    namespace, end, tag = root.tag.rpartition("}")
+    if tag == "robot" and end:
+        for element in root.iter():
+            element.tag = element.tag.removeprefix(namespace + end)
 
 
 def _strip(element: ET.Element) -> None:
@@ -111,7 +121,8 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
     """Give an axis unit length, by which PyBullet would multiply joint values; take limits from a continuous joint."""
     joint = tree.joints[element.get("name", "")]
     axis, limit = element.find("axis"), element.find("limit")
-    if axis is not None and joint.movable:
+    if joint.movable:
+        axis = ET.SubElement(element, "axis") if axis is None else axis  # PyBullet would print that there is none
         axis.set("xyz", " ".join(map(repr, joint.axis)))
     if limit is not None and joint.type == "continuous":
         for bound in ("lower", "upper"):
@@ -125,6 +136,10 @@ def _check_size(source: Path, tree: Urdf) -> None:
     ):
         if count > most:
             raise AssetError(source, f"has {count} {what}: the physics engine takes {most}")
+    for name in (tree.name, *tree.links, *tree.joints):
+        if len(name.encode()) > _MAX_NAME:
+            reason = f"has a name of {len(name.encode())} bytes, {name[:20]}...: the physics engine takes {_MAX_NAME}"
+            raise AssetError(source, reason)
 
 
 def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:

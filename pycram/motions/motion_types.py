@@ -115,6 +115,10 @@ def _default_arm(_: dict[str, Value]) -> Value:
     return slot_checks.default_arm()
 
 
+def _only_arm(_: dict[str, Value]) -> Value:
+    return slot_checks.only_arm()
+
+
 def _holding_arm(given: dict[str, Value]) -> Value:
     """Return the arm that holds the object; the default one if none does."""
     body = given.get("object")
@@ -148,7 +152,7 @@ def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
 
 
 _ARM: Final = Slot("arm", slot_checks.arm, default=_default_arm)
-_GRIPPER: Final = Slot("gripper", slot_checks.arm, required=True)
+_GRIPPER: Final = Slot("gripper", slot_checks.arm, default=_only_arm)
 
 TYPES: Final = {
     motion.type: motion

@@ -40,6 +40,18 @@ def default_arm() -> str:
     return arms[0] if len(arms) == 1 else "left"
 
 
+def only_arm() -> str:
+    """Return the arm of a robot that has one.
+
+    Raises:
+        BadArgument: It has several.
+    """
+    arms = arm_names()
+    if len(arms) != 1:
+        raise BadArgument("arm", None, f"one of {', '.join(arms)}, as the robot has several")
+    return arms[0]
+
+
 def position(name: str, value: Value) -> Value:
     """[x, y, z] in m, world frame."""
     return list(checks.vector(name, value))

@@ -37,7 +37,16 @@ with needed("render"):
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
-_SIDE: Final = (-0.55, -0.65, 0.55)  # default direction from the middle to the viewpoint, in the robot's frame
+#: Default directions from the middle to the viewpoint, in the robot's frame: the first from which enough is seen.
+_SIDES: Final = (
+    (-0.55, -0.65, 0.55),
+    (-0.55, 0.65, 0.55),
+    (0.55, -0.65, 0.55),
+    (0.55, 0.65, 0.55),
+    (-0.4, 0.0, 0.9),
+)
+_ENOUGH: Final = 0.5  # of robots and movable objects that furniture and walls leave to be seen
+_GLANCE: Final = (80, 60)  # pixels of a picture that tells that
 _PADDING: Final = 0.004  # m around collision shapes, as the physics engine has it
 _OVERSAMPLING: Final = 2  # pixels a side that are averaged to one: edges are smooth then
 _MAX_SIDE: Final = 4096  # pixels
@@ -135,11 +144,27 @@ class Scene:
         return np.min([drawn.low for drawn in chosen], axis=0), np.max([drawn.high for drawn in chosen], axis=0)
 
     def _viewpoint(self, aim: Vector, low: NDArray[np.float64], high: NDArray[np.float64]) -> Vector:
-        """Return a viewpoint over the robot's shoulder from which a box is seen whole."""
+        """Return a viewpoint over the robot's shoulder from which a box is seen whole, and not behind a wall."""
         distance = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
         heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
-        direction = np.array(geometry.rotate(heading, _SIDE))
-        return _vector(np.array(aim) + distance * direction / np.linalg.norm(direction))
+        found: dict[Vector, float] = {}
+        for side in _SIDES:
+            direction = np.array(geometry.rotate(heading, side))
+            viewpoint = _vector(np.array(aim) + distance * direction / np.linalg.norm(direction))
+            found[viewpoint] = self._seen(viewpoint, aim)
+            if found[viewpoint] >= _ENOUGH:
+                return viewpoint
+        return max(found, key=lambda viewpoint: found[viewpoint])
+
+    def _seen(self, viewpoint: Vector, aim: Vector) -> float:
+        """Return which share of robots and movable objects is seen from a viewpoint, of what could be."""
+        camera = _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, _GLANCE)
+        bodies = sorted(self._bodies.values(), key=lambda drawn: drawn.body.type == "environment")
+        chosen = [drawn.drawable for drawn in bodies if drawn.body.type != "environment"]
+        alone = camera.draw(chosen, camera.window, _GLANCE).bodies >= 0
+        among = camera.draw([drawn.drawable for drawn in bodies], camera.window, _GLANCE).bodies
+        shown = (among >= 0) & (among < len(chosen))
+        return float(shown.sum() / alone.sum()) if alone.any() else float(not chosen)
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:

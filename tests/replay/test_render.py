@@ -54,6 +54,21 @@ def test_a_picture_shows_the_step_from_the_viewpoint(file: Path) -> None:
     assert not current.open_worlds()
 
 
+@pytest.mark.parametrize("walls", [0, 1, 2])
+def test_a_picture_is_not_taken_from_behind_a_wall(tmp_path: Path, walls: int) -> None:
+    wall = tmp_path / "wall.urdf"
+    shape = '<geometry><box size="0.02 6 6"/></geometry>'
+    wall.write_text(f'<robot name="wall"><link name="wall"><visual>{shape}</visual></link></robot>')
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld():
+        Object("bowl", "bowl", "bowl.stl", [0, 0, 0], color=[1, 0, 0, 1])
+        for number in range(walls):  # before the robot's back; then also beside its right
+            turn = [0, 0, number * 2**-0.5, 1 - number * (1 - 2**-0.5)]
+            Object(f"wall_{number}", "environment", str(wall), [[-0.3, 0, 0], [0, -0.3, 0]][number], turn)
+    with replay.open(path) as log:
+        assert red(log.render(2 + walls, size=SMALL)).any()
+
+
 @pytest.mark.slow
 def test_the_robots_camera_sees_what_the_plan_looked_at(scene_log: Path) -> None:
     with replay.open(scene_log) as log:

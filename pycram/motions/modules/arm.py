@@ -37,7 +37,7 @@ class MoveJoints(SimulatedModule):
         with robot.world.lock:
             touched = checker.newly_touched(robot, positions)
             if touched:
-                raise PostureInCollision(moved, [pair.body for pair in touched], touched)
+                raise PostureInCollision(moved, list(dict.fromkeys(pair.body for pair in touched)), touched)
             robot.set_joint_positions(positions)
 
 

@@ -312,15 +312,18 @@ def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[Collisi
         positions: joint values in rad or m by name that differ from the present ones.
 
     Returns:
-        For each object the links that overlap most, by the objects' names.
+        For each object the links that overlap most, by the objects' names; of the robot itself all pairs, at the end.
     """
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
         there, here = checker.predict([positions, {name: now[name] for name in positions}])
         found = checker.touched(there)
+        own = checker.self_collisions(there)
         known = checker.touched(here) if found else {}
+        known_own = {(pair.link, pair.body_link) for pair in (checker.self_collisions(here) if own else ())}
         new = [collision["pair"] for body, collision in found.items() if body not in known]
-        return sorted(new, key=lambda pair: pair.body)
+        new_own = [pair for pair in own if (pair.link, pair.body_link) not in known_own]
+        return sorted(new, key=lambda pair: pair.body) + new_own
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:

@@ -62,9 +62,10 @@ class MovingLinks:
         moving = np.array([link in self.moving for link in boxes.links], dtype=bool)
         self.boxes = boxes.subset(moving)
         self.drivers = self._all_drivers[moving]
-        counts = np.array([self.joint_counts[link] for link in boxes.links])
         names = np.array(boxes.links)
-        apart = moving[:, None] & (np.abs(counts[:, None] - counts) > _NEIGHBOURS)
+        own = _own_joints(robot.urdf, boxes.links, joints)
+        still = np.where(moving, 0, _own_joints(robot.urdf, boxes.links, robot.urdf.movable).T)  # another arm's, say
+        apart = moving[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
         for link, other in robot.description.may_touch if robot.description else ():
             pair = (names[:, None] == link) & (names == other)
             apart &= ~(pair | pair.T)
@@ -81,6 +82,20 @@ class MovingLinks:
         found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
         links = self._all_boxes.links
         return dict.fromkeys((links[a[pair]], links[b[pair]]) for pair in found)
+
+
+def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:
+    """Return how many of some joints the one link hangs on, but not the other: (n, n) for n links."""
+    columns = {name: number for number, name in enumerate(joints)}
+    above: dict[str, NDArray[np.intp]] = {}
+    for link in urdf.links:  # parents come before their children
+        joint = urdf.parent_joint(link)
+        above[link] = np.zeros(len(columns), dtype=np.intp) if joint is None else above[joint.parent].copy()
+        if joint is not None and joint.name in columns:
+            above[link][columns[joint.name]] = 1
+    rows = np.array([above[link] for link in links]).reshape(len(links), len(columns))
+    own: NDArray[np.intp] = rows @ (1 - rows.T)
+    return own
 
 
 def joint_counts(urdf: Urdf, joints: Collection[str]) -> Mapping[str, int]:

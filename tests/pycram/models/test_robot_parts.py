@@ -19,6 +19,7 @@ from pycram.failures import AssetError, GraspFailed, LookingFailed, MissingPart,
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import NoProcessModule, ProcessModule
 from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.kinematics.solver import Solver
 from recorder import geometry
 from tests.pycram.models import gantry
 from tests.pycram.models.test_robot_descriptions import PR2
@@ -55,6 +56,8 @@ def test_the_only_arm_is_the_default_whatever_its_name() -> None:
     assert made.get_joint_position("r_shoulder_pan_joint") == pytest.approx(-1.712)
     perform(type="move-tcp", target=[0.6, -0.2, 0.9])
     assert math.dist(made.get_link_position("r_gripper_tool_frame"), [0.6, -0.2, 0.9]) < 0.002
+    perform(type="opening-gripper")
+    assert made.get_joint_position("r_gripper_l_finger_joint") == pytest.approx(0.548)
     with pytest.raises(DesignatorError, match="unknown slot left-arm; did you mean claw-arm") as raised:
         perform(type="move-arm-joints", left_arm="park")
     assert "claw-arm (optional)" in raised.value.takes
@@ -160,6 +163,28 @@ def test_fingers_close_around_the_tool_frames_x_axis() -> None:
     swapped = PR2.replace("closed = 0.0\nopen = 0.548", "closed = 0.0\nopen = 0.0", 1)
     with pytest.raises(AssetError, match="move none of its fingers"):
         RobotDescription.parse(swapped).check(urdf)
+
+
+def test_of_several_grippers_the_plan_names_one() -> None:
+    robot(PR2)
+    with pytest.raises(DesignatorError, match="missing slot gripper: one of left, right"):
+        perform(type="opening-gripper")
+
+
+def test_the_shoulder_of_an_arm_may_be_in_the_way_of_the_other_hand() -> None:
+    """Whichever of the two arms is the one that moves, and if both do."""
+    made = robot(PR2)
+    left, right = (made.description.arm(side) for side in ("left", "right"))
+    shoulder = made.get_link_position("r_upper_arm_link")
+    reached = Solver(made, left.tool_frame).search([(shoulder, None, None)])[0][0]
+    assert reached.reaches()
+    made.set_joint_positions(reached.positions)
+    now = made.get_joint_positions()
+    for joints in (left.joints, right.joints, left.joints + right.joints):
+        with CollisionChecker(made, joints) as checker:
+            (candidate,) = checker.predict([{name: now[name] for name in joints}])
+            links = {link for pair in checker.self_collisions(candidate) for link in (pair.link, pair.body_link)}
+        assert "r_upper_arm_link" in links, joints
 
 
 def test_pairs_of_links_that_may_touch_are_no_collision() -> None:

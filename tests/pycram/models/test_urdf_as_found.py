@@ -270,3 +270,30 @@ def test_files_are_read_in_the_encoding_that_they_declare(tmp_path: Path, world:
     body = Object("thing", "thing", file)
     assert body.links == ("Tür",)
     assert body.urdf.name == "Küche"
+
+
+@pytest.mark.parametrize("element", ["robot", "link", "joint"])
+def test_names_that_would_crash_the_engine_are_refused(tmp_path: Path, world: BulletWorld, element: str) -> None:
+    long = "x" * 1100
+    text = urdf(tmp_path, joint("continuous")).read_text()
+    named = {"robot": ("thing", long), "link": ('"a"', f'"{long}"'), "joint": ('"j"', f'"{long}"')}[element]
+    file = tmp_path / "long.urdf"
+    file.write_text(text.replace(*named))
+    with pytest.raises(AssetError, match="has a name of 1100 bytes, xxxx"):
+        Object("thing", "thing", file)
+    assert not world.objects
+
+
+def test_a_document_may_declare_a_namespace_for_its_own_elements(tmp_path: Path, world: BulletWorld) -> None:
+    file = urdf(tmp_path, joint("continuous") + '<o:link xmlns:o="http://example.org" name="other"/>')
+    file.write_text(file.read_text().replace("<robot", '<robot xmlns="http://drake.mit.edu"'))
+    assert Object("thing", "thing", file).links == ("a", "b")
+
+
+def test_a_joint_without_axis_turns_about_x_and_prints_nothing(
+    tmp_path: Path, world: BulletWorld, capfd: pytest.CaptureFixture[str]
+) -> None:
+    body = Object("thing", "thing", urdf(tmp_path, joint("continuous")))
+    assert body.urdf.joint("j").axis == (1.0, 0.0, 0.0)
+    assert_as_written(body)
+    assert capfd.readouterr() == ("", "")

@@ -86,3 +86,19 @@ def test_out_of_reach_is_not_in_the_way(scene: BulletWorld) -> None:
 )
 def test_pairs_in_words(pair: CollisionPair, words: str) -> None:
     assert str(pair).startswith(words)
+
+
+def test_a_posture_in_the_robots_own_body_is_refused(scene: BulletWorld) -> None:
+    robot = scene.robot
+    base = robot.get_position()
+    joints = robot.get_joint_positions()
+    with pytest.raises(Blocked, match=r"its own l_\w+ would touch torso_lift_link") as blocked:
+        perform(type="move-tcp", target=[base[0], base[1], 0.9], arm="left")
+    assert {pair.body for pair in blocked.value.pairs} == {robot.name}
+    inside = [-0.31, 1.1, 2.18, -1.73, -0.03, -1.15, 0.94]
+    with pytest.raises(PostureInCollision, match="its own l_") as refused:
+        perform(type="move-arm-joints", left_arm=inside)
+    assert refused.value.bodies == [robot.name]
+    assert robot.get_joint_positions() == joints
+    robot.set_joint_positions(dict(zip(robot.description.arm("left").joints, inside, strict=True)))
+    perform(type="move-arm-joints", left_arm="park")  # out of there it gets
