@@ -85,7 +85,7 @@ class Accessing(SimulatedModule):
         hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values)]
         if found.reached is not None and found.reached != values[0]:
             hints.insert(0, f"from here it would get to {found.reached:.3f}")
-        raise _failure(arm, handle, values[-1], found, hints or ["no arm could from any place nearby"])
+        raise _failure(arm, handle, values[-1], found, hints or ["no arm or place nearby that was tried would do"])
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion
+    from recorder.geometry import Pose, PoseLike, Quaternion
 
 _TIMEOUT: Final = 5  # s of simulated time within which all has to be at rest
 _AWAY: Final = 0.02  # m from where it was let go
@@ -53,7 +53,8 @@ class _Plan:
 class Place(SimulatedModule):
     """Puts a held object down on what is there: upright if no orientation is given.
 
-    It has succeeded when everything that it set in motion is at rest again, and the object stands where it was let go.
+    It has succeeded when everything that it set in motion is at rest again, the object stands where it was let go, and
+    what it touched there stands as it stood.
     """
 
     def _execute(self, designator: Designator) -> None:
@@ -70,8 +71,11 @@ class Place(SimulatedModule):
             robot.set_joint_positions(plan.posture)
             robot.set_joint_positions(plan.opened)
             robot.detach(body)
+            stood = {other: other.get_position_and_orientation() for other in robot.world.objects if not other.fixed}
+            beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
             restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
-            _check_outcome(robot, body, target, plan.pose, orientation, restless)
+            neighbours = {other: stood[other] for other in beside if other in stood and not other.is_robot}
+            _check_outcome(robot, body, target, plan.pose, orientation, restless, neighbours)
 
 
 @dataclass(slots=True)
@@ -147,8 +151,9 @@ def _check_outcome(
     wanted: Pose,
     orientation: Sequence[float] | None,
     restless: Sequence[Object],
+    neighbours: Mapping[Object, PoseLike],
 ) -> None:
-    """Raise PlaceFailed unless an object stands where it was let go.
+    """Raise PlaceFailed unless an object stands where it was let go, and so does what it touched there.
 
     Args:
         robot: the robot that let it go.
@@ -157,9 +162,11 @@ def _check_outcome(
         wanted: its pose when it was let go.
         orientation: that was asked for; None for upright.
         restless: what doesn't come to rest, there or elsewhere.
+        neighbours: what it touched when it was let go, with the poses then.
     """
     position, turn = body.get_position_and_orientation()
-    away, turned = math.dist(position, wanted[0]), geometry.angle(turn, wanted[1])
+    away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
+    turned = geometry.angle(turn, wanted[1])
     up, asked_up = (geometry.rotate(each, (0.0, 0.0, 1.0)) for each in (turn, wanted[1]))
     lean = math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(up, asked_up, strict=True)))))
     touching = _touching(body)
@@ -176,6 +183,7 @@ def _check_outcome(
         reasons.append(f"it is turned by {math.degrees(turned):.0f} degrees")
     elif lean > _LEANING and _load(robot, body) > _LOAD and not placing.stands_alone(body):
         reasons.append("it leans on the gripper")
+    reasons += _pushed(neighbours)
     if reasons:
         at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
         reason = f"{', '.join(reasons)}; it touches {at}"
@@ -188,6 +196,17 @@ def _check_outcome(
             rest=(position, turn),
             touching=touching,
         )
+
+
+def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
+    """Return in words which of some objects are no longer as they stood."""
+    found = []
+    for other, (position, turn) in neighbours.items():
+        now, turned = other.get_position_and_orientation()
+        away, angle = math.dist(now, position), math.degrees(geometry.angle(turned, turn))
+        if away > _AWAY or angle > math.degrees(_TURNED):
+            found.append(f"it pushed {other.name} by {away:.3f} m and {angle:.0f} degrees")
+    return found
 
 
 def _load(robot: Object, body: Object) -> float:

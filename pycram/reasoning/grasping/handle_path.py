@@ -272,10 +272,13 @@ class _Search:
         for link in self._moved if not pairs else ():
             part = self._clone.link(container, link)
             self._clone.engine.set_pose(part, self._handle.pose(value, link))
+            depths: dict[str, float] = {}  # two links may touch with several shapes each
             for touch in self._checker.closest_points(candidate, part):
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
-                    pairs.append(CollisionPair(robot, touch.link_a, container.name, link, -touch.distance))
+                    depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
+            pairs += [CollisionPair(robot, own, container.name, link, depth) for own, depth in depths.items()]
+        pairs.sort(key=lambda pair: -pair.depth)
         return pairs or self._checker.self_collisions(candidate)
 
     def _end(

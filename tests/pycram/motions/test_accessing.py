@@ -176,6 +176,19 @@ def test_what_is_in_the_way_is_named_with_the_links_that_would_touch(scene: Bull
     assert raised.value.bodies == ["pot"]
 
 
+def test_links_that_touch_with_several_shapes_are_named_once(scene: BulletWorld) -> None:
+    joint, handle = "kitchen_island_left_lower_drawer_main_joint", "kitchen_island_left_lower_drawer_handle"
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    go(-0.07047, 0.87258, -3.59553)
+    with pytest.raises(HandleBlocked, match="base_link would touch") as raised:
+        access(scene, joint, handle, "right", 0.48)
+    links = [(pair.link, pair.body_link) for pair in raised.value.pairs]
+    assert ("base_link", "kitchen_island_left_lower_drawer_main") in links
+    assert len(links) == len(set(links))
+    depths = [pair.depth for pair in raised.value.pairs]
+    assert depths == sorted(depths, reverse=True)
+
+
 def test_a_door_doesnt_open_through_the_robot(scene: BulletWorld) -> None:
     kitchen, robot, (joint, handle) = scene.get_object("kitchen"), scene.robot, FRIDGE
     x, y, _ = kitchen.get_link_position(handle)

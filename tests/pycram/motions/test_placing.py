@@ -114,6 +114,42 @@ def test_what_is_in_the_way_is_named_and_nothing_changes(table: BulletWorld, tmp
             body.remove()
 
 
+def test_what_it_pushes_away_is_no_success(table: BulletWorld) -> None:
+    milk = hold(table, "milk", 0.0)
+    lying = geometry.from_rpy(0, 0, 2.1)
+    knife = Object("knife", "knife", "knife.stl", [0.71, 0.084, TOP + 0.012], lying)  # half under the milk's edge
+    table.simulate(0.3)
+    before = knife.get_position()
+    target = [0.62, 0.15, TOP + HEIGHTS["milk"]]
+    try:
+        with pytest.raises(PlaceFailed, match=r"it pushed knife by 0\.\d+ m and \d+ degrees"):
+            perform(type="place", object=milk, target=target, arm="left")
+        assert math.dist(before, knife.get_position()) > STANDS_AT[0]
+        assert math.dist(target, milk.get_position()) < STANDS_AT[0], "it stands itself"
+    finally:
+        milk.remove()
+        knife.remove()
+
+
+def test_what_slides_to_its_target_is_a_success(table: BulletWorld, tmp_path: Path) -> None:
+    cup = hold(table, "cup", 0.0)
+    lean = math.radians(10)
+    low = 0.15 + 0.046 - 0.008  # where the wedge begins, under the cup's edge
+    at = [0.62, low + 0.01 / math.cos(lean) + 0.04 * math.sin(lean), TOP + 0.04 * math.cos(lean)]
+    file = box(tmp_path, "wedge", (0.3, 0.02, 0.08))
+    wedge = Object("wedge", "environment", file, at, geometry.from_rpy(-lean, 0, 0))
+    target = [0.62, 0.15, TOP + HEIGHTS["cup"]]
+    try:
+        perform(type="place", object=cup, target=target, arm="left")
+        assert math.dist(target, cup.get_position()) < STANDS_AT[0]
+        moved, turned = fall(table, cup)
+        assert moved <= STABLE[0]
+        assert turned <= STABLE[1]
+    finally:
+        cup.remove()
+        wedge.remove()
+
+
 @seeded("placings beside a neighbour", range(50), 10)
 def test_a_neighbour_stays_where_it_stands(tmp_path: Path, seeds: range) -> None:
     placed = 0
@@ -142,6 +178,7 @@ def test_success_is_where_it_stands_and_failure_where_it_does_not(tmp_path: Path
         for seed in seeds:
             placing = random_placing(world, tmp_path, seed)
             failure: PlanFailure | None = None
+            stood = [other.get_position_and_orientation() for other in placing.others]
             try:
                 perform(type="place", object=placing.body, target=placing.target, arm="left")
             except PlanFailure as error:
@@ -152,6 +189,11 @@ def test_success_is_where_it_stands_and_failure_where_it_does_not(tmp_path: Path
                 placing.remove()
                 continue
             off, tilt = placing.off(), placing.tilt()
+            pushed = any(
+                math.dist(was[0], now[0]) > STANDS_AT[0] or math.degrees(geometry.angle(was[1], now[1])) > STANDS_AT[1]
+                for was, other in zip(stood, placing.others, strict=True)
+                for now in (other.get_position_and_orientation(),)
+            )
             moved, turned = fall(world, placing.body)
             stable = moved <= STABLE[0] and turned <= STABLE[1]
             if failure is None:
@@ -161,6 +203,6 @@ def test_success_is_where_it_stands_and_failure_where_it_does_not(tmp_path: Path
                 assert stable, (seed, moved, turned)
             else:
                 ends["fell"] += 1
-                assert off > CLEARLY or tilt > STANDS_AT[1] or not stable, (seed, failure)
+                assert off > CLEARLY or tilt > STANDS_AT[1] or not stable or pushed, (seed, failure)
             placing.remove()
     assert min(ends.values()) > 0, "all three are tried"
