@@ -171,7 +171,7 @@ def test_a_neighbour_stays_where_it_stands(tmp_path: Path, seeds: range) -> None
     assert placed >= len(seeds) / 2
 
 
-@seeded("places that are hard to stand at", range(300), 20)
+@seeded("places that are hard to stand at", range(300), 10)
 def test_success_is_where_it_stands_and_failure_where_it_does_not(tmp_path: Path, seeds: range) -> None:
     ends = {"stands": 0, "fell": 0, "refused": 0}
     with at_table(tmp_path) as world:

@@ -77,7 +77,7 @@ def signalled_at(number: int, action: Callable[[], None]) -> bool:
     return left <= 0
 
 
-@pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.long)])
 def test_an_error_of_a_signal_handler_at_any_line_of_the_scheduler_loses_no_branch(every: int) -> None:
     raised = 0
     for number in itertools.count(1, every):
