@@ -46,12 +46,10 @@ class Tree:
 
     Args:
         urdf: of the robot.
-        mimics: names of joints that follow another: name of that, factor and offset.
     """
 
-    def __init__(self, urdf: Urdf, mimics: dict[str, tuple[str, float, float]]) -> None:
+    def __init__(self, urdf: Urdf) -> None:
         self.urdf = urdf
-        self.mimics = mimics
         self._next: dict[str, list[Joint]] = {"": []}
         self._above: dict[str, Joint | None] = {}
         for link in urdf.links[1:]:  # parents come before their children
@@ -85,7 +83,7 @@ class Tree:
         """Return the arms: joints one after the other that end at a gripper, or at nothing, and are no legs."""
         found = []
         pending = list(self._next[""])
-        leading = {leader for leader, _, _ in self.mimics.values()}
+        leading = {mimic.leader for mimic in self.urdf.mimics.values()}
         while pending:
             run = [pending.pop(0)]
             while len(self._next[run[-1].name]) == 1 and not self._begins_hand(run[-1], leading):
@@ -105,7 +103,7 @@ class Tree:
     def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
         """Whether the joint next to one is a finger's."""
         (after,) = self._next[joint.name]
-        return after.name in leading or after.name in self.mimics or bool(_FINGER.search(after.name))
+        return after.name in leading or after.name in self.urdf.mimics or bool(_FINGER.search(after.name))
 
     def _upright(self, joint: Joint) -> bool:
         _, turn = self.urdf.forward_kinematics({}, joint.child)

@@ -6,7 +6,6 @@ It is a guess to go on from. What no URDF says, such as fields of view, gets usu
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -30,7 +29,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_TIPS: Final = 0.015  # m that the tool frame is behind the finger tips
+TIPS: Final = 0.015
+"""m that the tool frame is behind the finger tips."""
 _NEAR_TIP: Final = 0.02  # m behind the tips up to which a link is one that takes hold
 _MAX_DEPTH: Final = 0.03  # m
 _PALM_CLEARANCE: Final = 0.003  # m that an object keeps from the palm
@@ -89,7 +89,7 @@ class Guess:
 
 def guess(model: Model) -> Guess:
     """Return what can be recognised of a robot."""
-    tree = Tree(model.urdf, _mimics(model))
+    tree = Tree(model.urdf)
     corners = Corners(model)
     arms = tree.arms()
     camera = tree.camera()
@@ -101,17 +101,6 @@ def guess(model: Model) -> Guess:
         head=tree.head(camera, arms),
         drives=tree.drives(),
     )
-
-
-def _mimics(model: Model) -> dict[str, tuple[str, float, float]]:
-    """Return joints that follow another: its name, factor and offset."""
-    found = {}
-    for element in ET.parse(model.path).getroot().findall("joint"):  # noqa: S314  checked when it was loaded
-        mimic = element.find("mimic")
-        if mimic is not None:
-            factor, offset = (float(mimic.get(key, default)) for key, default in (("multiplier", "1"), ("offset", "0")))
-            found[element.get("name", "")] = (mimic.get("joint", ""), factor, offset)
-    return found
 
 
 def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
@@ -146,7 +135,7 @@ def _gripper(hand: HandGuess) -> Gripper:
         fingers=hand.fingers,
         aperture=hand.aperture,
         depth=hand.depth,
-        tips=_TIPS,
+        tips=TIPS,
         underside=hand.underside,
         gap=hand.gap,
     )
@@ -173,10 +162,10 @@ def _ends(
                 chosen.setdefault(name, value)
     for values in (closed, opened):
         for name, joint in joints.items():
-            leader, factor, offset = tree.mimics.get(name, ("", 1.0, 0.0))
-            if leader in values:
+            mimic = tree.urdf.mimics.get(name)
+            if mimic is not None and mimic.leader in values:
                 low, high = limits(joint)
-                values[name] = min(max(factor * values[leader] + offset, low), high)
+                values[name] = min(max(mimic.multiplier * values[mimic.leader] + mimic.offset, low), high)
     return closed, opened
 
 
@@ -190,9 +179,9 @@ def _measured(
     gaps: tuple[float, float],
 ) -> HandGuess:
     closed, opened = positions
-    middle = (shut.tip - _TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
+    middle = (shut.tip - TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
     offset = geometry.transform(frame, middle), frame[1]
-    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > _TIPS - _NEAR_TIP]
+    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > TIPS - _NEAR_TIP]
     body = corners.of([palm], closed, palm, offset)
     front = float(body[:, 0].max(initial=-_MAX_DEPTH))
     every = np.vstack([body, corners.of(links, closed, palm, offset), corners.of(links, opened, palm, offset)])

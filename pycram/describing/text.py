@@ -6,6 +6,8 @@ import json
 import math
 from typing import TYPE_CHECKING, Final
 
+from pycram.describing.guess import TIPS
+from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
 
     from pycram.describing.chains import ArmChain
     from pycram.describing.guess import Guess, HandGuess
-    from recorder.geometry import Pose, Quaternion
+    from recorder.geometry import Pose
 
 _WIDTH: Final = 110  # letters a line
 _DIGITS: Final = 4
@@ -95,41 +97,28 @@ def _arm(arm: ArmChain, hand: HandGuess | None, park: Sequence[float] | None) ->
     if hand.gap:
         yield f"gap = {_number(hand.gap)}  # between them when closed"
     yield f"depth = {_number(hand.depth)}  # from the tool frame back: what the fingers take in"
-    yield "tips = 0.015  # from the tool frame on, closed"
+    yield f"tips = {TIPS:g}  # from the tool frame on, closed"
     yield f"underside = {_number(hand.underside)}  # below the tool frame when the gripper lies level"
 
 
 def _offset(offset: Pose) -> str:
     (x, y, z), turn = offset
-    return f"tool_offset = {{ xyz = {_row((x, y, z))}, rpy = {_row(_rpy(turn), 16)} }}"
-
-
-def _rpy(turn: Quaternion) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a quaternion xyzw."""
-    x, y, z, w = turn
-    sine = max(-1.0, min(1.0, 2 * (w * y - x * z)))
-    if abs(sine) > 1 - 1e-9:  # pitch by a right angle: roll and yaw are about one axis
-        return 0.0, math.copysign(math.pi / 2, sine), -math.copysign(2 * math.atan2(x, w), sine)
-    roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
-    return roll, math.asin(sine), math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    angles = ", ".join(f"{round(angle, 12) + 0.0}" for angle in geometry.to_rpy(turn))
+    return f"tool_offset = {{ xyz = {_row((x, y, z))}, rpy = [{angles}] }}"
 
 
 def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON's
 
 
-def _number(value: float, digits: int = _DIGITS) -> str:
+def _number(value: float) -> str:
     """Return a number, cut towards zero: limits of joints stay limits."""
-    scale = 10**digits
-    return (
-        f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
-        if digits < 8
-        else repr(value + 0.0)
-    )
+    scale = 10**_DIGITS
+    return f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
 
 
-def _row(values: Iterable[float], digits: int = _DIGITS) -> str:
-    return f"[{', '.join(_number(value, digits) for value in values)}]"
+def _row(values: Iterable[float]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
 
 
 def _list(names: Iterable[str]) -> str:

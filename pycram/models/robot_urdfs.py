@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from pycram.foundation.failures import AssetError
-from pycram.models import store
+from pycram.models import packages, store
 from pycram.models.files import read_text
 from recorder.packages import hint
 from recorder.records.asset import AssetFile
@@ -59,7 +59,7 @@ def _with_gripper(name: str, arm: Path, gripper: Path) -> Path:
     robot, hand = (ET.fromstring(read_text(file)) for file in (arm, gripper))  # noqa: S314  installed files
     robot.set("name", f"{robot.get('name')}_with_gripper")
     for mesh in robot.iter("mesh"):  # it is moved away from the folders that its meshes are looked for in
-        mesh.set("filename", _absolute(arm, mesh.get("filename", "")))
+        mesh.set("filename", os.fspath(packages.find_mesh(arm, mesh.get("filename", ""))))
     children = {child.get("link") for child in hand.iter("child")}
     (base,) = (link.get("name", "") for link in hand.findall("link") if link.get("name") not in children)
     robot.extend(hand)
@@ -70,11 +70,3 @@ def _with_gripper(name: str, arm: Path, gripper: Path) -> Path:
     ET.indent(robot)
     content = ET.tostring(robot)
     return store.write(AssetFile(name, content, store.URDF_TYPE).key, content)
-
-
-def _absolute(source: Path, mesh: str) -> str:
-    relative = mesh.removeprefix("package://")
-    for folder in source.parents:
-        if (folder / relative).is_file():
-            return os.fspath(folder / relative)
-    raise AssetError(source, f"its mesh {mesh} doesn't exist")

@@ -33,6 +33,13 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
         move_attached(body, transaction)
 
 
+def root_of(body: Object) -> Object:
+    """Return what carries an object in the end, directly or through other things; itself if nothing does."""
+    while body.carrier is not None:
+        body = body.carrier
+    return body
+
+
 def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
     """Return the links that move with joints: their child links and all below, in the URDF's order."""
     moved = {urdf.joint(name).child for name in joints}

@@ -9,6 +9,7 @@ from recorder import records
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from pycram.physics.contacts import ClosestPoint
     from pycram.world.object import Object
 
 DEEP: Final = 5e-3
@@ -21,8 +22,8 @@ class Overlapping(UserWarning):
 
 def depth(body: Object, other: Object) -> float:
     """Return how deep an object is in another, m; 0 if not at all."""
-    points = body.world.engine.closest_points(body.handle, other.handle)
-    return max((-point.distance for point in points), default=0.0)
+    deepest = _deepest(body, other)
+    return -deepest.distance if deepest is not None else 0.0
 
 
 def overlaps(body: Object) -> list[records.Overlap]:
@@ -31,12 +32,16 @@ def overlaps(body: Object) -> list[records.Overlap]:
     for other in body.world.objects:
         if other is body or (body.fixed and other.fixed):
             continue
-        points = body.world.engine.closest_points(body.handle, other.handle)
-        deepest = min(points, key=lambda point: point.distance, default=None)
+        deepest = _deepest(body, other)
         if deepest is not None and deepest.distance < -DEEP:
             links = {"link": deepest.link_a, "body": other.name, "body_link": deepest.link_b}
             found.append(records.Overlap(**links, depth=-deepest.distance))
     return found
+
+
+def _deepest(body: Object, other: Object) -> ClosestPoint | None:
+    points = body.world.engine.closest_points(body.handle, other.handle)
+    return min(points, key=lambda point: point.distance, default=None)
 
 
 def warning(body: str, found: Sequence[records.Overlap]) -> str:

@@ -13,22 +13,30 @@ import math
 from collections import deque
 from typing import TYPE_CHECKING, Final
 
-from pycram.world import simulation
+from pycram.world import carried, simulation
 from pycram.world.overlaps import DEEP, depth
 from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry, records
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-_SLOW: Final = 2e-3  # m/s
-_SLOW_TURN: Final = 2e-2  # rad/s
-_INTERVALS: Final = 4  # in a row
-_GAIN: Final = 1.15  # from the first to the last of them
-_NOISE: Final = 0.1  # of what is slow
+SLOW: Final = 2e-3
+"""m/s below which something may be at rest."""
+SLOW_TURN: Final = 2e-2
+"""rad/s of the same."""
+INTERVALS: Final = 4
+"""In a row, in which it has to be slow."""
+_GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
+_NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
+
+
+def at_rest(speeds: Sequence[float]) -> bool:
+    """Return whether something is at rest that was so fast, as shares of what is slow, in consecutive intervals."""
+    return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
 
 
 def settle(world: BulletWorld, steps: int) -> tuple[list[Object], bool]:
@@ -71,7 +79,7 @@ class RestDetector:
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._look()
-        self._speeds: deque[Mapping[Object, float]] = deque(maxlen=_INTERVALS)
+        self._speeds: deque[Mapping[Object, float]] = deque(maxlen=INTERVALS)
         self.restless = list(self._last[1])
 
     def sample(self) -> bool:
@@ -82,12 +90,10 @@ class RestDetector:
             seconds = (now - step) / records.STEPS_PER_SECOND
             self._speeds.append({body: _moved(body, before[body], after[body]) / seconds for body in after})
         self.restless = [body for body in after if not self._rests(body)]
-        return len(self._speeds) == _INTERVALS and not self.restless
+        return len(self._speeds) == INTERVALS and not self.restless
 
     def _rests(self, body: Object) -> bool:
-        speeds = [speeds[body] for speeds in self._speeds]
-        steady = len(speeds) == _INTERVALS and speeds[-1] <= max(speeds[0] * _GAIN, _NOISE)
-        return steady and max(speeds) < 1.0
+        return len(self._speeds) == INTERVALS and at_rest([speeds[body] for speeds in self._speeds])
 
     def _look(self) -> tuple[int, Mapping[Object, Snapshot]]:
         return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _counts(body)}
@@ -95,16 +101,14 @@ class RestDetector:
 
 def _counts(body: Object) -> bool:
     """Return whether an object has to come to rest by itself."""
-    root = body
-    while root.carrier is not None:
-        root = root.carrier
+    root = carried.root_of(body)
     return not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
 
 
 def _moved(body: Object, before: Snapshot, after: Snapshot) -> float:
     """Return how far an object, or the fastest of its joints, has moved: 1 is what is slow in a second."""
-    moved = math.dist(before.pose[0], after.pose[0]) / _SLOW
-    turned = geometry.angle(before.pose[1], after.pose[1]) / _SLOW_TURN
+    moved = math.dist(before.pose[0], after.pose[0]) / SLOW
+    turned = geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN
     joints = zip(body.handle.joints.values(), before.positions, after.positions, strict=True)
-    slid = (abs(b - a) / (_SLOW if joint.kind == "prismatic" else _SLOW_TURN) for joint, a, b in joints)
+    slid = (abs(b - a) / (SLOW if joint.kind == "prismatic" else SLOW_TURN) for joint, a, b in joints)
     return max(moved, turned, *slid)

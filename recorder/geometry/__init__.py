@@ -11,6 +11,7 @@ from recorder.geometry.transforms import (
     from_matrix as from_matrix,
     from_rpy as from_rpy,
     invert as invert,
+    lean as lean,
     look_at as look_at,
     multiply as multiply,
     pose_matrix as pose_matrix,

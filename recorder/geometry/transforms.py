@@ -118,6 +118,12 @@ def angle(a: Numbers, b: Numbers) -> float:
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
+def lean(a: Numbers, b: Numbers) -> float:
+    """The angle between the z axes of two rotations in rad, 0..pi."""
+    up, other_up = rotate(a, (0.0, 0.0, 1.0)), rotate(b, (0.0, 0.0, 1.0))
+    return math.acos(max(-1.0, min(1.0, sum(x * y for x, y in zip(up, other_up, strict=True)))))
+
+
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
     """The rotation of URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
     sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)

@@ -44,7 +44,6 @@ def _check_ground(robot: Object, target: Sequence[float], orientation: Quaternio
     if abs(target[2] - position[2]) > _UNEVEN:
         reason = f"its wheels would leave the ground, which is {target[2] - position[2]:+.2f} m away there"
         raise NotDrivable(target, orientation, reason)
-    up, now = geometry.rotate(orientation, (0.0, 0.0, 1.0)), geometry.rotate(heading, (0.0, 0.0, 1.0))
-    lean = math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(up, now, strict=True)))))
+    lean = geometry.lean(orientation, heading)
     if lean > _TILT:
         raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")

@@ -71,10 +71,10 @@ class Place(SimulatedModule):
             robot.set_joint_positions(plan.posture)
             robot.set_joint_positions(plan.opened)
             robot.detach(body)
-            stood = {other: other.get_position_and_orientation() for other in robot.world.objects if not other.fixed}
             beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
+            free = [other for other in beside if not (other.fixed or other.is_robot)]
+            neighbours = {other: other.get_position_and_orientation() for other in free}
             restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
-            neighbours = {other: stood[other] for other in beside if other in stood and not other.is_robot}
             _check_outcome(robot, body, target, plan.pose, orientation, restless, neighbours)
 
 
@@ -167,8 +167,7 @@ def _check_outcome(
     position, turn = body.get_position_and_orientation()
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
     turned = geometry.angle(turn, wanted[1])
-    up, asked_up = (geometry.rotate(each, (0.0, 0.0, 1.0)) for each in (turn, wanted[1]))
-    lean = math.acos(max(-1.0, min(1.0, sum(a * b for a, b in zip(up, asked_up, strict=True)))))
+    lean = geometry.lean(turn, wanted[1])
     touching = _touching(body)
     near = {body.name, *(pair.body for pair in touching)}
     moving = [other.name for other in restless if other.name in near]
@@ -225,8 +224,8 @@ def _touching(body: Object) -> list[CollisionPair]:
         points = [] if other is body else world.engine.closest_points(body.handle, other.handle, _TOUCHING)
         if points:
             nearest = min(points, key=lambda point: point.distance)
-            links = (nearest.link_a if len(body.links) > 1 else "", nearest.link_b if len(other.links) > 1 else "")
-            found.append(CollisionPair(body.name, links[0], other.name, links[1], max(0.0, -nearest.distance)))
+            own, met = checker.link_name(body, nearest.link_a), checker.link_name(other, nearest.link_b)
+            found.append(CollisionPair(body.name, own, other.name, met, max(0.0, -nearest.distance)))
     return found
 
 

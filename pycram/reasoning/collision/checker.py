@@ -235,8 +235,7 @@ class CollisionChecker:
         if mover is not self.robot:
             arm = self.robot.description.arm_of(self._link_of[mover]) if self.robot.description else None
             gripper = arm.name if arm else self._link_of[mover]
-        links = (own if len(owner.links) > 1 else "" for owner, own in ((mover, link), (body, other)))
-        return CollisionPair(mover.name, next(links), body.name, next(links), depth, gripper)
+        return CollisionPair(mover.name, link_name(mover, link), body.name, link_name(body, other), depth, gripper)
 
     def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
         """Return where two links touch; only for this the clone's robot is moved."""
@@ -286,6 +285,11 @@ class CollisionChecker:
         counts = self._links.joint_counts
         constant = {0} if link is None else {0, counts[link]}
         return {other for other, count in counts.items() if count in constant}
+
+
+def link_name(body: Object, link: str) -> str:
+    """Return how a collision pair names a link: "" if the object has only one."""
+    return link if len(body.links) > 1 else ""
 
 
 def touched(

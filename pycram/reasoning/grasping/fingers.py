@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.collision_pair import CollisionPair
-from pycram.reasoning.collision.checker import DEPTH
+from pycram.reasoning.collision.checker import DEPTH, link_name
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.world.joints import coupled
 from recorder import geometry
@@ -193,7 +193,7 @@ def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Object
 
 def _pairs(robot: Object, depths: Depths) -> list[CollisionPair]:
     return [
-        CollisionPair(robot.name, finger, body.name, link if len(body.links) > 1 else "", depth)
+        CollisionPair(robot.name, finger, body.name, link_name(body, link), depth)
         for (finger, body, link), depth in sorted(depths.items(), key=lambda item: -item[1])
     ]
 

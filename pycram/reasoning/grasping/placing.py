@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PlaceFailed
 from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
 
 def stands_alone(body: Object) -> bool:
     """Return whether an object stays where it is without robots and what they hold: tried for 1 s in a clone."""
-    without = [other for other in body.world.objects if not _root(other).is_robot]
+    without = [other for other in body.world.objects if not carried.root_of(other).is_robot]
     clone = clone_of(body.world, "physics")
     copies, _ = clone.sync(without)
     try:
@@ -87,10 +88,3 @@ def stands_alone(body: Object) -> bool:
         clone.invalidate(*(other.name for other in without))
     moved, turned = math.dist(before[0], after[0]), geometry.angle(before[1], after[1])
     return moved < _STILL[0] and turned < _STILL[1]
-
-
-def _root(body: Object) -> Object:
-    """Return what carries an object in the end; itself if nothing does."""
-    while body.carrier is not None:
-        body = body.carrier
-    return body

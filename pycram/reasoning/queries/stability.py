@@ -23,6 +23,8 @@ from typing import TYPE_CHECKING, Final
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.queries.query import Verdict, query
 from pycram.reasoning.queries.support_polygon import Solid, SolidPart, stands_firmly
+from pycram.world import carried
+from pycram.world.settling import INTERVALS, SLOW, SLOW_TURN, at_rest
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
@@ -39,13 +41,8 @@ if TYPE_CHECKING:
 HORIZON: Final = 2 * STEPS_PER_SECOND  # steps
 MOVED: Final = 0.01  # m
 TURNED: Final = math.radians(5)
-_SLOW: Final = 2e-3  # m/s
-_SLOW_TURN: Final = 2e-2  # rad/s
 _PERIOD: Final = 6  # steps between samples of the speeds
-_AT_REST: Final = 4  # samples in a row, at which all must be at rest
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which to check whether all stands firmly: it takes time
-_GAIN: Final = 1.15  # from the first to the last of them: a 2 m high shelf that begins to tip gains more, creep less
-_NOISE: Final = 0.1  # of what is slow: speeds of solvers' noise go up and down
 _LEANING: Final = 0.005  # m to a robot that count as leaning on it: half a millimetre of air, and some settling
 
 
@@ -69,7 +66,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     clone = clone_of(world, "physics with robots" if robots else "physics")
     copies, furniture = clone.sync(bodies)
     free = [body for body in bodies if not body.fixed]
-    on_their_own = [body for body in free if not _root(body).fixed]
+    on_their_own = [body for body in free if not carried.root_of(body).fixed]
     standing = [copies[body.name] for body in on_their_own]
     attached = any(body.attachments for body in on_their_own)  # who carries whom there, contacts don't say
 
@@ -121,15 +118,8 @@ def _bounds(body: Object) -> Box:
 
 def _holder(body: Object) -> Object | None:
     """Return the robot that holds an object, directly or through other things."""
-    root = _root(body)  # nothing carries a robot
+    root = carried.root_of(body)  # nothing carries a robot
     return root if root.is_robot and root is not body else None
-
-
-def _root(body: Object) -> Object:
-    """Return what carries an object in the end; itself if nothing does."""
-    while body.carrier is not None:
-        body = body.carrier
-    return body
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
@@ -172,17 +162,11 @@ def _simulate(engine: Engine, body: Body, movable: Sequence[Body], firm: Callabl
             evidence = {"moved": moved, "turned": turned, "moved_after_steps": steps, "simulated_steps": steps}
             return Verdict(False, evidence)
         speeds.append(
-            [max(linear / _SLOW, turn / _SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
+            [max(linear / SLOW, turn / SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
         )
-        if len(speeds) in _DECISIONS and _at_rest(speeds[-_AT_REST:]) and firm():
+        if len(speeds) in _DECISIONS and all(map(at_rest, zip(*speeds[-INTERVALS:], strict=True))) and firm():
             break
     return Verdict(True, {"moved": moved, "turned": turned, "simulated_steps": steps})
-
-
-def _at_rest(speeds: Sequence[Sequence[float]]) -> bool:
-    """Return whether all were slow at all samples, and none has gained speed."""
-    gaining = (now > max(before * _GAIN, _NOISE) for before, now in zip(speeds[0], speeds[-1], strict=True))
-    return all(speed < 1.0 for sample in speeds for speed in sample) and not any(gaining)
 
 
 def _speeds(engine: Engine, body: Body) -> tuple[float, float]:
