@@ -2,7 +2,7 @@
 
 A measure is a test over seeds, cut into batches by :func:`seeded`; other long tests are measures of one case. With
 ``--resume FILE`` each case that ends is written down at once. Cases that passed are left out when the command is given
-again, as long as the code is the same, and the end of each run is a table of all of them. Numbers that a case tells by
+again, as long as the code is the same, and the end of each run is a table of all of them. Numbers that a case gives to
 ``record_property`` are summed up there.
 """
 
@@ -67,11 +67,11 @@ def read(file: Path, code: str) -> dict[str, dict[str, Any]]:
     found = {}
     for line in file.read_text(encoding="utf-8").splitlines() if file.is_file() else []:
         try:
-            told = json.loads(line)
+            result = json.loads(line)
         except ValueError:
             continue
-        if told["code"] == code:
-            found[told["case"]] = told
+        if result["code"] == code:
+            found[result["case"]] = result
     return found
 
 
@@ -82,17 +82,19 @@ def table(results: Iterable[dict[str, Any]]) -> Iterator[str]:
         results: as :func:`read` gives them.
     """
     measures = defaultdict(list)
-    for told in results:
-        measures[told["measure"]].append(told)
+    for result in results:
+        measures[result["measure"]].append(result)
     width = max(map(len, measures), default=0)
     yield f"{'measure':{width}}  cases  failed  seconds"
     for name, cases in sorted(measures.items()):
-        failed = sum(told["outcome"] != _PASSED for told in cases)
+        failed = sum(result["outcome"] != _PASSED for result in cases)
         sums: Counter[str] = Counter()
-        for told in cases:
-            sums.update(told["figures"])
+        for result in cases:
+            sums.update(result["figures"])
         figures = ", ".join(f"{value:g} {what}" for what, value in sums.items())
-        line = f"{name:{width}}  {len(cases):5}  {failed:6}  {sum(told['seconds'] for told in cases):7.0f}  {figures}"
+        line = (
+            f"{name:{width}}  {len(cases):5}  {failed:6}  {sum(result['seconds'] for result in cases):7.0f}  {figures}"
+        )
         yield line.rstrip()
 
 
@@ -130,16 +132,16 @@ class Resuming:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Write a case down when its last phase has ended; a worker leaves it to who hands out the tests."""
-        told = self.running.setdefault(report.nodeid, {"outcome": _PASSED, "seconds": 0.0})
-        told["seconds"] += report.duration
+        result = self.running.setdefault(report.nodeid, {"outcome": _PASSED, "seconds": 0.0})
+        result["seconds"] += report.duration
         if report.outcome != _PASSED:
-            told["outcome"] = report.outcome if told["outcome"] != _FAILED else _FAILED
+            result["outcome"] = report.outcome if result["outcome"] != _FAILED else _FAILED
         if report.when == "teardown":
             del self.running[report.nodeid]
             properties = dict(report.user_properties)
             name = properties.pop("measure")
             figures = {what: value for what, value in properties.items() if isinstance(value, int | float)}
-            line = {"code": self.code, "measure": name, "case": report.nodeid, "figures": figures} | told
+            line = {"code": self.code, "measure": name, "case": report.nodeid, "figures": figures} | result
             self.file.parent.mkdir(exist_ok=True)
             with self.file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")

@@ -70,7 +70,7 @@ esac
 
 
 @pytest.mark.parametrize(
-    ("version", "venv", "compiler", "told"),
+    ("version", "venv", "compiler", "message"),
     [
         ("3.11", 1, 0, "python3.11 can't make virtual environments: apt install python3.11-venv"),
         ("3.12", 1, 0, "python3.12 can't make virtual environments: apt install python3.12-venv"),
@@ -86,11 +86,11 @@ esac
     ],
 )
 def test_what_is_missing_is_said_before_anything_is_downloaded(
-    machine: Path, version: str, venv: int, compiler: int, told: str
+    machine: Path, version: str, venv: int, compiler: int, message: str
 ) -> None:
     fake(machine, f"python{version}", PYTHON.format(version=version, old=0, venv=venv, compiler=compiler))
     ended = prepare(machine)
-    assert (ended.returncode, ended.stderr) == (2, f"pycram: {told}\n")
+    assert (ended.returncode, ended.stderr) == (2, f"pycram: {message}\n")
 
 
 def test_the_python_that_has_wheels_is_taken_whatever_it_is_called(machine: Path) -> None:

@@ -85,14 +85,14 @@ def test_blocks(tmp_path: Path) -> None:
     """In a process of its own: there the stack is that of a plan, not that of what runs the tests."""
     most, costs = 1.0, {}  # ms
     for turn in range(5):  # noise only adds, and a fast moment comes sooner or later
-        told = subprocess.run(
+        ended = subprocess.run(
             [sys.executable, "-m", "tests.benchmarks.test_language", tmp_path / f"{turn}.mcap"],
             cwd=REPO,
             capture_output=True,
             text=True,
             check=True,
         )
-        costs = {name: min(cost, costs.get(name, cost)) for name, cost in json.loads(told.stdout).items()}
+        costs = {name: min(cost, costs.get(name, cost)) for name, cost in json.loads(ended.stdout).items()}
         if costs["three_branches, recorded"] < most:
             break
     print()

@@ -168,8 +168,8 @@ print(int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split
 def converted(log: Path, file: Path) -> tuple[float, float, float]:
     """Seconds by the clock, seconds of the processors, and GB that a conversion takes, in a process of its own."""
     command = [sys.executable, "-c", CONVERTER, str(log), str(file)]
-    told = subprocess.run(command, capture_output=True, text=True, check=True)
-    wall, processor, memory = map(float, told.stdout.split())
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    wall, processor, memory = map(float, ended.stdout.split())
     return wall, processor, memory
 
 

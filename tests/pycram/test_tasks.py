@@ -70,10 +70,10 @@ def log(tmp_path: Path, world: BulletWorld) -> Path:
 
 def test_live_tree_and_recorded_tree_are_equal(log: Path) -> None:
     with replay.open(log) as opened:
-        told = opened.tree()
+        recorded = opened.tree()
     live = tasks.tree()
-    assert told == live
-    assert len(told) >= 18
+    assert recorded == live
+    assert len(recorded) >= 18
     (root,) = live.roots
     assert root.kind == "plan"
     assert root.parameters == {"room": "kitchen"}
@@ -86,12 +86,12 @@ def test_live_tree_and_recorded_tree_are_equal(log: Path) -> None:
     assert root.seconds == pytest.approx((root.end.wall_ns - root.start.wall_ns) / 1e9, abs=0.5)
     assert __file__ in root.source
     other = Tree()
-    assert other != told
-    for _, node in told.walk():
+    assert other != recorded
+    for _, node in recorded.walk():
         for record in (node.asked, node.started, node.finished):
             if record is not None:
                 other.apply(record)
-    assert other == told
+    assert other == recorded
 
 
 def test_attempts_and_failures_can_be_found(log: Path) -> None:
@@ -239,9 +239,9 @@ def test_multiline_and_empty_messages_of_failures_are_indented(
         for words in ("first\nsecond", ""):
             with pytest.raises(PlanFailure), span("plan", "tidy up"):
                 raise PlanFailure(words)
-    told = [line.lstrip("> ") for line in tasks.tree().text().splitlines()]
-    assert told[1:3] == ["PlanFailure: first", "second"]
-    assert told[4:] == ["PlanFailure"]
+    text = [line.lstrip("> ") for line in tasks.tree().text().splitlines()]
+    assert text[1:3] == ["PlanFailure: first", "second"]
+    assert text[4:] == ["PlanFailure"]
     assert main(["log", str(file)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [int(line.split()[0]) for line in lines] == list(range(6))

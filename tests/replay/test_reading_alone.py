@@ -69,7 +69,7 @@ for module, *words in json.loads(sys.argv[1]):
 """
 
 
-class Told(NamedTuple):
+class Ended(NamedTuple):
     """What a command has said."""
 
     code: int
@@ -77,7 +77,7 @@ class Told(NamedTuple):
     err: str
 
 
-def run(*calls: Sequence[str], hiding: bool = True) -> list[Told]:
+def run(*calls: Sequence[str], hiding: bool = True) -> list[Ended]:
     """Runs commands in a process of their own, in which what the extras bring isn't found.
 
     Args:
@@ -88,7 +88,7 @@ def run(*calls: Sequence[str], hiding: bool = True) -> list[Told]:
     environment = os.environ | {"PYTHONPATH": str(REPO)}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    return [Told(*json.loads(line)) for line in ended.stdout.splitlines()]
+    return [Ended(*json.loads(line)) for line in ended.stdout.splitlines()]
 
 
 def replay(verb: str, log: Path, *words: str) -> tuple[str, ...]:
@@ -128,7 +128,7 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
 
 
-def test_the_version_is_told() -> None:
+def test_the_version_is_printed() -> None:
     for name, printed in zip(
         ("pycram-replay", "pycram"), run(("replay.cli.main", "--version"), ("pycram.cli", "--version")), strict=True
     ):

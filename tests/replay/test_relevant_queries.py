@@ -1,4 +1,4 @@
-"""What the robot had been told: whether it still held when the plan failed, and in which world."""
+"""What queries had answered: whether it still held when the plan failed, and in which world."""
 
 from __future__ import annotations
 

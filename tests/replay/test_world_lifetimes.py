@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def old_register(sink: McapSink, topic: str, world: str = "", lifetime: int = 0) -> int:
-    """As recorders did before channels told which world of a name they are for."""
+    """As recorders did before channels said which world of a name they are for."""
     metadata = {"world": world} if world else {}
     channel = sink._writer.add_channel(topic, "protobuf", sink._schemas[topic], metadata)
     sink._channels[topic, world, lifetime] = channel

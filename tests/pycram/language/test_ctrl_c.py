@@ -10,8 +10,6 @@ import random
 import signal
 import sys
 import threading
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from greenlet import greenlet
@@ -25,11 +23,7 @@ from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts, journal
 from recorder.tracing.span import span
 from tests.pycram.language.gates import C, F, Gate, S, fails, succeeds
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-REPO = Path(__file__).parent.parent.parent.parent
+from tests.signal_at_line import modules, reached
 
 
 def press() -> None:
@@ -186,50 +180,21 @@ def plan() -> None:
             succeeds()
 
 
-# The tracer is on the stack between the line and the signal handler, so it has to be one of our modules.
-_TRACER = """
-import signal
-def tracer(folders, number):
-    left = [number]
-    def trace(frame, event, _):
-        if not frame.f_code.co_filename.startswith(folders):
-            return None
-        if event == "line":
-            left[0] -= 1
-            if left[0] == 0:
-                signal.raise_signal(signal.SIGINT)
-        return trace
-    return trace, left
-"""
-
-
-def interrupted_at(number: int, action: Callable[[], None]) -> bool:
-    """Run a plan and press Ctrl-C before a line of the language; return whether the line was reached."""
-    own: dict[str, Callable[..., tuple[Callable[..., object], list[int]]]] = {"__name__": "pycram.tracer"}
-    exec(compile(_TRACER, "<tracer>", "exec"), own)
-    folders = tuple(str(REPO / folder) for folder in ("pycram/language", "pycram/scheduling", "recorder/span.py"))
-    trace, left = own["tracer"](folders, number)
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        action()
-    finally:
-        sys.settrace(before)
-    return left[0] <= 0
+TRACED = modules("pycram/language", "pycram/scheduling", "recorder/tracing/span.py")
 
 
 @pytest.mark.parametrize(
-    "every", [41, pytest.param(7, marks=pytest.mark.slow), pytest.param(1, marks=[pytest.mark.slow, pytest.mark.long])]
+    "every", [41, pytest.param(13, marks=pytest.mark.slow), pytest.param(1, marks=[pytest.mark.slow, pytest.mark.long])]
 )
 def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) -> None:
     ended = 0
     for number in itertools.count(1, every):
         try:
-            reached = interrupted_at(number, plan)
+            came_there = reached(number, signal.SIGINT, plan, TRACED)
         except KeyboardInterrupt:
             ended += 1
         else:
-            if not reached:
+            if not came_there:
                 break
             pytest.fail(f"Ctrl-C at line {number} was lost")
         assert_nothing_left()

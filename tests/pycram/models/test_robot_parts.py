@@ -114,8 +114,8 @@ def test_half_a_head_brings_things_into_the_picture(kept: str, moved: str) -> No
     left_out = {"pan": 'tilt = "head_tilt_joint"\n', "tilt": 'pan = "head_pan_joint"\n'}[kept]
     made = robot(PR2.replace(left_out, ""))
     before = made.get_joint_positions()
-    aside, above = ([1.5, 1.5, 0.9], [1.5, 0.1, 0.3])
-    seen, unseen = (aside, [0.5, 0, 3]) if kept == "pan" else (above, [-1.5, 0, 1])
+    beside, above = ([1.5, 1.5, 0.9], [1.5, 0.1, 0.3])
+    seen, unseen = (beside, [0.5, 0, 3]) if kept == "pan" else (above, [-1.5, 0, 1])
     perform(type="looking", target=seen)
     x, y, z = geometry.transform(geometry.invert(made.get_link_position_and_orientation(CAMERA)), seen)
     assert z > 0

@@ -42,9 +42,9 @@ def test_fingers_that_open_stop_at_a_neighbour(scene: BulletWorld, sink: MemoryS
     result = [
         r for r in sink.records if isinstance(r, Task) and r.phase == Task.FINISHED and r.name == "opening-gripper"
     ]
-    told = json.loads(result[-1].result_json)
-    assert (told["share"], told["released"]) == (opened.share, None)
-    assert told["stopped_by"][0]["body"] == "beside"
+    fields = json.loads(result[-1].result_json)
+    assert (fields["share"], fields["released"]) == (opened.share, None)
+    assert fields["stopped_by"][0]["body"] == "beside"
     bottle.remove()
     assert perform(type="opening-gripper", gripper="left").share == 1.0
     assert perform(type="closing-gripper", gripper="left").share == 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,10 +14,10 @@ from pycram.language.body import current_block
 from pycram.scheduling import schedule
 from pycram.scheduling.cancellation import checkpoint, current_scope
 from tests.pycram.language.gates import Gate, Meeting, S, fails, succeeds
+from tests.signal_at_line import modules, reached
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from types import FrameType
+    from collections.abc import Iterator
 
 
 class OutOfTime(Exception):
@@ -54,27 +53,7 @@ def plan() -> None:
     assert s.state is S
 
 
-def signalled_at(number: int, action: Callable[[], None]) -> bool:
-    """Run a plan and raise SIGALRM before a line of the scheduler; return whether the line was reached."""
-    left = number
-
-    def trace(frame: FrameType, event: str, _: object) -> object:
-        nonlocal left
-        if frame.f_code.co_filename != schedule.__file__:
-            return None
-        if event == "line":
-            left -= 1
-            if left == 0:
-                signal.raise_signal(signal.SIGALRM)
-        return trace
-
-    before = sys.gettrace()
-    sys.settrace(trace)
-    try:
-        action()
-    finally:
-        sys.settrace(before)
-    return left <= 0
+TRACED = modules("pycram/scheduling/schedule.py")
 
 
 @pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.long)])
@@ -82,11 +61,11 @@ def test_an_error_of_a_signal_handler_at_any_line_of_the_scheduler_loses_no_bran
     raised = 0
     for number in itertools.count(1, every):
         try:
-            reached = signalled_at(number, plan)
+            came_there = reached(number, signal.SIGALRM, plan, TRACED)
         except OutOfTime:
             raised += 1
         else:
-            if not reached:
+            if not came_there:
                 break
             pytest.fail(f"the error at line {number} was lost")
         assert (current_block(), current_scope(), tasks.current()) == (None, None, None)

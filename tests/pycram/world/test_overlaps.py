@@ -1,4 +1,4 @@
-"""What is loaded inside of something else is warned of, and told in its record; settling lifts it out."""
+"""What is loaded inside of something else is warned of, and noted in its record; settling lifts it out."""
 
 from __future__ import annotations
 
