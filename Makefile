@@ -5,6 +5,9 @@
 
 BIN := .venv/bin
 
+# Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
+from pycram.world.snapshot import restore_snapshot, take_snapshot
 from recorder.tracing import journal
 from tests import measures, needs
 
@@ -95,6 +96,31 @@ def scene(world: BulletWorld) -> BulletWorld:
     """The scene of :func:`furnish`, for one test."""
     furnish(world)
     return world
+
+
+@pytest.fixture(scope="module")
+def built() -> Iterator[BulletWorld]:
+    """The scene of :func:`furnish`, for a module."""
+    with BulletWorld() as made:
+        made.set_gravity([0, 0, -9.8])
+        furnish(made)
+        yield made
+
+
+@pytest.fixture
+def shared_scene(built: BulletWorld) -> Iterator[BulletWorld]:
+    """The module's scene; what a test has moved, attached or added is undone."""
+    BulletWorld.current_bullet_world = built
+    before = {body: take_snapshot(body) for body in built.objects}
+    yield built
+    for body in built.objects:
+        body.detach_all()
+    for body in list(built.objects):
+        if body not in before:
+            body.remove()
+    for body, state in before.items():
+        if take_snapshot(body) != state:
+            restore_snapshot(body, state)
 
 
 @pytest.fixture

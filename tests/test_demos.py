@@ -8,6 +8,7 @@ import re
 import runpy
 import subprocess
 import sys
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from pycram.world.overlaps import Overlapping
 from recorder import geometry
 from recorder.records import Mutation, Query, Run, Task
 from recorder.tasks import State
+from replay.cli.main import main as replay_command
 
 REPO = Path(__file__).parent.parent
 GOALS = {"milk": [-0.8, 1, 0.93], "bowl": [-0.8, 1.2, 0.9], "cereal": [-1, 1, 0.94], "spoon": [-0.8, 1.2, 0.94]}
@@ -93,10 +95,7 @@ def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals
         assert world.robot == robot
         stable = [json.loads(record.answer_json) for record in log.records(Query) if record.name == "stable"]
         assert stable == [True] * 4
-    verified = subprocess.run(
-        [sys.executable, "-m", "replay", "verify", str(file)], cwd=REPO, capture_output=True, text=True, check=False
-    )
-    assert verified.returncode == 0, verified.stdout + verified.stderr
+    assert replay_command(["verify", str(file)]) == 0
 
 
 def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:
@@ -155,7 +154,9 @@ def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.slow
-def test_run_exits_with_the_code_of_the_plan(tmp_path: Path, code: str, exit_code: int, message: str) -> None:
+def test_run_exits_with_the_code_of_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], code: str, exit_code: int, message: str
+) -> None:
     (tmp_path / "plan.py").write_text(code)
     ended = pycram("run", "plan.py", cwd=tmp_path)
     assert ended.returncode == exit_code
@@ -167,11 +168,9 @@ def test_run_exits_with_the_code_of_the_plan(tmp_path: Path, code: str, exit_cod
         if line.startswith("  pycram-replay"):  # what it says to type next works
             _, *words = line.split()
             words += ["--save", "plan.rrd"] if words[0] == "view" else []  # there is no screen to open it on
-            again = subprocess.run(
-                [sys.executable, "-m", "replay", *words], cwd=tmp_path, capture_output=True, text=True, check=False
-            )
-            assert again.returncode == 0, again.stderr
-            assert again.stdout
+            with chdir(tmp_path):
+                assert replay_command(words) == 0, line
+            assert capsys.readouterr().out, line
 
 
 @pytest.mark.slow

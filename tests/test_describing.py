@@ -6,33 +6,50 @@ import math
 import re
 import subprocess
 import sys
+from contextlib import chdir
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from pycram import bullet_world_reasoning as btr
+from pycram import bullet_world_reasoning as btr, cli
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 REPO = Path(__file__).parent.parent
 ROBOTS = REPO / "pycram" / "models" / "robots"
 
 
-def describe(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "pycram", "describe", *arguments],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=300,
-        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin", "PYTHONWARNINGS": "error"},
-    )
+class Ended(NamedTuple):
+    """What a command has left."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def describe(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Runs ``pycram describe`` in ``tmp_path``, within this process: to start one takes longer than most descriptions."""
+
+    def run(*arguments: str) -> Ended:
+        capfd.readouterr()
+        with chdir(tmp_path):
+            try:
+                code = cli.main(["describe", *arguments])
+            except SystemExit as end:
+                code = end.code
+        return Ended(code, *capfd.readouterr())
+
+    return run
 
 
 def perform(**slots: object) -> object:
@@ -46,8 +63,10 @@ def urdf_of(name: str) -> str:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
-def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(tmp_path: Path, robot: str) -> None:
-    ended = describe(f"{robot}.urdf", cwd=tmp_path)
+def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(
+    describe: Callable[..., Ended], tmp_path: Path, robot: str
+) -> None:
+    ended = describe(f"{robot}.urdf")
     assert ended.returncode == 0, ended.stderr
     assert ended.stderr == ""
     guessed = RobotDescription.parse(ended.stdout)
@@ -65,14 +84,29 @@ def test_what_is_guessed_of_the_robots_in_the_box_is_what_we_know(tmp_path: Path
         for share in (0.0, 1.0):
             assert same.gripper.at(share) == pytest.approx(arm.gripper.at(share), abs=1e-3)
     (tmp_path / "mine.toml").write_text(ended.stdout)
-    checked = describe("--check", "mine.toml", f"{robot}.urdf", cwd=tmp_path)
+    checked = describe("--check", "mine.toml", f"{robot}.urdf")
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
 @pytest.mark.slow
+def test_the_command_prints_what_it_guesses_and_nothing_else(describe: Callable[..., Ended], tmp_path: Path) -> None:
+    """In a process of its own: nothing that is imported warns, nothing else comes to stdout."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "pycram", "describe", "panda.urdf"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin", "PYTHONWARNINGS": "error"},
+    )
+    assert Ended(ended.returncode, ended.stdout, ended.stderr) == describe("panda.urdf")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["pr2", "tiago_pro", "panda", "ur5"])
-def test_the_robots_in_the_box_pass_all_checks(tmp_path: Path, robot: str) -> None:
-    ended = describe("--check", str(ROBOTS / f"{robot}.toml"), "--picture", "robot.png", cwd=tmp_path)
+def test_the_robots_in_the_box_pass_all_checks(describe: Callable[..., Ended], tmp_path: Path, robot: str) -> None:
+    ended = describe("--check", str(ROBOTS / f"{robot}.toml"), "--picture", "robot.png")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     lines = ended.stdout.splitlines()
     assert all(line.startswith("ok") for line in lines)
@@ -83,11 +117,13 @@ def test_the_robots_in_the_box_pass_all_checks(tmp_path: Path, robot: str) -> No
     assert len(colors) > 200, "more than a sky"
 
 
-def test_a_robot_that_nobody_described_takes_things(tmp_path: Path, world: BulletWorld) -> None:
+def test_a_robot_that_nobody_described_takes_things(
+    describe: Callable[..., Ended], tmp_path: Path, world: BulletWorld
+) -> None:
     """Baxter's right arm takes a block with the description that was guessed; its fingers open from 20 to 58 mm."""
     world.set_gravity([0, 0, -9.8])
     file = urdf_of("robots/baxter_description/urdf/baxter.urdf")
-    ended = describe(file, cwd=tmp_path)
+    ended = describe(file)
     assert ended.returncode == 0, ended.stderr
     described = RobotDescription.parse(ended.stdout)
     assert set(described.arms) == {"left", "right"}
@@ -128,14 +164,13 @@ WRONG = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", WRONG)
-def test_checks_find_what_is_wrong(tmp_path: Path, what: str) -> None:
+def test_checks_find_what_is_wrong(describe: Callable[..., Ended], tmp_path: Path, what: str) -> None:
     good, bad, message = WRONG[what]
     text = (ROBOTS / "panda.toml").read_text()
     assert good in text
     (tmp_path / "mine.toml").write_text(text.replace(good, bad))
-    ended = describe("--check", "mine.toml", cwd=tmp_path)
+    ended = describe("--check", "mine.toml")
     assert ended.returncode == 1
     assert any(line.startswith("FAILED") and message in line for line in ended.stdout.splitlines()), ended.stdout
 
@@ -150,10 +185,12 @@ def test_checks_find_what_is_wrong(tmp_path: Path, what: str) -> None:
         (("panda.urdf", "--check", "other.toml"), "other.toml: "),
     ],
 )
-def test_wrong_usage_is_refused_in_a_line(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+def test_wrong_usage_is_refused_in_a_line(
+    describe: Callable[..., Ended], tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
     text = (ROBOTS / "ur5.toml").read_text()
     (tmp_path / "other.toml").write_text(text.replace('robot = "ur5_with_gripper"', 'robot = "other"'))
-    ended = describe(*arguments, cwd=tmp_path)
+    ended = describe(*arguments)
     assert ended.returncode == 2
     assert ended.stdout == ""
     assert message in ended.stderr
@@ -164,7 +201,7 @@ ONE_ARM = """<robot name="my robot 2.0"><link name="base"/>{links}<link name="ha
 {joints}<joint name="end" type="fixed"><parent link="link 3"/><child link="hand"/></joint></robot>"""
 
 
-def test_names_that_toml_has_no_plain_keys_for(tmp_path: Path) -> None:
+def test_names_that_toml_has_no_plain_keys_for(describe: Callable[..., Ended], tmp_path: Path) -> None:
     shape = '<origin xyz="0 0 0.1"/><geometry><box size="0.04 0.04 0.16"/></geometry>'
     red = '<material name="red"><color rgba="1 0 0 1"/></material>'
     box = f"<visual>{shape}{red}</visual><collision>{shape}</collision>"
@@ -176,14 +213,14 @@ def test_names_that_toml_has_no_plain_keys_for(tmp_path: Path) -> None:
         for i in range(4)
     )
     (tmp_path / "mine.urdf").write_text(ONE_ARM.format(links=links, joints=joints))
-    ended = describe("mine.urdf", cwd=tmp_path)
+    ended = describe("mine.urdf")
     assert ended.returncode == 0, ended.stderr
     guessed = RobotDescription.parse(ended.stdout)
     assert guessed.robot == "my robot 2.0"
     assert list(guessed.arms) == ["my-robot-2-0"]  # as a plan can write it: my_robot_2_0_arm="park"
     assert guessed.arm("my-robot-2-0").joints[0] == 'turn "0"'
     (tmp_path / "mine.toml").write_text(ended.stdout)
-    checked = describe("--check", "mine.toml", "mine.urdf", "--picture", "mine.png", cwd=tmp_path)
+    checked = describe("--check", "mine.toml", "mine.urdf", "--picture", "mine.png")
     assert checked.returncode == 0, checked.stdout + checked.stderr
     picture = np.asarray(Image.open(tmp_path / "mine.png")).astype(int)
     rows, columns = np.nonzero((picture[..., 0] > 60) & (picture[..., 2] < 20))
@@ -193,9 +230,9 @@ def test_names_that_toml_has_no_plain_keys_for(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_hands_that_are_not_understood_are_left_out(tmp_path: Path) -> None:
+def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ended], tmp_path: Path) -> None:
     urdf = urdf_of("alex_sake_hands.urdf")
-    ended = describe(urdf, cwd=tmp_path)
+    ended = describe(urdf)
     assert ended.returncode == 0, ended.stderr
     assert {name: arm.hand for name, arm in RobotDescription.parse(ended.stdout).arms.items()} == {
         "left": None,
@@ -203,5 +240,5 @@ def test_hands_that_are_not_understood_are_left_out(tmp_path: Path) -> None:
     }
     assert "# no gripper: 3 joints hang on it, not understood" in ended.stdout
     (tmp_path / "mine.toml").write_text(ended.stdout)
-    checked = describe("--check", "mine.toml", urdf, cwd=tmp_path)
+    checked = describe("--check", "mine.toml", urdf)
     assert checked.returncode == 0, checked.stdout  # also that parked arms don't meet

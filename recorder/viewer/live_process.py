@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from recorder.viewer.live_queue import Item
     from recorder.viewer.translator import Translator
 
-LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
 _TYPES: Final = {topic: kind for kind, topic in TOPICS.items()}
 _STDERR: Final = 2
 _CALL_TIMEOUT: Final = 1.0  # s, of one call of the viewer's library
@@ -49,12 +48,17 @@ class Status(Enum):
 
 
 def main(arguments: list[str]) -> None:
-    """Serves one recording to its end, given the socket's descriptor, the target and the recording's title."""
+    """Serves one recording to its end.
+
+    Args:
+        arguments: the socket's descriptor, the target, the recording's title, and how many seconds after its end a
+            viewer that is behind has.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the plan; a session of its own would undo the niceness
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
     absent = threading.Event()
-    threading.Thread(target=_end_with_parent, args=[absent], name="parent", daemon=True).start()
+    threading.Thread(target=_end_with_parent, args=[absent, float(arguments[3])], name="parent", daemon=True).start()
     status = 0
     try:
         _serve(_Batches(connection), target, arguments[2], absent)
@@ -74,15 +78,15 @@ def _print(text: str) -> None:
     print(f"recorder: {text}", file=sys.stderr, flush=True)
 
 
-def _end_with_parent(absent: threading.Event) -> None:
-    """Ends some time after the recording, whose end of this pipe closes however its process ends: all is here then.
+def _end_with_parent(absent: threading.Event, linger: float) -> None:
+    """Ends ``linger`` seconds after the recording, whose end of this pipe closes however its process ends.
 
-    Nobody who waits for the plan waits for that. Where no viewer is, it ends at once.
+    All is here then. Nobody who waits for the plan waits for that. Where no viewer is, it ends at once.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
-    absent.wait(LINGER_TIMEOUT)
+    absent.wait(linger)
     os._exit(1)
 
 

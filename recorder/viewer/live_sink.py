@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.viewer.address import Kind, Target
-from recorder.viewer.live_process import LINGER_TIMEOUT, Status
+from recorder.viewer.live_process import Status
 from recorder.viewer.live_queue import LiveQueue, is_transient
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 _END_TIMEOUT: Final = 1.8  # s for the viewer to take what is left
 _START_TIMEOUTS: Final = {Kind.SPAWN: 5.0, Kind.CONNECT: 3.0, Kind.SERVE: 3.0}  # s, for plans that are shorter
+_LINGER_TIMEOUT: Final = 30.0  # s after the end of a recording for a viewer that is behind
 _HAND_OVER_TIMEOUT: Final = 0.5  # s for the process to read the rest
 _BATCH_PERIOD: Final = 0.2  # s: many small batches cost more than they show
 _MAX_ITEMS: Final = 500  # of a batch
@@ -105,7 +106,7 @@ class RerunSink:
         missed = self._records - self._taken
         if missed:
             count = f"{missed} of {self._records} records"
-            time_left = "the time that it is served" if served else f"{LINGER_TIMEOUT:.0f} s"
+            time_left = "the time that it is served" if served else f"{_LINGER_TIMEOUT:.0f} s"
             late = f"the viewer is {count} behind; it has {time_left} to take them"
             print(
                 f"recorder: {late if behind else f'the viewer missed {count}'}; the file has them all", file=sys.stderr
@@ -168,7 +169,7 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 def _start(child_end: Connection, live: str, title: str) -> subprocess.Popen[bytes]:
     """Starts the translating process; its standard input is closed when this one ends, however it ends."""
     return subprocess.Popen(  # noqa: S603  our own code
-        [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title],
+        [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         pass_fds=[child_end.fileno()],

@@ -15,6 +15,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld
 from pycram.bullet_world_reasoning import ReasoningError
+from pycram.world import current
 from tests.conftest import furnish
 
 if TYPE_CHECKING:
@@ -31,6 +32,13 @@ def recorded(plan: str, folder: Path) -> Path:
     command = [sys.executable, "-m", "pycram", "run", str(DEMOS / f"{plan}.py"), "--log", str(file)]
     subprocess.run(command, capture_output=True, check=False, timeout=300)
     return file
+
+
+@pytest.fixture
+def nothing_left() -> Iterator[None]:
+    """No world stays open."""
+    yield
+    assert not current.open_worlds()
 
 
 @pytest.fixture(scope="session")

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import random
-import signal
 import struct
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,32 +16,24 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par
-from pycram.world import current
 from recorder.mcap import sink
 from recorder.mcap.sink import McapSink
-from recorder.records import TOPICS, Keyframe, Mutation, Record, Run, Task
+from recorder.records import TOPICS, Keyframe, Mutation, Record, Task
 from recorder.records.asset import AssetFile
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.restore.verify import verify
-from tests.measures import seeded
-from tests.replay.approximately import assert_approximately
-from tests.replay.plans import RandomPlan, Witness, everything
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from replay.restore.verify import Verification
     from replay.state.integrity import Problem
 
 
 CABINET = Path(__file__).parent / "golden" / "cabinet.urdf"
 
 
-@pytest.fixture(autouse=True)
-def nothing_left() -> Iterator[None]:
-    yield
-    assert not current.open_worlds()
+pytestmark = pytest.mark.usefixtures("nothing_left")
 
 
 def rewritten(source: Path, target: Path, change: Callable[[Record], Record | None], **metadata: str) -> Path:
@@ -283,6 +272,21 @@ def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: P
     assert main(["verify", str(cut)]) == 3
 
 
+def test_a_branch_without_end_is_found(tmp_path: Path) -> None:
+    file = tmp_path / "run.mcap"
+    with recorder.record(file), par as block:
+        block(lambda: None)
+    with replay.open(file) as log:
+        end = next(r.seq for r in log.records(Task) if r.kind == "branch" and r.phase == Task.FINISHED)
+
+    def without_end(record: Record) -> Record | None:
+        kept = record.seq != end
+        record.seq -= record.seq > end
+        return record if kept else None
+
+    assert "doesn't" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause
+
+
 def test_an_exchanged_attached_file_is_found(run_log: Path, tmp_path: Path) -> None:
     target = tmp_path / "x.mcap"
     content = bytearray(run_log.read_bytes())
@@ -403,208 +407,3 @@ def test_the_verb_prints_a_verdict(run_log: Path, tmp_path: Path, capfd: pytest.
     assert ".gravity[2]: recorded -3.0, found -" in text
     assert main(["verify", str(wrong), "--json"]) == 1
     assert json.loads(capfd.readouterr().out)["problem"]["deviation"]["recorded"] == -3.0
-
-
-def check_random_plan(seed: int, folder: Path) -> None:
-    file = folder / f"{seed}.mcap"
-    witness = Witness()
-    with recorder.record(file) as recording:
-        recording.journal.add_sink(witness)
-        RandomPlan(seed, witness).run()
-    with replay.open(file) as log:
-        for step, seen in witness.seen.items():
-            state = log.state_at(step)
-            for name, live in seen.items():
-                assert_approximately(told_of(state.worlds[name]), live, f"plan {seed}, step {step}")
-        dice = random.Random(seed)
-        for step in dice.sample(sorted(step for step, seen in witness.seen.items() if seen), 2):
-            for name, live in witness.seen[step].items():
-                with log.world_at(step, name, exact=dice.random() < 0.5) as world:
-                    assert_approximately(everything(world), live, f"plan {seed}, world_at({step})")
-        verdict = verify(log)
-        assert verdict.exact, f"plan {seed}: {verdict}"
-        end = next(log.backwards())
-        assert isinstance(end, Run)
-
-
-def told_of(world: replay.World) -> dict[str, object]:
-    """A state in the form of what a live world is asked for."""
-    facts: dict[str, object] = {}
-    for body in world.bodies.values():
-        numbers = [*body.position, *body.orientation, *body.velocity, *body.joints.values()]
-        facts[body.name] = {
-            "type": body.type,
-            "numbers": [*numbers, *body.joint_velocities.values()],
-            "color": body.color or None,
-        }
-    for (carrier, body), held in world.attachments.items():
-        facts[f"{carrier} holds {body}"] = {
-            "links": (held.carrier_link, held.body_link),
-            "numbers": [*held.position, *held.orientation],
-        }
-    return facts | {"gravity": world.gravity, "sim_step": world.sim_step, "robot": world.robot or None}
-
-
-def test_random_plans_are_verified(tmp_path: Path) -> None:
-    for seed in range(2):
-        check_random_plan(seed, tmp_path)
-
-
-@seeded("random plans, verified", range(2, 200), 9)
-def test_many_random_plans_are_verified(tmp_path: Path, seeds: range) -> None:
-    for seed in seeds:
-        check_random_plan(seed, tmp_path)
-
-
-# --- plans that end otherwise than they should, in processes of their own ----------------------------------------------
-
-
-WORKER_IS_ABANDONED = """
-import os, signal, threading
-import recorder
-from pycram.bullet_world import BulletWorld
-from pycram.language import seq
-from pycram.scheduling.worker import in_thread
-from recorder.tracing.span import span
-
-up = threading.Event()
-
-def watch():
-    with span("plan", "watching"):
-        up.set()
-        threading.Event().wait()
-
-def press():
-    up.wait()
-    os.kill(os.getpid(), signal.SIGINT)
-
-with recorder.record(FILE), BulletWorld(), seq:
-    threading.Thread(target=press).start()
-    in_thread(watch)
-"""
-
-THREAD_GOES_ON = """
-import signal, threading
-import recorder
-from pycram.bullet_world import BulletWorld
-from pycram.language import par
-from recorder.tracing.span import span
-
-up = threading.Event()
-
-def watch():
-    with span("plan", "watching"):
-        up.set()
-        threading.Event().wait()
-
-def begin():
-    threading.Thread(target=watch, daemon=True).start()
-    up.wait()
-
-with recorder.record(FILE), BulletWorld(), par as block:
-    block(begin)
-    block(lambda: signal.raise_signal(signal.SIGINT))
-"""
-
-BLOCKS_WITHOUT_END = """
-import sys
-import recorder
-from pycram.bullet_world import BulletWorld, Object
-from pycram.language import seq
-
-def nested(depth, milk):
-    with seq:
-        milk.set_position([depth, 0, 1])
-        nested(depth + 1, milk)
-
-with recorder.record(FILE), BulletWorld() as world:
-    milk = Object("milk", "milk", "milk.stl")
-    sys.setrecursionlimit(LIMIT)
-    try:
-        nested(0, milk)
-    finally:
-        sys.setrecursionlimit(1000)
-"""
-
-BRANCHES_WITHOUT_END = """
-import sys
-import recorder
-from pycram.bullet_world import BulletWorld, Object
-from pycram.language import failure_handling, par, try_in_order
-
-def nested(depth, milk):
-    milk.set_position([depth % 9, 0, 1])
-    if depth % 3 == 0:
-        with par as s:
-            s(nested, depth + 1, milk)
-            s(milk.set_position, [0, 0, 1])
-    elif depth % 3 == 1:
-        for attempt in failure_handling(1):
-            with attempt:
-                nested(depth + 1, milk)
-    else:
-        with try_in_order as s:
-            s(nested, depth + 1, milk)
-
-with recorder.record(FILE), BulletWorld() as world:
-    milk = Object("milk", "milk", "milk.stl")
-    sys.setrecursionlimit(LIMIT)
-    try:
-        nested(0, milk)
-    finally:
-        sys.setrecursionlimit(1000)
-"""
-
-
-def recorded_by(plan: str, file: Path, **values: object) -> subprocess.CompletedProcess[str]:
-    given = "".join(f"{name} = {value!r}\n" for name, value in values.items())
-    program = f"FILE = {str(file)!r}\n{given}{plan}"
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
-
-
-@pytest.mark.parametrize("plan", [WORKER_IS_ABANDONED, THREAD_GOES_ON], ids=["worker", "daemon thread"])
-def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: str, tmp_path: Path, capfd) -> None:
-    file = tmp_path / "run.mcap"
-    assert recorded_by(plan, file).returncode == -signal.SIGINT
-    with replay.open(file) as log:
-        verification = verify(log)
-    assert verification.exact, verification
-    assert verification.unfinished == 1
-    assert main(["verify", str(file)]) == 0
-    assert "1 of them not ended then" in capfd.readouterr().out
-
-
-@pytest.mark.parametrize("limit", [200, 201, 203])
-def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Path) -> None:
-    verification, changes = verified_after_recursion_error(BLOCKS_WITHOUT_END, limit, tmp_path / "run.mcap")
-    assert verification.tasks - changes in (0, 1)  # of the innermost block perhaps only the change was refused
-
-
-def test_branches_within_each_other_without_end_end_in_a_recursion_error(tmp_path: Path) -> None:
-    verified_after_recursion_error(BRANCHES_WITHOUT_END, 200, tmp_path / "run.mcap")
-
-
-def verified_after_recursion_error(plan: str, limit: int, file: Path) -> tuple[Verification, int]:
-    assert "RecursionError" in recorded_by(plan, file, LIMIT=limit).stderr
-    with replay.open(file) as log:
-        verification = verify(log)
-        changes = sum(1 for record in log.records(Mutation) if record.HasField("move_body"))
-    assert verification.exact, verification
-    assert verification.unfinished == 0
-    assert changes >= 3
-    return verification, changes
-
-
-def test_a_branch_without_end_is_found(tmp_path: Path) -> None:
-    file = tmp_path / "run.mcap"
-    with recorder.record(file), par as block:
-        block(lambda: None)
-    with replay.open(file) as log:
-        end = next(r.seq for r in log.records(Task) if r.kind == "branch" and r.phase == Task.FINISHED)
-
-    def without_end(record: Record) -> Record | None:
-        kept = record.seq != end
-        record.seq -= record.seq > end
-        return record if kept else None
-
-    assert "doesn't" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause

@@ -262,7 +262,7 @@ class Browser:
             "--use-gl=angle",
             "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader",
-            "--window-size=1000,700",
+            "--window-size=800,560",
             "--remote-debugging-pipe",
         ]
         # it reads its orders from descriptor 3 and answers on 4
@@ -367,13 +367,14 @@ def browser(tmp_path: Path) -> Iterator[Browser]:
 
 @pytest.fixture
 def pycram(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
-    """Starts the command line as a process of its own, in ``tmp_path``."""
+    """Starts the command line as a process of its own, in ``tmp_path``; ``before`` is code that it runs first."""
     with contextlib.ExitStack() as ends:
 
-        def start(*arguments: str, **environment: str) -> subprocess.Popen[str]:
+        def start(*arguments: str, before: str = "", **environment: str) -> subprocess.Popen[str]:
             kept = {name: os.environ[name] for name in ("PATH", "TMPDIR", MARK)}
+            program = ["-c", f"{before}\nfrom pycram import __main__"] if before else ["-m", "pycram"]
             process = subprocess.Popen(
-                [sys.executable, "-m", "pycram", *arguments],
+                [sys.executable, *program, *arguments],
                 cwd=tmp_path,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

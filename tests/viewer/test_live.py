@@ -22,7 +22,7 @@ import recorder
 import replay
 from recorder.viewer import live_sink
 from recorder.viewer.address import Kind, Target, answers, free_port
-from recorder.viewer.live_process import LINGER_TIMEOUT
+from replay.restore.verify import verify
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
 
@@ -67,6 +67,11 @@ from recorder.viewer import live_sink
 live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
 """
 
+BRIEF = """
+from recorder.viewer import live_sink
+live_sink._LINGER_TIMEOUT = 3.0
+"""
+
 
 class Ended:
     """What a plan has left."""
@@ -85,14 +90,12 @@ class Ended:
     def check(self) -> int:
         """The plan has succeeded, its recording is complete, nothing of it runs any more; the number of records."""
         assert self.code == 0, self.err
-        wait_until(lambda: not marked(self.mark), "no process is left", LINGER_TIMEOUT + 10)
+        wait_until(lambda: not marked(self.mark), "no process is left", live_sink._LINGER_TIMEOUT + 10)
         with replay.open(self.log) as log:
             assert log.complete
-            count = len(log)
-        command = [sys.executable, "-m", "replay", "verify", str(self.log)]
-        verified = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert verified.returncode == 0, verified.stderr + verified.stdout
-        return count
+            verification = verify(log)
+            assert verification.sound, verification
+            return len(log)
 
 
 def marked(mark: str) -> list[psutil.Process]:
@@ -244,7 +247,7 @@ def test_a_viewer_is_stopped_while_the_plan_runs(
     # it is let go on, or not, before the plan ends; a stopped process' socket takes some, so there is more than that
     flood = "\nwait_for('go')\nfor _ in range(40): world.simulate(1)\nfor _ in range(10): world.simulate(30)"
     code = f"{flood}\nPath('flooded').touch()\n" + ("" if at_the_end else "wait_for('end')")
-    running = plan(code, f"connect:{headless.url}")
+    running = plan(code, f"connect:{headless.url}", before=BRIEF)
     until(lambda: headless.end_of("step") > 100, "the viewer shows it")
     os.kill(headless.pid, signal.SIGSTOP)
     (running.folder / "go").touch()
@@ -263,7 +266,8 @@ def test_records_that_a_stopped_viewer_misses_are_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
     server = serve()
-    ended = plan(f"os.kill({server.process.pid}, signal.SIGSTOP); move(30_000)", f"connect:{server.url}").end()
+    code = f"os.kill({server.process.pid}, signal.SIGSTOP); move(30_000)"
+    ended = plan(code, f"connect:{server.url}", before=BRIEF).end()
     count = ended.check()
     missed, of = ended.missed()
     assert of == count

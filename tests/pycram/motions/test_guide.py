@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 GUIDE = Path(__file__).parents[3] / "docs" / "motions.md"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")  # last digits are the engine's
 
@@ -16,6 +18,7 @@ def block(kind: str) -> str:
     return found
 
 
+@pytest.mark.slow
 def test_the_guide_s_program_prints_what_the_guide_says() -> None:
     ended = subprocess.run([sys.executable, "-c", block("python")], capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr

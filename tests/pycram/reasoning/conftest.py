@@ -6,33 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pycram.bullet_world import BulletWorld
-from pycram.world.snapshot import restore_snapshot, take_snapshot
-from tests.conftest import furnish
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-
-@pytest.fixture(scope="module")
-def built() -> Iterator[BulletWorld]:
-    with BulletWorld() as made:
-        made.set_gravity([0, 0, -9.8])
-        furnish(made)
-        yield made
+    from pycram.bullet_world import BulletWorld
 
 
 @pytest.fixture
-def scene(built: BulletWorld) -> Iterator[BulletWorld]:
-    """As everywhere; what a test has moved, attached or added is undone."""
-    BulletWorld.current_bullet_world = built
-    before = {body: take_snapshot(body) for body in built.objects}
-    yield built
-    for body in built.objects:
-        body.detach_all()
-    for body in list(built.objects):
-        if body not in before:
-            body.remove()
-    for body, state in before.items():
-        if take_snapshot(body) != state:
-            restore_snapshot(body, state)
+def scene(shared_scene: BulletWorld) -> BulletWorld:
+    return shared_scene
