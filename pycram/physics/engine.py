@@ -46,7 +46,6 @@ _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "pri
 
 #: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -111,8 +110,7 @@ class Engine:
                 joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
-        gain = loading.gain if robot else _GAIN
-        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain)
+        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
@@ -216,7 +214,7 @@ class Engine:
             targetPosition=position,
             targetVelocity=0.0,
             force=_HOLD_FORCE[joint.kind],
-            positionGain=body.gain,
+            positionGain=0.1,
             velocityGain=1.0,
             maxVelocity=100.0,  # the engine would keep an earlier value
             physicsClientId=self._client,
