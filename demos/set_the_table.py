@@ -119,8 +119,8 @@ def targets() -> dict[str, tuple[list[float], str]]:
     return {kind: (goal, arm) for kind, (goal, _) in TARGETS_ON_TABLE.items()}
 
 
-def move_object(object_type: str, furniture: Object) -> None:
-    """Carries an object to its place, and whatever blocks it before it (Listings 5.3-5.5)."""
+def move_object(object_type: str, furniture: Object, waiting: tuple[str, ...] = ()) -> None:
+    """Carries an object to its place, and whatever blocks it before it (Listings 5.3-5.5), for which others wait."""
     target, arm = targets()[object_type]
     robot = BulletWorld.robot
     gripper = robot.description.arm(arm).tool_frame
@@ -135,8 +135,12 @@ def move_object(object_type: str, furniture: Object) -> None:
 
     blocking = [body for body in btr.blocking(found, robot, gripper) if body.type != "environment"]
     if blocking:
+        waiting = (*waiting, object_type)
+        if blocking[0].type in waiting:
+            circle = " and ".join(waiting[waiting.index(blocking[0].type) :])
+            raise btr.ReasoningError(f"{circle} block each other: none can go first")
         print(f"{object_type}: {blocking[0].type} is in the way and goes first")
-        move_object(blocking[0].type, furniture)
+        move_object(blocking[0].type, furniture, waiting)
         go(counter)
     perform(type="pick-up", object=found, arm=arm)
     go(ISLAND)

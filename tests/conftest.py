@@ -29,6 +29,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell ignores SIGINT for what it starts in the background, and processes inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ["PYCRAM_CACHE"] = ""  # what a test loads is read from its files, and the user's folder stays as it is
     config.pluginmanager.register(needs)
     measures.pytest_configure(config)
 

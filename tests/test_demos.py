@@ -15,6 +15,7 @@ import pytest
 
 import replay
 from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import ReasoningError
 from pycram.world.overlaps import Overlapping
 from recorder import geometry
 from recorder.records import Mutation, Query, Run, Task
@@ -96,6 +97,28 @@ def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals
         stable = [json.loads(record.answer_json) for record in log.records(Query) if record.name == "stable"]
         assert stable == [True] * 4
     assert replay_command(["verify", str(file)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("blocks", "circle"),
+    [
+        ({"milk": "bowl", "bowl": "milk"}, "milk and bowl"),
+        ({"milk": "bowl", "bowl": "cereal", "cereal": "bowl"}, "bowl and cereal"),
+    ],
+)
+def test_things_that_block_each_other_end_the_plan(
+    scene: BulletWorld, blocks: dict[str, str], circle: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = runpy.run_path(str(REPO / "demos" / "set_the_table.py"))["move_object"].__globals__
+
+    def blocking(body: Object, *_: object) -> list[Object]:
+        return scene.get_objects_by_type(blocks[body.type])
+
+    monkeypatch.setitem(names, "go", lambda _: None)  # what is in whose way is the point, not where it lies
+    monkeypatch.setitem(names, "find", lambda known: known)
+    monkeypatch.setattr(names["btr"], "blocking", blocking)
+    with pytest.raises(ReasoningError, match=f"^{circle} block each other: none can go first$"):
+        names["move_object"]("milk", scene.get_object("kitchen"))
 
 
 def test_a_demo_that_has_one_robot_takes_no_other(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "ChangeRefused",
     "CollisionPair",
     "DisplayError",
+    "DoesNotFit",
     "GraspFailed",
     "GripperBlocked",
     "HandleBlocked",
@@ -347,6 +348,27 @@ class GraspFailed(PlanFailure):
         self.arm = arm
         self.body = body
         self.reason = reason
+
+
+class DoesNotFit(GraspFailed):
+    """The object is too big or too thin for the gripper, from any side that is allowed.
+
+    Attributes:
+        widths: of the object between the fingers, m, of the sides and rims that were tried.
+        gap: m between the fingers when closed: thinner things slip through.
+        widest: m that fit between the fingers when open.
+    """
+
+    def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
+        self.widths = tuple(sorted(widths))
+        self.gap = gap
+        self.widest = widest
+        thin, big = (any(found) for found in ([w < gap for w in widths], [w >= gap for w in widths]))
+        size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
+        between = f"{gap * 1e3:.1f}-{widest * 1e3:.0f} mm" if gap else f"up to {widest * 1e3:.0f} mm"
+        measured = ", ".join(dict.fromkeys(f"{width * 1e3:.0f}" for width in self.widths))
+        tells = f": it measures {measured} mm, {between} fit between the fingers" if widths else ""
+        super().__init__(arm, body, f"{how}it is {size} for the gripper from any side that is allowed{tells}")
 
 
 class GripperBlocked(PlanFailure):

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import canonical, mesh, packages as packages_of, robot_urdfs, store
+from pycram.models import canonical, converted, mesh, packages as packages_of, robot_urdfs, store
 from pycram.models.files import parse_urdf, read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
@@ -217,11 +217,12 @@ class _Painted(NamedTuple):
 @cache
 def _collision_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
-    return store.write_mesh(*mesh.convert_collision(file))
+    ((name, content, _),) = converted.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
+    return store.write_mesh(name, content)
 
 
 @cache
 def _visual_meshes(file: Path, _modified: int, _size: int) -> tuple[_Painted, ...]:
     """Write what is seen of a mesh into the store, by colour; checked once per version of the file."""
-    parts = mesh.convert_visual(file)
+    parts = converted.get("visual", file, lambda: mesh.convert_visual(file))
     return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)

@@ -29,9 +29,11 @@ if TYPE_CHECKING:
 
 with needed("executor"):
     import collada
+    import PIL
     import trimesh
     from PIL import Image
 
+LIBRARIES: Final = f"collada {collada.__version__} trimesh {trimesh.__version__} pillow {PIL.__version__}"
 STL_HEADER: Final = 84
 STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 _MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres

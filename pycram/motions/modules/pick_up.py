@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, GraspFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice, fingers
-from pycram.reasoning.grasping.grasps import leaning
+from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
 from pycram.world import overlaps
 from recorder import geometry
 
@@ -85,7 +85,7 @@ def _plan(
     while len(failures) < _MAX_GRASPS:
         plan = choice.best(body, robot, arm.tool_frame, names, refused)
         if plan.grasp is None or plan.posture is None:
-            failures.append(_nothing(arm, body, plan))
+            failures.append(_nothing(robot, arm, body, names, plan))
             break
         closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
         failure = _problem(arm, body, plan, closing)
@@ -96,12 +96,16 @@ def _plan(
     raise failures[0]  # of the grasp that touches least
 
 
-def _nothing(arm: Arm, body: Object, plan: GraspPlan) -> PlanFailure:
+def _nothing(robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan) -> PlanFailure:
     """Return why no grasp was found."""
     if plan.posture is None:
         tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
         lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
-        return GraspFailed(arm.name, body.name, f"{lies}it is too big for the gripper from any side that is allowed")
+        if arm.gripper.suction:
+            return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
+        misfits: list[float] = []
+        candidates(body, robot, arm, names, misfits=misfits)
+        return DoesNotFit(arm.name, body.name, misfits, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
     if plan.self_collisions:
         return Blocked(arm.name, center(body), plan.self_collisions)
     return Unreachable(arm.name, center(body), plan.posture.position_error)

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Quaternion, Vector
 
-_FREE: Final = 0.004  # m of the aperture that has to stay free
+FREE: Final = 0.004
+"""Metres of the aperture that have to stay free."""
 _CLEARANCE: Final = 0.002  # m that the finger tips keep from what the object stands on
 _PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where an object's surface is looked for
 _STEP: Final = 0.004  # m between such points along the fingers
@@ -59,7 +60,13 @@ class Grasp:
 
 
 def candidates(
-    body: Object, robot: Object, arm: Arm, names: Sequence[str] | None = None, *, off_center: bool = False
+    body: Object,
+    robot: Object,
+    arm: Arm,
+    names: Sequence[str] | None = None,
+    *,
+    off_center: bool = False,
+    misfits: list[float] | None = None,
 ) -> Sequence[Grasp]:
     """Return grasps of an object, best first.
 
@@ -69,6 +76,7 @@ def candidates(
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
         off_center: something long from the top, between its middle and its ends; else everything in the middle.
+        misfits: gets the widths that are too thin or too big for the gripper, m.
     """
     lean = leaning(body)
     lying = body.get_orientation()
@@ -80,13 +88,15 @@ def candidates(
         caster = RayCaster(body, lean)
         stood = geometry.product(geometry.conjugate(lean), lying)
         for offset in offsets:
-            for grasp in _upright(caster, stood, robot, arm, names, offset):
+            for grasp in _upright(caster, stood, robot, arm, names, offset, misfits):
                 away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
                 x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
                 turn = geometry.product(lean, grasp.orientation)
                 found.append(replace(grasp, position=(x, y, z), orientation=turn))
     caster = RayCaster(body)
-    return [*found, *(grasp for offset in offsets for grasp in _upright(caster, lying, robot, arm, names, offset))]
+    for offset in offsets:
+        found += _upright(caster, lying, robot, arm, names, offset, misfits)
+    return found
 
 
 def _along_length(body: Object) -> Sequence[Vector]:
@@ -123,8 +133,10 @@ def _upright(
     arm: Arm,
     names: Sequence[str] | None,
     offset: Vector,
+    misfits: list[float] | None,
 ) -> list[Grasp]:
     """Return grasps of an object that stands upright, or is taken to, with an orientation; offset in its frame."""
+    misfits = [] if misfits is None else misfits
     facing = heading(robot)
     dx, dy, _ = geometry.rotate(lying, offset)
     x, y, z = caster.center
@@ -138,17 +150,17 @@ def _upright(
     if arm.gripper.suction:
         fitting = _on_surface(caster, every, arm)
     else:
-        fitting = iter(_between_fingers(caster, every, arm, middle))
+        fitting = iter(_between_fingers(caster, every, arm, middle, misfits))
     found: list[Grasp] = []
     for options in sides:
         (_, turn), *_ = options
         fit = [grasp for grasp in itertools.islice(fitting, len(options)) if grasp is not None]
         if fit:  # as the robot stands, unless the object lies across
-            widths = [grasp.width + (grasp.orientation != turn) * _FREE for grasp in fit]
+            widths = [grasp.width + (grasp.orientation != turn) * FREE for grasp in fit]
             found.append(fit[widths.index(min(widths))])
     rims = arm.gripper.fingers and middle == caster.center and (names is None or "top" in names)
     if rims and all(grasp.name != "top" for grasp in found):
-        found.extend(_rims(caster, robot, arm))
+        found.extend(_rims(caster, robot, arm, misfits))
     return found
 
 
@@ -167,9 +179,9 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
 
 
 def _between_fingers(
-    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector
+    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, misfits: list[float]
 ) -> Iterator[Grasp | None]:
-    """Yield for each side and orientation the grasp with the object centered between the fingers; None if too wide."""
+    """Yield for each side and orientation the grasp with the object centered between the fingers; None if none fits."""
     if not options:
         return
     gripper = arm.gripper
@@ -194,7 +206,8 @@ def _between_fingers(
     lows = np.where(held, lows, np.inf).min(axis=1)
     highs = np.where(held, highs, -np.inf).max(axis=1)
     widths = highs - lows
-    fits = held.any(axis=1) & (widths <= gripper.aperture - _FREE) & (widths >= gripper.gap)
+    fits = held.any(axis=1) & (widths <= gripper.aperture - FREE) & (widths >= gripper.gap)
+    misfits += widths[held.any(axis=1) & ~fits].tolist()
     found = zip(options, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
     for (name, turn), scan, fit, deep, low, high in found:
         tool = deep, (low + high) / 2, 0.0
@@ -217,7 +230,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
         yield Grasp(name, on_surface, turn, 0.0) if uneven <= _FLAT else None  # nan where there is nothing
 
 
-def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
+def _rims(caster: RayCaster, robot: Object, arm: Arm, misfits: list[float]) -> Iterator[Grasp]:
     """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
     gripper = arm.gripper
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
@@ -242,7 +255,8 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm) -> Iterator[Grasp]:
         if floor < _LEVELS:  # tips stay above the floor of the hollow
             tips = max(tips, first + floor * step + gripper.tips + _CLEARANCE)
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
-        if not gripper.gap <= outside - inside <= gripper.aperture - _FREE:
+        if not gripper.gap <= outside - inside <= gripper.aperture - FREE:
+            misfits.append(outside - inside)
             continue
         turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))

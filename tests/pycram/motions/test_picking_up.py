@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import Blocked, GraspFailed, PlanFailure
+from pycram.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure
 from recorder import geometry
 from tests.measures import seeded
 from tests.pycram.motions.placing_scenes import TOP, at_table, perform
@@ -92,8 +92,24 @@ def test_what_is_inside_of_something_says_so(scene: BulletWorld) -> None:
 def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
     lean = list(geometry.from_rpy(math.radians(20), 0, 0))
     pot = Object("pot", "pot", "pot.stl", [1.3, 0.9, 1.1], lean)
-    with pytest.raises(GraspFailed, match="as it leans, by 20 degrees, it is too big for the gripper"):
+    with pytest.raises(DoesNotFit, match="as it leans, by 20 degrees, it is too big for the gripper") as refused:
         perform(type="pick-up", object=pot, arm="left", grasp="front")
+    assert min(refused.value.widths) > refused.value.widest == pytest.approx(0.086)
+    assert "up to 86 mm fit between the fingers" in str(refused.value)
+
+
+@pytest.mark.slow
+def test_a_wall_that_slips_through_the_fingers_is_too_thin() -> None:
+    """What TIAGo Pro's fingers leave between them when closed is more than the wall of a pot."""
+    with BulletWorld() as world:
+        world.robot = Object("tiago_pro", "robot", "tiago_pro.urdf")
+        pot = Object("pot", "pot", "pot.stl", [0.8, 0.2, 0.9], geometry.from_rpy(0, 0, math.radians(45)))
+        with pytest.raises(DoesNotFit, match="it is too big or too thin for the gripper") as refused:
+            perform(type="pick-up", object=pot, arm="left")
+        widths, gap, widest = refused.value.widths, refused.value.gap, refused.value.widest
+        assert min(widths) < gap == 0.0075, "its wall"
+        assert max(widths) > widest == pytest.approx(0.073), "all of it"
+        assert not [width for width in widths if gap <= width <= widest]
 
 
 def test_what_lies_between_the_fingers_too_is_in_the_way(table: BulletWorld) -> None:

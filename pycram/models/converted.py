@@ -1,0 +1,142 @@
+"""Meshes that earlier processes converted: a folder of the user's, so that the text of large ones is read once.
+
+COLLADA and OBJ are text, and hulls of fine meshes take long: some robots took 1-3 s to load, each time. An entry is
+named after the hash of all that its conversion reads: the mesh, materials and textures beside it, and the code that
+does it. So it is never out of date, and all may be deleted at any time. A folder that can't be written is done without.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.models.files import read_bytes
+from pycram.models.parts import LIBRARIES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    Piece = tuple[str, bytes, Sequence[float] | None]
+
+_WORTH: Final = 50_000  # bytes from which on a mesh takes longer to convert than to be found again
+_LARGEST: Final = 1_000_000_000  # bytes of all entries; those that weren't used for longest go
+_CODE: Final = ("mesh.py", "parts.py", "texture.py")
+_IMAGE: Final = re.compile(rb"<init_from>\s*([^<]*?)\s*</init_from>")
+_MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
+_MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE)
+
+
+def folder() -> Path | None:
+    """Return the folder: of the environment's ``PYCRAM_CACHE``, else the user's; None if that is set to nothing."""
+    named = os.environ.get("PYCRAM_CACHE")
+    if named is not None:
+        return Path(named).expanduser() if named else None
+    users = os.environ.get("XDG_CACHE_HOME")
+    with suppress(RuntimeError):  # a user without a home
+        return (Path(users) if users else Path.home() / ".cache") / "pycram"
+    return None
+
+
+def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
+    """Return what a mesh is converted to: file name, content and colour RGBA 0..1 of each piece.
+
+    Args:
+        kind: Into what: one mesh has an entry for each.
+        file: The mesh.
+        convert: Converts it.
+
+    Raises:
+        AssetError: It can't be read or, of ``convert``, converted.
+    """
+    content = read_bytes(file)
+    where = folder() if len(content) >= _WORTH else None
+    if where is None:
+        return convert()
+    entry = where / f"{_name(kind, file, content)}.mesh"
+    with suppress(OSError, ValueError, LookupError, TypeError):  # there is none, or it is damaged
+        pieces = _read(entry.read_bytes())
+        os.utime(entry)
+        return pieces
+    pieces = convert()
+    with suppress(OSError):
+        _write(entry, pieces)
+    return pieces
+
+
+def _name(kind: str, file: Path, content: bytes) -> str:
+    digest = sha256(_code())
+    for part in (kind.encode(), file.name.encode(), content, *_beside(file, content)):
+        digest.update(b"%d:" % len(part) + part)
+    return digest.hexdigest()
+
+
+@cache
+def _code() -> bytes:
+    """Return what tells conversions of this release, with these libraries, from others."""
+    sources = [(Path(__file__).parent / name).read_bytes() for name in _CODE]
+    return sha256(b"".join(sources) + f"{np.__version__} {LIBRARIES}".encode()).digest()
+
+
+def _beside(file: Path, content: bytes) -> Iterator[bytes]:
+    """Yield the contents of materials and textures that a mesh names, empty where there are none."""
+    names = []
+    if file.suffix.lower() == ".dae":
+        names = [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
+    elif file.suffix.lower() == ".obj":
+        for library in _MATERIALS.findall(content):
+            materials = _content(file, library)
+            yield materials
+            names += _MAP.findall(materials)
+    for name in names:
+        yield _content(file, name)
+
+
+def _content(file: Path, name: bytes) -> bytes:
+    try:
+        return (file.parent / os.fsdecode(name)).read_bytes()
+    except (OSError, ValueError):
+        return b""
+
+
+def _read(entry: bytes) -> Sequence[Piece]:
+    """Return the pieces of an entry.
+
+    Raises:
+        ValueError: It isn't whole.
+    """
+    head, _, contents = entry.partition(b"\n")
+    table = json.loads(head)
+    if sha256(contents).hexdigest() != table["sha256"]:
+        raise ValueError(table["sha256"])
+    pieces = []
+    start = 0
+    for name, size, rgba in table["pieces"]:
+        pieces.append((name, contents[start : start + size], rgba))
+        start += size
+    return pieces
+
+
+def _write(entry: Path, pieces: Sequence[Piece]) -> None:
+    """Write an entry, whole or not at all, and remove the oldest of too many."""
+    contents = b"".join(content for _, content, _ in pieces)
+    table = [(name, len(content), None if rgba is None else list(rgba)) for name, content, rgba in pieces]
+    head = json.dumps({"sha256": sha256(contents).hexdigest(), "pieces": table}).encode()
+    entry.parent.mkdir(parents=True, exist_ok=True)
+    partial = entry.with_name(f"{entry.name}.{os.getpid()}")
+    partial.write_bytes(head + b"\n" + contents)
+    partial.replace(entry)
+    found = [(of.st_mtime_ns, of.st_size, other) for other in entry.parent.iterdir() if (of := other.stat())]
+    total = sum(size for _, size, _ in found)
+    for _, size, oldest in sorted(found):
+        if total <= _LARGEST:
+            break
+        oldest.unlink(missing_ok=True)
+        total -= size

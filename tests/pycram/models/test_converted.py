@@ -1,0 +1,122 @@
+"""Large meshes are converted once for all processes, and never out of date."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from pycram.models import converted, load, parts
+
+REPO = Path(__file__).parents[3]
+URDF = """<robot name="ball"><link name="ball">
+<visual><geometry><mesh filename="ball.obj"/></geometry></visual>
+<collision><geometry><mesh filename="ball.obj"/></geometry></collision>
+</link></robot>"""
+FILES = "import sys; from pycram.models import load; print(*sorted(file.key for file in load.load(sys.argv[1]).files))"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    """A ball with a red texture, more than 50 kB of text."""
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    text = sphere.export(file_type="obj", include_normals=False)
+    lines = ["mtllib ball.mtl", "usemtl paint", "vt 0.5 0.5"]
+    lines += [line for line in text.splitlines() if line.startswith("v ")]
+    lines += ["f " + " ".join(f"{corner + 1}/1" for corner in face) for face in sphere.faces]
+    (tmp_path / "ball.obj").write_text("\n".join(lines))
+    (tmp_path / "ball.mtl").write_text("newmtl paint\nmap_Kd paint.png\n")
+    paint(tmp_path, (255, 0, 0))
+    (tmp_path / "ball.urdf").write_text(URDF)
+    return tmp_path / "ball.urdf"
+
+
+def paint(folder: Path, color: tuple[int, int, int]) -> None:
+    Image.new("RGB", (8, 8), color).save(folder / "paint.png")
+
+
+def pieces(ball: Path) -> list[tuple[str, bytes, list[float] | None]]:
+    mesh = ball.with_suffix(".obj")
+    made = converted.get("visual", mesh, lambda: load.mesh.convert_visual(mesh))
+    return [(name, content, None if rgba is None else list(rgba)) for name, content, rgba in made]
+
+
+def files_in_a_new_process(ball: Path) -> str:
+    environment = {**os.environ, "PYTHONPATH": str(REPO)}
+    command = [sys.executable, "-c", FILES, str(ball)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.slow
+def test_a_second_process_loads_the_same_without_converting(cache: Path, ball: Path) -> None:
+    first = files_in_a_new_process(ball)
+    entries = {entry.name: entry.read_bytes() for entry in cache.iterdir()}
+    assert len(entries) == 2, "what is seen, and what collides"
+    assert files_in_a_new_process(ball) == first
+    assert {entry.name: entry.read_bytes() for entry in cache.iterdir()} == entries
+
+
+def test_what_was_converted_is_not_read_again(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = pieces(ball)
+    monkeypatch.setattr(load.mesh, "convert_visual", lambda _: pytest.fail("converted again"))
+    assert pieces(ball) == before
+
+
+def test_textures_materials_and_meshes_that_change_are_converted_anew(cache: Path, ball: Path) -> None:
+    (_, _, red), *_ = pieces(ball)
+    paint(ball.parent, (0, 0, 255))
+    parts.read_parts.cache_clear()
+    (_, _, blue), *_ = pieces(ball)
+    assert np.argmax(red[:3]) == 0
+    assert np.argmax(blue[:3]) == 2
+    ball.with_suffix(".mtl").write_text("newmtl paint\nKd 0 1 0\n")
+    parts.read_parts.cache_clear()
+    (_, _, green), *_ = pieces(ball)
+    assert np.argmax(green[:3]) == 1
+    mesh = ball.with_suffix(".obj")
+    mesh.write_text(mesh.read_text().replace("v 0.", "v 0.1", 1))
+    assert pieces(ball)[0][1] != b""
+    assert len(list(cache.iterdir())) == 4
+
+
+def test_a_damaged_entry_is_replaced(cache: Path, ball: Path) -> None:
+    before = pieces(ball)
+    (entry,) = cache.iterdir()
+    whole = entry.read_bytes()
+    for damaged in (b"", whole[:-7], whole[:-1] + bytes([whole[-1] ^ 1]), b"[]\n", b"{}\n"):
+        entry.write_bytes(damaged)
+        assert pieces(ball) == before
+        assert entry.read_bytes() == whole
+
+
+def test_the_oldest_go_when_there_are_too_many(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces(ball)
+    (oldest,) = cache.iterdir()
+    monkeypatch.setattr(converted, "_LARGEST", int(1.5 * oldest.stat().st_size))
+    paint(ball.parent, (0, 0, 255))
+    pieces(ball)
+    (left,) = cache.iterdir()
+    assert left != oldest
+
+
+def test_a_folder_that_can_t_be_written_is_done_without(
+    tmp_path: Path, ball: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYCRAM_CACHE", "")
+    before = pieces(ball)
+    (tmp_path / "file").write_text("no folder")
+    monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "file"))
+    assert pieces(ball) == before
+    assert (tmp_path / "file").read_text() == "no folder"
