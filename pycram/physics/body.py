@@ -42,6 +42,7 @@ class Body:
         joints: movable joints by name.
         offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
         indices: indices of the movable joints, in order.
+        gain: share of a joint's error that its motor corrects in a step.
     """
 
     id: int
@@ -49,3 +50,4 @@ class Body:
     joints: Mapping[str, Joint]
     offset: Pose | None
     indices: tuple[int, ...]
+    gain: float

@@ -46,6 +46,7 @@ _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "pri
 
 #: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
+_GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -110,7 +111,8 @@ class Engine:
                 joints[info[1].decode()] = Joint(info[1].decode(), index, _KINDS[info[2]], lower, upper, link)
         offset = bullet.getDynamicsInfo(number, -1, physicsClientId=c)[3:5]
         indices = tuple(joint.index for joint in joints.values())
-        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices)
+        gain = loading.gain if robot else _GAIN
+        body = Body(number, links, joints, None if offset == IDENTITY else offset, indices, gain)
         if robot or fixed:
             self.reset_collision_filter(body, fixed=fixed, robot=robot)
         self.set_pose(body, pose)
@@ -214,7 +216,7 @@ class Engine:
             targetPosition=position,
             targetVelocity=0.0,
             force=_HOLD_FORCE[joint.kind],
-            positionGain=0.1,
+            positionGain=body.gain,
             velocityGain=1.0,
             maxVelocity=100.0,  # the engine would keep an earlier value
             physicsClientId=self._client,

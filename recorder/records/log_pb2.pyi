@@ -100,18 +100,20 @@ class CloseWorld(_message.Message):
     def __init__(self) -> None: ...
 
 class Loading(_message.Message):
-    __slots__ = ("undamped", "clamped", "mimic", "inertia", "armature")
+    __slots__ = ("undamped", "clamped", "mimic", "inertia", "armature", "gain")
     UNDAMPED_FIELD_NUMBER: _ClassVar[int]
     CLAMPED_FIELD_NUMBER: _ClassVar[int]
     MIMIC_FIELD_NUMBER: _ClassVar[int]
     INERTIA_FIELD_NUMBER: _ClassVar[int]
     ARMATURE_FIELD_NUMBER: _ClassVar[int]
+    GAIN_FIELD_NUMBER: _ClassVar[int]
     undamped: bool
     clamped: bool
     mimic: bool
     inertia: bool
     armature: float
-    def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ...) -> None: ...
+    gain: float
+    def __init__(self, undamped: bool = ..., clamped: bool = ..., mimic: bool = ..., inertia: bool = ..., armature: _Optional[float] = ..., gain: _Optional[float] = ...) -> None: ...
 
 class LoadBody(_message.Message):
     __slots__ = ("body", "type", "path", "assets", "position", "orientation", "color", "fixed_base", "joints", "robot_description", "loading", "overlaps")

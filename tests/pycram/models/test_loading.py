@@ -9,7 +9,7 @@ import pytest
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError, BadArgument
 from pycram.physics.loading import NOW, Loading
-from recorder.records import LoadBody, Mutation
+from recorder.records import LoadBody, Loading as LoadingRecord, Mutation
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -68,8 +68,10 @@ def test_how_a_body_was_loaded_is_on_record(tmp_path: Path, world: BulletWorld, 
 
 def test_recordings_of_0_1_0_load_models_as_it_did() -> None:
     then = Loading.of(LoadBody())
-    assert then == Loading(undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0)
+    assert then == Loading(undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1)
     assert then.to_record() is None
+    later = LoadBody(loading=LoadingRecord(undamped=True, clamped=True, mimic=True, inertia=True, armature=0.001))
+    assert Loading.of(later) == Loading(armature=0.001, gain=0.1), "motors were softer then"
 
 
 GRIPPER = (

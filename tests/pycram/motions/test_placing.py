@@ -46,7 +46,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BulletWorld]:
 
 def test_what_falls_over_is_no_success(table: BulletWorld, tmp_path: Path, sink: MemorySink) -> None:
     milk = hold(table, "milk", 0.0)
-    lean = geometry.from_rpy(math.radians(35), 0, 0)
+    lean = geometry.from_rpy(0, math.radians(35), 0)  # down and away from the gripper
     ramp = Object("ramp", "environment", box(tmp_path, "ramp", (0.24, 0.24, 0.02)), [0.62, 0.1, TOP + 0.08], lean)
     target = [0.62, 0.1, TOP + 0.1 + HEIGHTS["milk"]]
     try:
