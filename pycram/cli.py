@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import runpy
 import shlex
 import sys
 import threading
+import time
 import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
 from pycram.models import robot_urdfs
+from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
@@ -61,8 +64,37 @@ def main(argv: Sequence[str] | None = None) -> int:
         if options.name != _WITH_ROBOTS:
             parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
         arguments = ["--robot", options.robot, *arguments]
-    log = Path(options.log) if options.log else Path(f"{plan.stem}.mcap")
-    return run(plan, log, arguments, options.rerun)
+    seed = chosen_seed(options.seed) if options.seed is not None or argv is None else None
+    if argv is None and seed is not None:
+        restart(seed)
+    try:
+        log = recording_path(options.log or "{plan}.mcap", plan.stem, seed)
+    except ValueError as error:
+        parser.error(str(error))
+    return run(
+        plan,
+        log,
+        arguments,
+        options.rerun,
+        seed=seed,
+        local_variables=not options.no_locals,
+        overwrite=options.overwrite,
+    )
+
+
+def recording_path(template: str, plan: str, seed: int | None) -> Path:
+    """Return the path of a recording: the template with its placeholders filled in.
+
+    Raises:
+        ValueError: It has an unknown placeholder, or a brace too many.
+    """
+    started = time.strftime("%Y-%m-%d_%H-%M-%S")
+    try:
+        return Path(template.format(plan=plan, time=started, seed="" if seed is None else seed))
+    except (KeyError, IndexError, ValueError, AttributeError) as error:
+        raise ValueError(
+            f"--log {template}: placeholders are {{plan}}, {{time}} and {{seed}}; a brace itself is {{{{ or }}}}"
+        ) from error
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -79,7 +111,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for recorded in (demo, plan):
-        recorded.add_argument("--log", metavar="FILE", help="the recording (default: PLAN.mcap in this folder)")
+        recorded.add_argument(
+            "--log",
+            metavar="FILE",
+            help="the recording (default: {plan}.mcap in this folder); {plan}, {time} and {seed} stand for the plan's "
+            "name, the time of its start and its seed. A recording that is there stays: then it is PLAN.2.mcap",
+        )
+        recorded.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+        recorded.add_argument(
+            "--seed",
+            metavar="N",
+            type=_seed,
+            help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: drawn; info tells it)",
+        )
+        recorded.add_argument(
+            "--no-locals", action="store_true", help="leave the plan's local variables out of recorded failures"
+        )
         recorded.add_argument(
             "--rerun",
             metavar="VIEWER",
@@ -108,6 +155,12 @@ def _describe(options: argparse.Namespace) -> int:
         return _WRONG_USAGE
 
 
+def _seed(text: str) -> int:
+    if not text.isdecimal() or int(text) > MAX_SEED:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 0 to {MAX_SEED}")
+    return int(text)
+
+
 def _viewer(text: str) -> str:
     try:
         Target.parse(text)
@@ -116,23 +169,46 @@ def _viewer(text: str) -> str:
     return text
 
 
-def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None = None) -> int:
+def run(
+    plan: Path,
+    log: Path,
+    arguments: Sequence[str] = (),
+    live: str | None = None,
+    *,
+    seed: int | None = None,
+    local_variables: bool = True,
+    overwrite: bool = False,
+) -> int:
     """Run a plan as a main program, record it, and return the exit code, as :func:`main` does.
 
     Args:
         plan: The Python file.
-        log: The recording.
+        log: The recording; one that is there stays, and the next free name is taken.
         arguments: Of the plan.
         live: The live viewer; see :func:`recorder.record`.
+        seed: Of random numbers; None to leave them as they are.
+        local_variables: Whether failures hold the plan's local variables.
+        overwrite: Whether a recording that is there is replaced.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(plan), *arguments]
     sys.path.insert(0, str(plan.parent.resolve()))
-    file = log.absolute()  # a plan may change the working directory
+    folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
     recording: Recording | None = None
     code = _SUCCEEDED
+    seed_random_numbers(seed)
     try:
-        with record(file, live, name=plan.stem, arguments=arguments, source=plan) as recording:
+        with record(
+            file,
+            live,
+            name=plan.stem,
+            arguments=arguments,
+            source=plan,
+            seed=seed,
+            output=True,
+            locals=local_variables,
+            overwrite=overwrite,
+        ) as recording:
             try:
                 runpy.run_path(str(plan.absolute()), run_name="__main__")
             finally:
@@ -161,11 +237,16 @@ def run(plan: Path, log: Path, arguments: Sequence[str] = (), live: str | None =
         code = _FAILED
     finally:
         sys.argv, sys.path[:] = before
-    if recording is not None and file.is_file():
-        _print_next_steps(log, file.stat().st_size / 1e6, code)
+    if recording is not None and recording.path.is_file():
+        _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
         if live == Kind.SERVE.value and code != _INTERRUPTED:
             _keep_page(recording)
     return code
+
+
+def _shown(file: Path, folder: Path, log: Path) -> Path:
+    """Return the path of a recording as the user wrote it."""
+    return file if log.is_absolute() else Path(os.path.relpath(file, folder))
 
 
 def _keep_page(recording: Recording) -> None:

@@ -12,6 +12,8 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
 
+from recorder.secrets import without_secrets
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -86,5 +88,5 @@ def versions() -> dict[str, str]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "machine": platform.machine(),
-        "arguments": " ".join(sys.argv),
+        "arguments": " ".join(without_secrets(sys.argv)),
     }

@@ -8,20 +8,24 @@ import threading
 import time
 import weakref
 from collections.abc import Iterable
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recorder import provenance
 from recorder.errors import RecordingError
+from recorder.mcap.output_file import free_path
 from recorder.mcap.sink import McapSink
 from recorder.packages import hint
-from recorder.records import Run, failure
+from recorder.records import Run
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.journal import Journal
+from recorder.tracing.local_variables import failure_with_frames
+from recorder.tracing.output import recorded_output
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
@@ -54,37 +58,50 @@ def record(
     live: str | None = None,
     *,
     name: str | None = None,
-    arguments: Sequence[str] = (),
+    arguments: Sequence[str] | None = None,
     source: str | Path | None = None,
+    seed: int | None = None,
+    output: bool = False,
+    locals: bool = True,  # noqa: A002  as they are called in Python
+    overwrite: bool = False,
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
     Worlds that exist already are recorded from a keyframe on.
 
     Args:
-        path: the MCAP file to write; a recording that is there is replaced.
+        path: the MCAP file to write. Where there is a recording, it stays: RUN.mcap is followed by RUN.2.mcap, a line
+            on stderr says so, and :attr:`Recording.path` is the file that was taken.
         live: how to show it live in Rerun. "spawn" opens the viewer, or uses one that is open; "connect" and
             "connect:rerun+http://HOST:PORT/proxy" use one that somebody starts, now or later; "serve" makes a page for
             browsers on this machine, prints its address, and serves it until this process ends. A viewer that is slow,
             stalls, dies or never comes costs the plan nothing.
         name: of the plan; by default that of the program.
-        arguments: of the plan, for the record.
+        arguments: of the plan, for the record; by default the program's.
         source: the plan's file, which is attached; by default the program's, if it has one.
+        seed: what random numbers were seeded with, for the record; it seeds nothing.
+        output: whether lines that are printed or logged are records too.
+        locals: whether failures hold the local variables of the plan's functions.
+        overwrite: whether a recording that is there is replaced.
 
     Raises:
         RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
             if there is no such source, or an argument is invalid. That no viewer comes is no error.
     """
-    _check(path, name=name, live=live, source=source, arguments=arguments)
-    file = Path(path)
+    given = sys.argv[1:] if arguments is None else arguments
+    _check(path, name=name, live=live, source=source, arguments=given)
     program = _program() if source is None else Path(source)
     title = name or (program.stem if program else "plan")
+    began = Run(phase=Run.STARTED, name=title, thread=current_name())
+    provenance.describe(began, given, program, seed)
     start = time.perf_counter_ns()
-    log, viewer = _begin(file, live, title, arguments, program)
+    file = Path(path) if overwrite else free_path(Path(path))
+    recording = _begin(file, live, began, program, local_variables=locals)
+    log = recording.journal
     owner = os.getpid()
     try:
-        with _recording_uncaught(log, title):
-            yield Recording(file, log, viewer)
+        with _recording_uncaught(log, title), recorded_output(log) if output else nullcontext():
+            yield recording
     except BaseException as error:
         try:
             if os.getpid() == owner:
@@ -109,27 +126,29 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-def _begin(
-    file: Path, live: str | None, title: str, arguments: Sequence[str], program: Path | None
-) -> tuple[Journal, RerunSink | None]:
+def _begin(file: Path, live: str | None, began: Run, program: Path | None, *, local_variables: bool) -> Recording:
     """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
         if live is not None and find_spec("rerun") is None:
             raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
-        viewer = None if live is None else RerunSink(live, title)
+        viewer = None if live is None else RerunSink(live, began.name)
         if viewer is not None:
             undoing.callback(viewer.close)
-        metadata = {"plan": title, "plan_arguments": " ".join(map(str, arguments)), "started_ns": str(time.time_ns())}
+        metadata = {
+            "plan": began.name,
+            "plan_arguments": " ".join(began.arguments),
+            "started_ns": str(time.time_ns()),
+        }
         sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.final_metadata)
         undoing.callback(sink.close)
-        log = Journal([sink] if viewer is None else [sink, viewer])
+        log = Journal([sink] if viewer is None else [sink, viewer], local_variables=local_variables)
         _leave_to_parent(sink, log)
-        log.append(Run(phase=Run.STARTED, name=title, thread=current_name()))
+        log.append(began)
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
         journal.open_journal(log)
         undoing.pop_all()
-    return log, viewer
+    return Recording(file, log, viewer)
 
 
 @contextmanager
@@ -142,8 +161,9 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
         try:
             if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
                 name = (args.thread or threading.current_thread()).name
+                failed = failure_with_frames(args.exc_value)
                 with suppress(OSError):  # the next record raises it
-                    log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failure(args.exc_value)))
+                    log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failed))
         finally:
             before(args)
 
@@ -166,7 +186,7 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
         duration_ns=time.perf_counter_ns() - start,
     )
     if error is not None and not succeeded:
-        end.failure.CopyFrom(failure(error))
+        end.failure.CopyFrom(failure_with_frames(error))
     try:
         log.append(end)
     finally:

@@ -6,7 +6,9 @@ import errno
 import fcntl
 import io
 import os
+import re
 import stat
+import sys
 from typing import TYPE_CHECKING, Final
 
 from recorder.errors import RecordingError
@@ -17,6 +19,26 @@ if TYPE_CHECKING:
 
 HINT: Final = "free space or choose another path, and run again"
 _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems that have none
+
+
+def free_path(path: Path) -> Path:
+    """Returns a path that no recording has: this one, else RUN.2.mcap or a later number, which stderr is told.
+
+    Whatever else there is at the path, a device or an empty file, can be written to, or is refused when it is opened.
+    """
+    try:
+        if not path.is_file():  # a pipe would wait
+            return path
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return path
+    except OSError:  # opening it says what is wrong
+        return path
+    pattern = re.compile(rf"{re.escape(path.stem)}\.(\d+){re.escape(path.suffix)}")
+    numbers = [int(match[1]) for each in path.parent.iterdir() if (match := pattern.fullmatch(each.name))]
+    free = path.with_name(f"{path.stem}.{max(numbers, default=1) + 1}{path.suffix}")
+    print(f"recorder: {path} is there already; recording to {free}", file=sys.stderr, flush=True)
+    return free
 
 
 def open_output(path: Path) -> io.FileIO:

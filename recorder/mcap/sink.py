@@ -23,6 +23,7 @@ from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
+from recorder.tracing.journal import unrecorded
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -220,7 +221,7 @@ class McapSink:
             self._wake.clear()
             if self._ended.wait(_FLUSH_PERIOD):
                 return
-            with self._lock:
+            with unrecorded(), self._lock:  # what a finalizer prints in this thread would wait for its own lock
                 if self._pending and self._failed is None and not self._closed:
                     with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() raise it
                         self._flush()

@@ -11,6 +11,7 @@ from recorder.records.log_pb2 import (
     BodyState as BodyState,
     CloseWorld as CloseWorld,
     DetachBody as DetachBody,
+    Drag as Drag,
     Effect as Effect,
     Event as Event,
     Failure as Failure,
@@ -23,11 +24,13 @@ from recorder.records.log_pb2 import (
     MoveJoints as MoveJoints,
     Mutation as Mutation,
     OpenWorld as OpenWorld,
+    Output as Output,
     Overlap as Overlap,
     Picture as Picture,
     Query as Query,
     RemoveBody as RemoveBody,
     Reset as Reset,
+    Revision as Revision,
     Run as Run,
     Sample as Sample,
     SetColor as SetColor,
@@ -36,12 +39,15 @@ from recorder.records.log_pb2 import (
     SetRobot as SetRobot,
     Simulate as Simulate,
     SourceLine as SourceLine,
+    StackFrame as StackFrame,
     Task as Task,
+    Variable as Variable,
 )
 from recorder.records.values import (
     Plain as Plain,
     argument_values as argument_values,
     arguments as arguments,
+    escaped as escaped,
     failure as failure,
     format_error as format_error,
     format_failure as format_failure,
@@ -49,7 +55,7 @@ from recorder.records.values import (
     to_json as to_json,
 )
 
-Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
+Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe | Output
 
 TOPICS: Mapping[type[Record], str] = {
     Run: "/run",
@@ -59,6 +65,7 @@ TOPICS: Mapping[type[Record], str] = {
     Fluent: "/fluent",
     Query: "/query",
     Keyframe: "/keyframe",
+    Output: "/output",
 }
 """The MCAP topic of each record type; one type each."""
 

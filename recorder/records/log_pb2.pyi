@@ -15,17 +15,39 @@ class Argument(_message.Message):
     json: str
     def __init__(self, name: _Optional[str] = ..., json: _Optional[str] = ...) -> None: ...
 
+class Variable(_message.Message):
+    __slots__ = ("name", "value")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: str
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+
+class StackFrame(_message.Message):
+    __slots__ = ("file", "line", "function", "variables")
+    FILE_FIELD_NUMBER: _ClassVar[int]
+    LINE_FIELD_NUMBER: _ClassVar[int]
+    FUNCTION_FIELD_NUMBER: _ClassVar[int]
+    VARIABLES_FIELD_NUMBER: _ClassVar[int]
+    file: str
+    line: int
+    function: str
+    variables: _containers.RepeatedCompositeFieldContainer[Variable]
+    def __init__(self, file: _Optional[str] = ..., line: _Optional[int] = ..., function: _Optional[str] = ..., variables: _Optional[_Iterable[_Union[Variable, _Mapping]]] = ...) -> None: ...
+
 class Failure(_message.Message):
-    __slots__ = ("type", "message", "data", "traceback")
+    __slots__ = ("type", "message", "data", "traceback", "frames")
     TYPE_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
     TRACEBACK_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
     type: str
     message: str
     data: _containers.RepeatedCompositeFieldContainer[Argument]
     traceback: str
-    def __init__(self, type: _Optional[str] = ..., message: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., traceback: _Optional[str] = ...) -> None: ...
+    frames: _containers.RepeatedCompositeFieldContainer[StackFrame]
+    def __init__(self, type: _Optional[str] = ..., message: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., traceback: _Optional[str] = ..., frames: _Optional[_Iterable[_Union[StackFrame, _Mapping]]] = ...) -> None: ...
 
 class SourceLine(_message.Message):
     __slots__ = ("file", "line")
@@ -227,6 +249,16 @@ class Reset(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class Drag(_message.Message):
+    __slots__ = ("body", "link", "sim_step")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    LINK_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    link: str
+    sim_step: int
+    def __init__(self, body: _Optional[str] = ..., link: _Optional[str] = ..., sim_step: _Optional[int] = ...) -> None: ...
+
 class Sample(_message.Message):
     __slots__ = ("sim_step", "bodies")
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -250,13 +282,14 @@ class Effect(_message.Message):
     def __init__(self, bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., removed: _Optional[_Iterable[str]] = ..., attached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., detached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., samples: _Optional[_Iterable[_Union[Sample, _Mapping]]] = ...) -> None: ...
 
 class Mutation(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "effect", "source_file", "source_line", "callers")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "effect", "source_file", "source_line", "callers", "drags")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     OPEN_WORLD_FIELD_NUMBER: _ClassVar[int]
     CLOSE_WORLD_FIELD_NUMBER: _ClassVar[int]
     LOAD_BODY_FIELD_NUMBER: _ClassVar[int]
@@ -275,12 +308,14 @@ class Mutation(_message.Message):
     SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
     CALLERS_FIELD_NUMBER: _ClassVar[int]
+    DRAGS_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     open_world: OpenWorld
     close_world: CloseWorld
     load_body: LoadBody
@@ -299,16 +334,18 @@ class Mutation(_message.Message):
     source_file: str
     source_line: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ...) -> None: ...
+    drags: _containers.RepeatedCompositeFieldContainer[Drag]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ...) -> None: ...
 
 class Keyframe(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
     GRAVITY_FIELD_NUMBER: _ClassVar[int]
     REALTIME_FIELD_NUMBER: _ClassVar[int]
@@ -322,6 +359,7 @@ class Keyframe(_message.Message):
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     mode: str
     gravity: _containers.RepeatedScalarFieldContainer[float]
     realtime: bool
@@ -329,10 +367,10 @@ class Keyframe(_message.Message):
     bodies: _containers.RepeatedCompositeFieldContainer[BodyState]
     attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
     robot: str
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Task.Phase]
@@ -363,6 +401,7 @@ class Task(_message.Message):
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     STATUS_FIELD_NUMBER: _ClassVar[int]
     PARENT_FIELD_NUMBER: _ClassVar[int]
@@ -383,6 +422,7 @@ class Task(_message.Message):
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     phase: Task.Phase
     status: Task.Status
     parent: int
@@ -397,7 +437,7 @@ class Task(_message.Message):
     source_line: int
     attempt: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ...) -> None: ...
 
 class HandlerCall(_message.Message):
     __slots__ = ("handler",)
@@ -406,13 +446,14 @@ class HandlerCall(_message.Message):
     def __init__(self, handler: _Optional[str] = ...) -> None: ...
 
 class Event(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "sender", "arguments", "handlers")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "sender", "arguments", "handlers")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     SENDER_FIELD_NUMBER: _ClassVar[int]
     ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
@@ -423,11 +464,12 @@ class Event(_message.Message):
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     name: str
     sender: str
     arguments: _containers.RepeatedCompositeFieldContainer[Argument]
     handlers: _containers.RepeatedCompositeFieldContainer[HandlerCall]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., sender: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., handlers: _Optional[_Iterable[_Union[HandlerCall, _Mapping]]] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., name: _Optional[str] = ..., sender: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., handlers: _Optional[_Iterable[_Union[HandlerCall, _Mapping]]] = ...) -> None: ...
 
 class Picture(_message.Message):
     __slots__ = ("width", "height", "bodies", "pixels")
@@ -442,13 +484,14 @@ class Picture(_message.Message):
     def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., bodies: _Optional[_Iterable[str]] = ..., pixels: _Optional[bytes] = ...) -> None: ...
 
 class Query(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
     ANSWER_JSON_FIELD_NUMBER: _ClassVar[int]
@@ -462,6 +505,7 @@ class Query(_message.Message):
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     name: str
     arguments: _containers.RepeatedCompositeFieldContainer[Argument]
     answer_json: str
@@ -469,16 +513,17 @@ class Query(_message.Message):
     duration_ns: int
     failure: Failure
     picture: Picture
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ...) -> None: ...
 
 class Fluent(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "name", "before_json", "after_json", "source", "bodies")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "before_json", "after_json", "source", "bodies")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     BEFORE_JSON_FIELD_NUMBER: _ClassVar[int]
     AFTER_JSON_FIELD_NUMBER: _ClassVar[int]
@@ -490,15 +535,56 @@ class Fluent(_message.Message):
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     name: str
     before_json: str
     after_json: str
     source: str
     bodies: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., name: _Optional[str] = ..., before_json: _Optional[str] = ..., after_json: _Optional[str] = ..., source: _Optional[str] = ..., bodies: _Optional[_Iterable[str]] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., name: _Optional[str] = ..., before_json: _Optional[str] = ..., after_json: _Optional[str] = ..., source: _Optional[str] = ..., bodies: _Optional[_Iterable[str]] = ...) -> None: ...
+
+class Output(_message.Message):
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "stream", "text", "level", "logger", "source_file", "source_line")
+    SEQ_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    WORLD_FIELD_NUMBER: _ClassVar[int]
+    TASK_FIELD_NUMBER: _ClassVar[int]
+    THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
+    STREAM_FIELD_NUMBER: _ClassVar[int]
+    TEXT_FIELD_NUMBER: _ClassVar[int]
+    LEVEL_FIELD_NUMBER: _ClassVar[int]
+    LOGGER_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
+    seq: int
+    wall_time_ns: int
+    sim_step: int
+    world: str
+    task: int
+    thread: str
+    monotonic_ns: int
+    stream: str
+    text: str
+    level: str
+    logger: str
+    source_file: str
+    source_line: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., stream: _Optional[str] = ..., text: _Optional[str] = ..., level: _Optional[str] = ..., logger: _Optional[str] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ...) -> None: ...
+
+class Revision(_message.Message):
+    __slots__ = ("commit", "modified", "sha256")
+    COMMIT_FIELD_NUMBER: _ClassVar[int]
+    MODIFIED_FIELD_NUMBER: _ClassVar[int]
+    SHA256_FIELD_NUMBER: _ClassVar[int]
+    commit: str
+    modified: bool
+    sha256: str
+    def __init__(self, commit: _Optional[str] = ..., modified: bool = ..., sha256: _Optional[str] = ...) -> None: ...
 
 class Run(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "phase", "name", "succeeded", "failure", "duration_ns")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
@@ -515,20 +601,38 @@ class Run(_message.Message):
     WORLD_FIELD_NUMBER: _ClassVar[int]
     TASK_FIELD_NUMBER: _ClassVar[int]
     THREAD_FIELD_NUMBER: _ClassVar[int]
+    MONOTONIC_NS_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
     NAME_FIELD_NUMBER: _ClassVar[int]
     SUCCEEDED_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     DURATION_NS_FIELD_NUMBER: _ClassVar[int]
+    ARGUMENTS_FIELD_NUMBER: _ClassVar[int]
+    DIRECTORY_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    HASH_SEED_FIELD_NUMBER: _ClassVar[int]
+    PLAN_FIELD_NUMBER: _ClassVar[int]
+    PYCRAM_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    CPU_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
     world: str
     task: int
     thread: str
+    monotonic_ns: int
     phase: Run.Phase
     name: str
     succeeded: bool
     failure: Failure
     duration_ns: int
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ...) -> None: ...
+    arguments: _containers.RepeatedScalarFieldContainer[str]
+    directory: str
+    seed: int
+    hash_seed: str
+    plan: Revision
+    pycram: Revision
+    host: str
+    cpu: str
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[int] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ...) -> None: ...

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task, format_failure
+from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Run, Task, format_failure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +21,14 @@ _NS: Final = 1_000_000_000
 _MS: Final = 1e6
 _ASKED, _STARTED, _SUCCEEDED, _CANCELLED = Task.ASKED, Task.STARTED, Task.SUCCEEDED, Task.CANCELLED  # looked up once
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
+_OF_PLAN: Final = frozenset({Task, Run, Output})
+_LEVELS: Final = {
+    "DEBUG": _DEBUG,
+    "INFO": _INFO,
+    "WARNING": _WARNING,
+    "ERROR": _ERROR,
+    "CRITICAL": _ERROR,
+}  # of logging
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
 
 
@@ -40,7 +48,7 @@ class Lines:
             return None
         kind, line, moment = type(record), self._line, self._moment
         line.message, line.level = _TEXTS[kind](record)
-        line.name = "plan" if kind is Task or kind is Run else record.world or "plan"
+        line.name = "plan" if kind in _OF_PLAN else record.world or "plan"
         moment.seconds, moment.nanos = divmod(time_ns, _NS)
         return line.SerializeToString()
 
@@ -92,12 +100,20 @@ def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
     return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO
 
 
+def _output(record: Output) -> tuple[str, Log.Level.ValueType]:
+    if record.stream == "logging":
+        return f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO)
+    return f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO
+
+
 def mutation_text(record: Mutation) -> str:
     """What a mutation did, in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
     text = name.replace("_", " ") + (f" {details(command)}" if details else "")
+    if record.drags:
+        text += f", while {' and '.join(dict.fromkeys(drag.body for drag in record.drags[:]))} was dragged by hand"
     if name == "simulate":
         return text
     body = getattr(command, "body", "")
@@ -142,6 +158,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Event: _event,
     Fluent: _fluent,
     Run: _run,
+    Output: _output,
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
 }
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
+from recorder.secrets import LEFT_OUT, is_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -94,9 +95,10 @@ def to_json(value: object) -> str:
 
 
 def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
-    """Named values as a record carries them, in the given order."""
+    """Named values as a record carries them, in the given order; without those that are named like secrets."""
     pairs = values.items() if isinstance(values, Mapping) else values
-    return [Argument(name=str(name), json=to_json(value)) for name, value in pairs]
+    named = [(str(name), value) for name, value in pairs]
+    return [Argument(name=name, json=to_json(LEFT_OUT if is_secret(name) else value)) for name, value in named]
 
 
 def from_json(text: str) -> Plain:
@@ -141,9 +143,9 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
             lines = traceback.format_exception(type(error), error, innermost, limit=-MAX_FRAMES)  # limits the causes'
     return Failure(
         type=type(error).__qualname__,
-        message=_escaped(_message(error)),
+        message=escaped(_message(error)),
         data=arguments(data) if isinstance(data, Mapping) else [],
-        traceback=_escaped("".join(lines)),
+        traceback=escaped("".join(lines)),
     )
 
 
@@ -162,6 +164,6 @@ def format_failure(failure: Failure) -> str:
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
-def _escaped(text: str) -> str:
+def escaped(text: str) -> str:
     """A text with lone surrogates as escapes, which a file can hold."""
     return text.encode("utf-8", "backslashreplace").decode()

@@ -147,6 +147,12 @@ def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | N
     return None, foreign
 
 
+def is_plan(frame: FrameType) -> bool:
+    """Whether a frame is the plan's."""
+    file = frame.f_code.co_filename
+    return (_origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))) is _Origin.PLAN
+
+
 class _Origin(Enum):
     """Whose code a frame runs."""
 

@@ -10,19 +10,19 @@ from __future__ import annotations
 import threading
 import time
 import weakref
+from collections import deque
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Protocol
 
-from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.records import TOPICS, Keyframe, Mutation, Output, Record
+from recorder.records.asset import AssetFile
 from recorder.tracing import stack_room
 from recorder.tracing.branch_identity import current_ident, current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from recorder.records.asset import AssetFile
 
 
 class Sink(Protocol):
@@ -61,12 +61,28 @@ class Journal:
     Args:
         sinks: where records go.
         clock_ns: nanoseconds since the Unix epoch.
+        monotonic_ns: nanoseconds since any moment, by a clock that nobody sets.
+        local_variables: whether failures in it may hold the plan's local variables.
+
+    Attributes:
+        local_variables: as given.
     """
 
-    def __init__(self, sinks: Sequence[Sink], clock_ns: Callable[[], int] = time.time_ns) -> None:
+    def __init__(
+        self,
+        sinks: Sequence[Sink],
+        clock_ns: Callable[[], int] = time.time_ns,
+        monotonic_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        local_variables: bool = True,
+    ) -> None:
+        self.local_variables = local_variables
         self._sinks = tuple(sinks)
-        self._clock_ns = clock_ns
-        self._lock = threading.Lock()
+        self._clock_ns, self._monotonic_ns = clock_ns, monotonic_ns
+        self._began_ns = monotonic_ns()
+        self._lock = threading.RLock()
+        self._writing = self._resuming = False
+        self._interrupting: deque[Record | AssetFile] = deque()  # taken while this thread was writing
         self._next = 0
         self._latest_ns = 0
         self._attached: set[str] = set()
@@ -94,25 +110,13 @@ class Journal:
             record: without seq and wall time.
 
         Returns:
-            Its size in bytes; 0 if it is skipped, see :meth:`expect_keyframes`.
+            Its size in bytes; 0 if it is skipped, see :meth:`expect_keyframes`, or kept after what this thread is
+            writing at the moment: so are the words of signal handlers, finalizers and sinks.
 
         Raises:
             RecordingError: a sink can't keep it.
         """
-        topic = TOPICS[type(record)]
-        with Uninterrupted(), self._lock:
-            if self._expected and record.world in self._expected and isinstance(record, (Mutation, Keyframe)):
-                if isinstance(record, Mutation) and not record.HasField("open_world"):
-                    return 0
-                self._expected.remove(record.world)
-            self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
-            record.seq = self._next
-            record.wall_time_ns = self._latest_ns
-            self._next += 1
-            payload = record.SerializeToString()
-            for sink in self._sinks:
-                sink.write(topic, record, payload)
-            return len(payload)
+        return self._take(record)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
         """Keeps files, each content once.
@@ -121,11 +125,44 @@ class Journal:
             RecordingError: a sink can't keep one.
         """
         for asset in assets:
-            with Uninterrupted(), self._lock:
-                if asset.key not in self._attached:
-                    for sink in self._sinks:
-                        sink.attach(asset)
-                    self._attached.add(asset.key)
+            self._take(asset)
+
+    def _take(self, item: Record | AssetFile) -> int:
+        with Uninterrupted(), self._lock:
+            if self._writing:
+                if not (self._resuming and isinstance(item, Output)):  # else what a sink says would have no end
+                    self._interrupting.append(item)
+                return 0
+            self._writing = True
+            try:
+                size = self._write(item)
+                self._resuming = True
+                while self._interrupting:
+                    self._write(self._interrupting.popleft())
+            finally:
+                self._writing = self._resuming = False
+            return size
+
+    def _write(self, item: Record | AssetFile) -> int:
+        if isinstance(item, AssetFile):
+            if item.key not in self._attached:
+                for sink in self._sinks:
+                    sink.attach(item)
+                self._attached.add(item.key)
+            return 0
+        if self._expected and item.world in self._expected and isinstance(item, (Mutation, Keyframe)):
+            if isinstance(item, Mutation) and not item.HasField("open_world"):
+                return 0
+            self._expected.remove(item.world)
+        self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
+        item.seq = self._next
+        item.wall_time_ns = self._latest_ns
+        item.monotonic_ns = self._monotonic_ns() - self._began_ns
+        self._next += 1
+        topic, payload = TOPICS[type(item)], item.SerializeToString()
+        for sink in self._sinks:
+            sink.write(topic, item, payload)
+        return len(payload)
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
@@ -228,6 +265,17 @@ def publish(record: Record) -> int:
     for journal in _listening():
         size = journal.append(record)
     return size
+
+
+def records_here(journal: Journal) -> bool:
+    """Whether a journal is open and records this context."""
+    return journal in _listening()
+
+
+def keeps_local_variables() -> bool:
+    """Whether all journals that record this context may hold local variables, and there is any."""
+    journals = _listening()
+    return bool(journals) and all(journal.local_variables for journal in journals)
 
 
 def attach(assets: Iterable[AssetFile]) -> None:

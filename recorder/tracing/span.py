@@ -23,6 +23,7 @@ from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.call_stack import CallStack, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.local_variables import failure_with_frames
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -121,7 +122,7 @@ class Span:
                 record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and status == _FAILED:
-            record.failure.CopyFrom(failure(error, trace=recorded))
+            record.failure.CopyFrom(failure_with_frames(error) if recorded else failure(error, trace=False))
         with Uninterrupted():  # its end is in the log and in the tree, or in neither
             self._ended = True
             try:

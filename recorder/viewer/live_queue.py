@@ -1,8 +1,8 @@
 """Queue of items for a viewer, bounded in number and bytes.
 
 When it is full, the oldest transient items are dropped first, those that later records make up for: motions of bodies
-and simulations (the next keyframe has the poses), events and fluents. Models, tasks and the contents of worlds are
-dropped only when nothing else is left.
+and simulations (the next keyframe has the poses), events, fluents and output. Models, tasks and the contents of worlds
+are dropped only when nothing else is left.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import threading
 from collections import OrderedDict, deque
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Event, Fluent, Mutation
+from recorder.records import Event, Fluent, Mutation, Output
 from recorder.records.asset import AssetFile
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def is_transient(record: Record) -> bool:
     """Whether later records make up for this one."""
     if isinstance(record, Mutation):
         return record.WhichOneof("command") in _TRANSIENT
-    return isinstance(record, Event | Fluent)
+    return isinstance(record, Event | Fluent | Output)
 
 
 def _cost(item: Item) -> int:

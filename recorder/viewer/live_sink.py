@@ -21,6 +21,7 @@ from multiprocessing import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.tracing.journal import unrecorded
 from recorder.viewer.address import Kind, Target
 from recorder.viewer.live_process import Status
 from recorder.viewer.live_queue import LiveQueue, is_transient
@@ -139,9 +140,10 @@ class RerunSink:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
-            while sent := self._send():
-                self._taken += self._connection.recv()
-                self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few it uses half of one
+            with unrecorded():  # what a finalizer prints in it would wait for the queue
+                while sent := self._send():
+                    self._taken += self._connection.recv()
+                    self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # where cores are few: half of one
             self._connection.recv()
         except (EOFError, OSError):  # the process has ended, and has printed why; or it has got the rest
             self._queue.take_rest()

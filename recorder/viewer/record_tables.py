@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pyarrow as pa
 import rerun as rr
 
-from recorder.records import TOPICS, Event, Fluent, Mutation, Query, Run, Task, format_failure
+from recorder.records import TOPICS, Event, Fluent, Mutation, Output, Query, Run, Task, format_failure
 from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
     return enum.Name(number).lower() if number in enum.values() else str(number)
 
 
-def _source(record: Task | Mutation) -> str:
+def _source(record: Task | Mutation | Output) -> str:
     return _line(record.source_file, record.source_line) if record.source_file else ""
 
 
@@ -52,6 +52,7 @@ _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
     Fluent: ("name", "before", "after"),
     Query: ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
     Run: ("phase", "name", "succeeded", "failure"),
+    Output: ("stream", "level", "logger"),
 }
 """Names of a table's own columns."""
 
@@ -74,7 +75,7 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
 """Values of columns, where they aren't the record's field of that name."""
 
 _COMMON: Final = ("world", "task", "thread", "text")
-_SOURCED: Final = (Mutation, Task)
+_SOURCED: Final = (Mutation, Task, Output)
 """Types of records with the plan's line that made them: mutations have it only where it isn't their task's."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
@@ -103,7 +104,7 @@ class RecordTables:
         row = (record.world, record.task, record.thread, text, *[cell(record) for cell in cells])
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
-    def _source(self, record: Mutation | Task) -> str:
+    def _source(self, record: Mutation | Task | Output) -> str:
         """Call site of a record, or of its task."""
         source = _source(record) or self._sources.get(record.task, "")
         if type(record) is Task:

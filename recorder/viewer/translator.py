@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Keyframe, Mutation, Query, Run, Task
+from recorder.records import Keyframe, Mutation, Output, Query, Run, Task
 from recorder.records.text import text_of
 from recorder.viewer.active_worlds import ActiveWorlds
 from recorder.viewer.attachments import Attachments
@@ -73,7 +73,7 @@ class Translator:
             self._query_marks.show(record, now)
         elif type(record) is Run and record.phase == Run.STARTED:
             self._graph.plan = record.name
-        if record.world:
+        if record.world and type(record) is not Output:  # a plan may talk before it acts
             self.worlds.follow(record)
         self._previous_ns = now.wall
         self._waiting += 1

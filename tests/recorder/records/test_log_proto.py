@@ -35,4 +35,5 @@ def test_every_record_has_the_envelope(record: type) -> None:
     fields = {field.number: field.name for field in record.DESCRIPTOR.fields}
     envelope = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread")
     assert tuple(fields[number] for number in range(1, 7)) == envelope
-    assert not [number for number in fields if 7 <= number <= 15], "reserved for the envelope"
+    assert fields[8] == "monotonic_ns"
+    assert not [number for number in fields if 9 <= number <= 15], "reserved for the envelope"

@@ -1,0 +1,127 @@
+"""What a run was given and ran on: arguments, directory, seeds, revisions of the code, computer."""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Revision
+from recorder.secrets import without_secrets
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from recorder.records import Run
+
+_TIMEOUT: Final = 2.0  # s for git
+_PACKAGES: Final = ("pycram", "recorder")  # folders that make PyCRAM; reading has no part in a run
+
+
+def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int | None) -> None:
+    """Adds to the record of a run's start what it is given.
+
+    Args:
+        run: the record.
+        arguments: of the plan.
+        program: the plan's file.
+        seed: of random numbers, where it is known.
+    """
+    run.arguments.extend(without_secrets([str(text) for text in arguments]))
+    run.directory = _directory()
+    if seed is not None:
+        run.seed = seed
+    run.hash_seed = hash_seed()
+    if program is not None and program.is_file():
+        run.plan.CopyFrom(_plan_revision(program.resolve()))
+    run.pycram.CopyFrom(_pycram_revision())
+    run.host, run.cpu = platform.node(), _cpu()
+
+
+def hash_seed() -> str:
+    """The seed of the order of sets of texts: a number, or "random"."""
+    seed = os.environ.get("PYTHONHASHSEED", "")
+    if not sys.flags.hash_randomization:
+        return "0"
+    return seed if seed.isdecimal() and not sys.flags.ignore_environment else "random"
+
+
+def _directory() -> str:
+    try:
+        return str(Path.cwd())
+    except OSError:  # it was removed
+        return ""
+
+
+@functools.cache
+def _cpu() -> str:
+    """The processor's model."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    models = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(models, "") or platform.processor() or platform.machine()
+
+
+@functools.lru_cache(maxsize=64)
+def _plan_revision(program: Path) -> Revision:
+    """The revision of the repository that a plan is in, as this process began to run it."""
+    return _revision(program, sha256(program.read_bytes()).hexdigest())
+
+
+@functools.cache
+def _pycram_revision() -> Revision:
+    """The revision of the executor and the recorder; the hash is that of their Python files."""
+    root = Path(__file__).resolve().parent.parent
+    digest = sha256()
+    for package in _PACKAGES:
+        for file in sorted((root / package).rglob("*.py")):
+            digest.update(f"{file.relative_to(root).as_posix()}\0".encode() + file.read_bytes())
+    return _revision(Path(__file__).resolve(), digest.hexdigest())
+
+
+def _revision(file: Path, digest: str) -> Revision:
+    """The commit of a file that is in git; of any the hash of the content."""
+    status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
+    tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
+    states, names = (_answer(process) for process in (status, tracked))
+    if not names:  # a folder of installed packages may lie in a repository of somebody's
+        return Revision(sha256=digest)
+    head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
+    commit = head[0] if head and head[0] != "(initial)" else ""
+    return Revision(commit=commit, modified=any(not line.startswith("#") for line in states), sha256=digest)
+
+
+def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
+    """Starts git in the folder of a file; it writes nothing."""
+    try:
+        return subprocess.Popen(  # noqa: S603  no text of users is a command
+            ["git", "-C", str(file.parent), *words],  # noqa: S607  whichever the user has
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
+            text=True,
+            errors="replace",
+        )
+    except OSError:  # there is none
+        return None
+
+
+def _answer(process: subprocess.Popen[str] | None) -> list[str]:
+    """Lines of its output; none if it failed, or takes too long."""
+    if process is None:
+        return []
+    with process:
+        try:
+            output, _ = process.communicate(timeout=_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return []
+    return output.splitlines() if not process.returncode else []

@@ -1,0 +1,185 @@
+"""What a plan prints and logs, as records: one for each line, with the plan's line that began it.
+
+Python's streams stand behind ones that pass everything on at once. What native code prints goes past them. A line that
+is printed bit by bit is put together for each thread and branch; of one that a progress bar writes over and over, its
+last form is kept. Messages of ``logging`` are recorded as such, not as the lines that handlers make of them.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import sys
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any, Final
+
+from recorder.records import Output, escaped, format_error
+from recorder.tracing import journal, stack_room
+from recorder.tracing.branch_identity import current_ident, current_name
+from recorder.tracing.call_stack import CallSite, call_site
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from typing import TextIO
+
+    from recorder.tracing.journal import Journal
+
+MAX_CHARACTERS: Final = 10_000  # of a record; a longer line takes several
+
+_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # colours and the like
+#: Set while handlers of logging print a message that has its record.
+_logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
+
+
+@contextmanager
+def recorded_output(log: Journal) -> Iterator[None]:
+    """Records what is printed and logged in its block."""
+    with ExitStack() as restoring:
+        for name in ("stdout", "stderr"):
+            if getattr(sys, name) is not None:
+                restoring.enter_context(_replaced(name, log))
+        restoring.enter_context(_logged(log))
+        yield
+
+
+@contextmanager
+def _replaced(name: str, log: Journal) -> Iterator[None]:
+    stream = getattr(sys, name)
+    recorded = RecordedStream(stream, name, log)
+    setattr(sys, name, recorded)
+    try:
+        yield
+    finally:
+        if getattr(sys, name) is recorded:  # else the plan has set another one
+            setattr(sys, name, stream)
+        recorded.end()
+
+
+@contextmanager
+def _logged(log: Journal) -> Iterator[None]:
+    """Records what loggers give their handlers: a handler of ours would change what ``basicConfig`` does."""
+    before = logging.Logger.callHandlers
+    ended = False
+
+    def call_handlers(self: logging.Logger, record: logging.LogRecord) -> None:
+        if not ended and not _logging.get():
+            _append(log, _logged_line(record), _Origin.here())
+        token = _logging.set(True)
+        try:
+            before(self, record)
+        finally:
+            _logging.reset(token)
+
+    logging.Logger.callHandlers = call_handlers  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        ended = True
+        if logging.Logger.callHandlers is call_handlers:  # else it stays in the chain of who came later
+            logging.Logger.callHandlers = before  # type: ignore[method-assign]
+
+
+def _logged_line(message: logging.LogRecord) -> Output:
+    try:
+        text = message.getMessage()
+    except Exception:  # noqa: BLE001  of a wrong format, or of an argument's own __str__
+        text = str(message.msg)
+    if message.exc_info and message.exc_info[1] is not None:
+        text = f"{text}: {format_error(message.exc_info[1])}"
+    return Output(
+        stream="logging", text=escaped(text[:MAX_CHARACTERS]), level=message.levelname, logger=escaped(message.name)
+    )
+
+
+class _Origin:
+    """Where a line began: the plan's line, and its task."""
+
+    __slots__ = ("site", "task")
+
+    def __init__(self, site: CallSite, task: int) -> None:
+        self.site, self.task = site, task
+
+    @classmethod
+    def here(cls) -> _Origin:
+        return cls(call_site(), journal.task_id())
+
+
+class RecordedStream:
+    """A text stream that passes everything on to another one, and records the lines.
+
+    Whatever else is asked of it, the other one does.
+    """
+
+    def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
+        self._stream, self._name, self._log = stream, name, log
+        self._begun: dict[int, tuple[str, _Origin]] = {}  # lines that have no end yet, by thread or branch
+        self._ended = False
+
+    def write(self, text: str) -> int:
+        """Writes a text, and records the lines that it ends."""
+        count = self._stream.write(text)
+        if not (self._ended or _logging.get()) and journal.records_here(self._log):
+            self._take(text)
+        return count
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Writes texts one after the other."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._stream)
+
+    @property  # type: ignore[misc]  # isinstance() looks here
+    def __class__(self) -> type:
+        return type(self._stream)
+
+    def end(self) -> None:
+        """Records the lines that have no end; from now on it only passes on."""
+        self._ended = True
+        for text, origin in self._begun.values():
+            self._record(text, origin)
+        self._begun.clear()
+
+    def _take(self, text: str) -> None:
+        key = current_ident()
+        begun, origin = self._begun.pop(key, ("", None))
+        *lines, rest = (begun + text).split("\n")
+        if origin is None:
+            origin = _Origin.here()
+        for line in lines:
+            self._record(line, origin)
+        if lines and rest:
+            origin = _Origin.here()
+        while len(rest := _visible(rest)) > MAX_CHARACTERS:
+            self._record(rest[:MAX_CHARACTERS], origin)
+            rest = rest[MAX_CHARACTERS:]
+        if rest:
+            self._begun[key] = rest, origin
+
+    def _record(self, line: str, origin: _Origin) -> None:
+        text = _CONTROL.sub("", _visible(line).rstrip("\r")).rstrip()
+        for at in range(0, len(text), MAX_CHARACTERS):
+            _append(self._log, Output(stream=self._name, text=escaped(text[at : at + MAX_CHARACTERS])), origin)
+
+
+def _visible(text: str) -> str:
+    """What a terminal shows of a line that returns to its beginning; it may go on after that."""
+    if "\r" not in text:
+        return text
+    last = next((part for part in reversed(text.split("\r")) if part), "")
+    return f"{last}\r" if last and text.endswith("\r") else last
+
+
+def _append(log: Journal, record: Output, origin: _Origin) -> None:
+    if not journal.records_here(log):
+        return
+    stack_room.require(stack_room.FOR_RECORD)
+    record.world, record.sim_step = journal.current_world()
+    record.task, record.thread = origin.task, current_name()
+    record.source_file, record.source_line = origin.site
+    log.append(record)
