@@ -48,11 +48,13 @@ class Moment:
         wall_ns: nanoseconds since the Unix epoch.
         sim_step: steps of 1/240 s that the world had simulated.
         world: the world that was current, "" if there was none.
+        monotonic_ns: nanoseconds since the recording began, by a clock that nobody sets; 0 where that isn't recorded.
     """
 
     wall_ns: int
     sim_step: int = 0
     world: str = ""
+    monotonic_ns: int = 0
 
     @property
     def sim_seconds(self) -> float:
@@ -61,7 +63,7 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
-    return Moment(record.wall_time_ns, record.sim_step, record.world)
+    return Moment(record.wall_time_ns, record.sim_step, record.world, record.monotonic_ns)
 
 
 @dataclass(slots=True, eq=False)

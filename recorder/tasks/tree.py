@@ -19,6 +19,8 @@ from recorder.tasks.node import BY_ID, Node, State, decisive, walk
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from recorder.records import Output
+
 _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
@@ -36,12 +38,15 @@ class Tree:
         nodes: by id.
         began: id of the task in which the plan's failure began, where it is known from elsewhere; 0 if it began
             in none; None to go by the tasks.
+        output: lines that the plan printed or logged, by the id of the task, where they are known: a running plan's
+            are not.
     """
 
     __hash__ = None  # type: ignore[assignment]  # it grows
 
     def __init__(self, limit: int | None = None, size: int | None = None) -> None:
         self.began: int | None = None
+        self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
         self._weighs = size is not None
@@ -121,7 +126,7 @@ class Tree:
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
         """Lines of text; see :func:`recorder.tasks.tree_text.rows`."""
-        return tree_text.lines(self.roots, self.failure_path(), depth, whole=whole)
+        return tree_text.lines(self.roots, self.failure_path(), depth, whole=whole, output=self.output)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
         """The same in one string."""
@@ -129,7 +134,7 @@ class Tree:
 
     def facts(self, depth: int | None = None) -> list[dict[str, object]]:
         """All tasks down to a depth as data for JSON, each before its children."""
-        return tree_text.facts(self.roots, self.failure_path(), depth)
+        return tree_text.facts(self.roots, self.failure_path(), depth, self.output)
 
     def to_json(self) -> str:
         """The same as JSON."""

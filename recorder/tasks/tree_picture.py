@@ -1,23 +1,24 @@
 """The task tree as a graph for Graphviz, and as an SVG that shows beside the tree when each task ran.
 
-The SVG's lines are those of the text. Right of them is wall time; what ran side by side lies one above the other.
-Hovering over a task shows all of it.
+The SVG's lines are those of the text, without the plan's output. Right of them is time by the clock; what ran side by
+side lies one above the other. Hovering over a task shows all of it.
 """
 
 from __future__ import annotations
 
 from functools import partial
 from html import escape as escape_quotes
-from typing import TYPE_CHECKING, Final
+from operator import attrgetter
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import format_failure
 from recorder.tasks.node import State, walk
 from recorder.tasks.tree_text import label, rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
-    from recorder.tasks.node import Node
+    from recorder.tasks.node import Moment, Node
     from recorder.tasks.tree_text import Row
 
 COLORS: Final = {
@@ -33,6 +34,7 @@ _NAMES: Final = 520  # width of the names' column
 _BARS: Final = 560  # width of the times' column
 _TOP: Final = 44
 _LETTER: Final = 6.6  # width of a letter at the names' size
+_Clock: TypeAlias = "Callable[[Moment], int]"
 _escape = partial(escape_quotes, quote=False)
 
 
@@ -55,8 +57,11 @@ def dot(roots: Sequence[Node], failure_path: Sequence[Node]) -> str:
 def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False) -> str:
     """The tree and its times as an SVG document; see :func:`recorder.tasks.tree_text.rows`."""
     shown = list(rows(roots, failure_path, depth, whole=whole))
-    times = [node.created.wall_ns for _, node in walk(roots)]
-    times += [node.end.wall_ns for _, node in walk(roots) if node.end is not None]
+    moments = [node.created for _, node in walk(roots)]
+    moments += [node.end for _, node in walk(roots) if node.end is not None]
+    steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may be set while a plan runs
+    clock: _Clock = attrgetter("monotonic_ns" if steady else "wall_ns")
+    times = [clock(moment) for moment in moments]
     begin, end = (min(times), max(times)) if times else (0, 1)
     height = _TOP + _ROW * len(shown) + 12
     size = f'width="{_NAMES + _BARS + 30}" height="{height}"'
@@ -66,7 +71,7 @@ def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None =
         *_axis((end - begin) / 1e9, height),
     ]
     for number, row in enumerate(shown):
-        parts += _drawn(row, _TOP + _ROW * number, begin, max(end - begin, 1))
+        parts += _drawn(row, _TOP + _ROW * number, clock, begin, max(end - begin, 1))
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
@@ -80,7 +85,7 @@ def _axis(seconds: float, height: int) -> Iterator[str]:
         yield f'<text x="{x:.1f}" y="{_TOP - 12}" fill="#555" font-size="9">{number * step:g} s</text>'
 
 
-def _drawn(row: Row, top: int, begin: int, length: int) -> Iterator[str]:
+def _drawn(row: Row, top: int, clock: _Clock, begin: int, length: int) -> Iterator[str]:
     x = 12 + _INDENT * row.depth
     room = max(8, int((_NAMES - x - 24) / _LETTER))
     text = row.text if len(row.text) <= room else row.text[: room - 1] + "\u2026"
@@ -97,9 +102,9 @@ def _drawn(row: Row, top: int, begin: int, length: int) -> Iterator[str]:
     weight = ' font-weight="bold"' if row.failing else ""
     yield f'<text x="{x + 14}" y="{top + 14}" fill="#222"{weight}>{_escape(text)}</text>'
     start = node.start or node.created
-    stop = node.end.wall_ns if node.end is not None else begin + length
-    left = _NAMES + _BARS * (start.wall_ns - begin) / length
-    wide = max(1.5, _BARS * (stop - start.wall_ns) / length)
+    stop = clock(node.end) if node.end is not None else begin + length
+    left = _NAMES + _BARS * (clock(start) - begin) / length
+    wide = max(1.5, _BARS * (stop - clock(start)) / length)
     yield f'<rect x="{left:.1f}" y="{top + 4}" width="{wide:.1f}" height="{_ROW - 8}" rx="2" fill="{color}"/>'
     yield "</g>"
 

@@ -10,11 +10,13 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
-from recorder.records.text import values
+from recorder.records.text import text_of, values
 from recorder.tasks.node import Node, State, walk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from recorder.records import Output
 
 _MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
@@ -41,11 +43,20 @@ class Row:
 
 
 def rows(
-    roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False
+    roots: Sequence[Node],
+    failure_path: Sequence[Node],
+    depth: int | None = None,
+    *,
+    whole: bool = False,
+    output: Mapping[int, Sequence[Output]] | None = None,
 ) -> Iterator[Row]:
-    """All tasks down to a depth, each before its children; siblings alike are folded unless ``whole``."""
+    """All tasks down to a depth, each before its children; siblings alike are folded unless ``whole``.
+
+    Lines that the plan printed or logged, if they are given by their tasks' ids, stand among the children.
+    """
     failing = {node.id for node in failure_path}
-    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_folded(roots, whole=whole))]
+    said = output or {}
+    stack: list[tuple[int, Node | str]] = [(0, item) for item in reversed(_parts(roots, said.get(0, ()), whole=whole))]
     while stack:
         level, item = stack.pop()
         if isinstance(item, str):
@@ -57,16 +68,22 @@ def rows(
         if item.forgotten:
             stack.append((level + 1, f"... {item.forgotten} more, forgotten"))
         if depth is None or level + 1 < depth:
-            stack += [(level + 1, child) for child in reversed(_folded(item.children, whole=whole))]
+            parts = _parts(item.children, said.get(item.id, ()), whole=whole)
+            stack += [(level + 1, part) for part in reversed(parts)]
         elif item.parts:
             stack.append((level + 1, f"... {sum(1 for _ in item.walk()) - 1} below"))
 
 
 def lines(
-    roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None = None, *, whole: bool = False
+    roots: Sequence[Node],
+    failure_path: Sequence[Node],
+    depth: int | None = None,
+    *,
+    whole: bool = False,
+    output: Mapping[int, Sequence[Output]] | None = None,
 ) -> Iterator[str]:
     """The tree as lines of text; see :func:`rows`."""
-    for row in rows(roots, failure_path, depth, whole=whole):
+    for row in rows(roots, failure_path, depth, whole=whole, output=output):
         mark = f"{_MARKS[row.node.status]} " if row.node is not None else ""
         extent = f"  [{_extent(row.node)}]" if row.node is not None else ""
         yield f"{'> ' if row.failing else '  '}{'  ' * row.depth}{mark}{row.text}{extent}"
@@ -81,7 +98,12 @@ def label(node: Node) -> str:
     return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}"
 
 
-def facts(roots: Sequence[Node], failure_path: Sequence[Node], max_depth: int | None = None) -> list[dict[str, object]]:
+def facts(
+    roots: Sequence[Node],
+    failure_path: Sequence[Node],
+    max_depth: int | None = None,
+    output: Mapping[int, Sequence[Output]] | None = None,
+) -> list[dict[str, object]]:
     """All tasks as data for JSON, each before its children; see :func:`rows`."""
     failing = {node.id for node in failure_path}
     return [
@@ -102,6 +124,7 @@ def facts(roots: Sequence[Node], failure_path: Sequence[Node], max_depth: int | 
             "failure": format_failure(node.failure) if node.failure is not None else "",
             "on_failure_path": node.id in failing,
             "source": node.source,
+            "output": [text_of(record)[0] for record in (output or {}).get(node.id, ())],
         }
         for depth, node in walk(roots)
         if max_depth is None or depth < max_depth
@@ -116,6 +139,26 @@ def _extent(node: Node) -> str:
     if not node.started.seq:  # not recorded
         return took
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"
+
+
+def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
+    """Siblings, folded, and between them the lines of their parent's output, which are folded likewise."""
+    shown: list[Node | str] = []
+    rest = list(output)
+    for item in _folded(nodes, whole=whole):
+        if not isinstance(item, str):
+            began = (item.asked or item.started).seq
+            shown += _said([record for record in rest if record.seq < began], whole=whole)
+            rest = [record for record in rest if record.seq >= began]
+        shown.append(item)
+    return shown + _said(rest, whole=whole)
+
+
+def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:
+    texts: list[Node | str] = [text_of(record)[0] for record in output]
+    if not whole and len(texts) > _MAX_ALIKE:
+        texts[2:-2] = [f"... {len(texts) - 4} more lines"]
+    return texts
 
 
 def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:

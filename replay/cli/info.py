@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_result
 from replay.cli.formatting import one_line
 from replay.explain.run_summary import summary
 from replay.file.lifetimes import title
+from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     import argparse
 
+    from recorder.records import Revision, Run
     from replay.explain.run_summary import Summary
     from replay.recording import Recording
 
 _MAX_WORLDS: Final = 8  # that are listed one by one
+_DIGITS: Final = 12  # of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
@@ -34,6 +38,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 def _data(log: Recording, info: Summary) -> dict[str, object]:
     data: dict[str, object] = dataclasses.asdict(info)
+    data["start"] = info.start and record_data(info.start)
     worlds = [{"world": each.world, "life": each.lifetime, "seconds": each.seconds} for each in info.worlds]
     missing = data.pop("problems")
     return data | {"worlds": worlds, "missing": missing, "file": str(log.path), "started": info.started.isoformat()}
@@ -44,7 +49,10 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
     complete = "yes" if info.checked else "yes, according to its index (too long to be read whole)"
     return [
         ("file", f"{log.path} ({_size(info.size)})"),
-        ("plan", " ".join((info.plan, info.metadata.get("plan_arguments", ""))).strip()),
+        ("plan", _plan(info)),
+        ("directory", info.start.directory if info.start else ""),
+        ("seed", _seed(info.start)),
+        ("revision", _revision(info.start)),
         ("started", f"{info.started:%Y-%m-%d %H:%M:%S} UTC"),
         ("took", f"{info.seconds:.3f} s"),
         ("outcome", info.outcome),
@@ -53,9 +61,40 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
         ("steps", f"0 to {info.records - 1}: {counts}"),
         ("worlds", _worlds(info)),
         ("files", f"{info.attachments} attached"),
+        ("computer", _computer(info.start)),
         ("versions", ", ".join(f"{key} {info.metadata[key]}" for key in _VERSIONS if key in info.metadata)),
         ("complete", f"no: {info.problems}" if info.problems else complete),
     ]
+
+
+def _plan(info: Summary) -> str:
+    given = info.start.arguments if info.start else ()  # older recordings have them as one text
+    return " ".join((info.plan, shlex.join(given) or info.metadata.get("plan_arguments", ""))).strip()
+
+
+def _seed(start: Run | None) -> str:
+    if start is None or not start.hash_seed:
+        return ""
+    seed = f"{start.seed}" if start.HasField("seed") else "none is known"
+    return seed if seed == start.hash_seed else f"{seed}; order of sets: {start.hash_seed}"
+
+
+def _revision(start: Run | None) -> str:
+    if start is None or not start.HasField("pycram"):
+        return ""
+    named = (("plan", start.plan), ("PyCRAM", start.pycram))
+    return ", ".join(f"{name} {_version(revision)}" for name, revision in named if revision.sha256)
+
+
+def _version(revision: Revision) -> str:
+    if not revision.commit:
+        return f"sha256 {revision.sha256[:_DIGITS]}"
+    changed = f" with changes, sha256 {revision.sha256[:_DIGITS]}" if revision.modified else ""
+    return f"{revision.commit[:_DIGITS]}{changed}"
+
+
+def _computer(start: Run | None) -> str:
+    return ", ".join(filter(None, (start.host, start.cpu))) if start is not None else ""
 
 
 def _worlds(info: Summary) -> str:

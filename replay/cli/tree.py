@@ -35,7 +35,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         encoding = sys.stdout.encoding or "ascii"  # XML can refer to characters that the encoding lacks
         picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
-    elif not tree.roots:
+    elif not (tree.roots or tree.output):
         print_text("no tasks")
     else:
         for line in tree.lines(options.depth, whole=options.all):

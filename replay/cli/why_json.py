@@ -28,6 +28,9 @@ def facts(why: Why) -> dict[str, object]:
         "task": why.task and _task_facts(why.task),
         "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
         **call_stack_facts(why.call_stack),
+        "variables": [
+            {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
+        ],
         "world": why.world and why.world.name,
         "things": [
             {

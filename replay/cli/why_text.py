@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, Why
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
+_MAX_ROWS: Final = 3  # of local variables
+_WIDTH: Final = 100  # characters of such a row
 _MAX_LINES: Final = 12  # of a difference
 
 
@@ -105,14 +107,14 @@ def _where(why: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
     for line in () if _exceptions_lead_to_task(why) else why.call_stack:
         shown.add((line.file, line.number))
-        yield from _line(line)
+        yield from _line(line, why)
     for error in why.exceptions:
         fresh = [line for line in error.lines if (line.file, line.number) not in shown]
         if shown and fresh:
             yield f"which became {error.type}:"
         for line in fresh:
             shown.add((line.file, line.number))
-            yield from _line(line)
+            yield from _line(line, why)
 
 
 def _exceptions_lead_to_task(why: Why) -> bool:
@@ -125,10 +127,18 @@ def _exceptions_lead_to_task(why: Why) -> bool:
     )
 
 
-def _line(line: Line) -> Iterator[str]:
+def _line(line: Line, why: Why) -> Iterator[str]:
     yield f"{formatting.path(line.file)}:{line.number}" + (f" in {line.function}" if line.function else "")
     if line.text:
         yield f"    {line.text}"
+    rows = [""]
+    for name, value in why.variables.get((line.file, line.number), {}).items():
+        if rows[-1] and len(rows[-1]) + len(name) + len(value) > _WIDTH:
+            rows.append("")
+        rows[-1] += f"{', ' if rows[-1] else ''}{name}={formatting.one_line(value)}"
+    yield from (f"    with {row}" for row in rows[:_MAX_ROWS] if row)
+    if len(rows) > _MAX_ROWS:
+        yield "    and others, which `why --json` has"
 
 
 def _failed(why: Why) -> Iterator[str]:

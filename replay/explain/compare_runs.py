@@ -28,8 +28,12 @@ if TYPE_CHECKING:
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
-    "seq", "wall_time_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line", "callers",
+    "seq", "wall_time_ns", "monotonic_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line",
+    "callers",
 )  # fmt: skip
+
+#: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
+_GIVEN: Final = ("name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu")
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
@@ -164,8 +168,10 @@ def _bare(record: Record) -> Record:
             bare.ClearField(field)
     if isinstance(bare, Run | Task | Query) and bare.HasField("failure"):
         bare.failure.ClearField("traceback")
+        del bare.failure.frames[:]
     if isinstance(bare, Run):
-        bare.ClearField("name")  # of the plan's file: the runs may be those of two versions of it
+        for field in _GIVEN:
+            bare.ClearField(field)
     return bare
 
 

@@ -12,6 +12,7 @@ from replay.explain.failures import failed_threads
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from recorder.records import Record
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
@@ -41,7 +42,7 @@ class Summary:
     Attributes:
         plan: name of the plan.
         started: wall-clock time of the first record.
-        seconds: wall-clock time from the first to the last record.
+        seconds: by the clock from the first to the last record.
         worlds: with the simulated time that each reached, in the order of their opening.
         outcome: "succeeded", "failed", "running" or "cut off".
         failure: of the plan, as "Type: message"; or "".
@@ -53,6 +54,7 @@ class Summary:
         problems: what is missing or damaged, in words; or "".
         checked: whether every part was read for this.
         metadata: of the run.
+        start: the first record, with what the plan was given; None if it is lost.
     """
 
     plan: str
@@ -69,11 +71,19 @@ class Summary:
     problems: str
     checked: bool
     metadata: Mapping[str, str]
+    start: Run | None
 
 
 def _simulated(log: RecordReader, lifetime: Lifetime) -> Simulated:
     end = log.end_of(lifetime)
     return Simulated(lifetime.world, lifetime.number, end.sim_step / STEPS_PER_SECOND if end is not None else 0.0)
+
+
+def _seconds(first: Record, last: Record) -> float:
+    """Time between two records in s, also where the wall clock was set meanwhile; older recordings have that alone."""
+    if last.monotonic_ns:
+        return (last.monotonic_ns - first.monotonic_ns) / 1e9
+    return (last.wall_time_ns - first.wall_time_ns) / 1e9
 
 
 def summary(log: RecordReader) -> Summary:
@@ -88,7 +98,7 @@ def summary(log: RecordReader) -> Summary:
     return Summary(
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),
-        seconds=(last.wall_time_ns - first.wall_time_ns) / 1e9,
+        seconds=_seconds(first, last),
         worlds=tuple(_simulated(log, lifetime) for lifetime in log.lifetimes),
         outcome=outcome,
         failure=format_failure(end.failure) if end is not None and end.HasField("failure") else "",
@@ -100,4 +110,5 @@ def summary(log: RecordReader) -> Summary:
         problems=problems,
         checked=checked,
         metadata=log.metadata,
+        start=first if isinstance(first, Run) else None,
     )

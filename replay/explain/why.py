@@ -46,7 +46,8 @@ def why(log: RecordReader, step: int | None = None) -> Why:
     run = summary(log)
     if step is not None:
         task = _failed_at(log, failed, step)
-        return _task_failure(log, run, task, RootCause(task.last_step, task))
+        explained = _task_failure(log, run, task, RootCause(task.last_step, task))
+        return replace(explained, variables=_variables(RootCause(task.last_step, task)))
     cause = root_cause(log, failed)
     unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
     if cause is None:
@@ -55,8 +56,23 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
     else:
         explained = _task_failure(log, run, cause.task, cause, unfinished)
+    explained = replace(explained, variables=_variables(cause))
     threads = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
     return replace(explained, failed_threads=threads)
+
+
+def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
+    """Return the local variables at a failure, by file and line of their frames.
+
+    Each frame is in the first record of its error only, and a branch knows none but its own.
+    """
+    tasks = cause.task.around() if cause.task is not None else ()
+    variables: dict[tuple[str, int], dict[str, str]] = {}
+    for failure in (*(task.failure for task in tasks), cause.failure):
+        for frame in failure.frames if failure is not None else ():
+            values = {each.name: each.value for each in frame.variables}
+            variables.setdefault((frame.file, frame.line), values)
+    return variables
 
 
 def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:

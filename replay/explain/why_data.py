@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import builtins
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from recorder.records import Failure, Query, Run
     from recorder.tasks import Node
     from replay.explain.parsed_traceback import ParsedException
@@ -98,6 +100,7 @@ class Why:
         exceptions: those that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code failed.
         call_stack: the plan's lines that led to that task, outermost first.
+        variables: local variables of the plan's functions at the failure, by file and line: names, and values as text.
         world: the world that the task was about; None if none was open.
         is_default: whether that is the world that is meant where none is named.
         bodies: the robot, and the bodies that the task was about.
@@ -119,6 +122,7 @@ class Why:
     exceptions: tuple[ParsedException, ...] = ()
     task: Node | None = None
     call_stack: tuple[Line, ...] = ()
+    variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
     world: World | None = None
     is_default: bool = True
     bodies: tuple[InvolvedBody, ...] = ()

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from recorder.records import Plain, Record
     from replay.state.state import Body, State, World
 
-_ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread"))
+_ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns"))
 
 
 def kind_of(record: Record) -> str:
-    """Return what kind of record it is: run, task, mutation, event, fluent, query or keyframe."""
+    """Return what kind of record it is: run, task, mutation, event, fluent, query, keyframe or output."""
     return TOPICS[type(record)].removeprefix("/")
 
 
@@ -30,6 +30,7 @@ def record_data(record: Record) -> dict[str, Plain]:
         "step": record.seq,
         "kind": kind_of(record),
         "wall_time_ns": record.wall_time_ns,
+        "monotonic_ns": record.monotonic_ns,
         "sim_step": record.sim_step,
         "world": record.world,
         "task": record.task,
