@@ -18,6 +18,7 @@ from pycram.foundation.redirect import silenced
 from pycram.physics.body import Body, Joint
 from pycram.physics.contacts import ClosestPoint, Contact
 from pycram.physics.loading import NOW
+from pycram.physics.window import pick_ray
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.packages import needed
@@ -42,6 +43,8 @@ _HELD_GROUP: Final = 32
 _ROBOT_GROUP: Final = 64
 _ALL: Final = -1
 
+_BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
+
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
 #: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
@@ -60,6 +63,7 @@ class Engine:
 
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
+        self._grip: tuple[int, int] | None = None  # body and link that the mouse holds
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)
@@ -338,6 +342,31 @@ class Engine:
         client = self._client
         for _ in range(steps):
             bullet.stepSimulation(physicsClientId=client)
+
+    def dragged(self, bodies: Iterable[Body]) -> list[tuple[Body, str]]:
+        """Return the bodies, with their links, that somebody has dragged with the mouse since this was last asked.
+
+        PyBullet doesn't tell: it grips what a line of sight through the pointer hits when the left button is pressed
+        without Alt and Control, which turn the camera, and lets go when that is released.
+        """
+        if not self._window:
+            return []
+        grips = [self._grip]
+        for kind, x, y, button, state in bullet.getMouseEvents(physicsClientId=self._client):
+            if kind == _BUTTON and button == 0:
+                self._grip = self._under_pointer(x, y) if state & bullet.KEY_IS_DOWN else None
+                grips.append(self._grip)
+        known = {body.id: body for body in bodies}
+        found = [(known[grip[0]], grip[1]) for grip in dict.fromkeys(grips) if grip is not None and grip[0] in known]
+        return [(body, next(name for name, index in body.links.items() if index == link)) for body, link in found]
+
+    def _under_pointer(self, x: float, y: float) -> tuple[int, int] | None:
+        keys = bullet.getKeyboardEvents(physicsClientId=self._client)
+        if any(keys.get(key, 0) & bullet.KEY_IS_DOWN for key in (bullet.B3G_ALT, bullet.B3G_CONTROL)):
+            return None
+        start, end = pick_ray(bullet.getDebugVisualizerCamera(physicsClientId=self._client), x, y)
+        body, link, *_ = bullet.rayTest(start, end, physicsClientId=self._client)[0]
+        return (body, link) if body >= 0 else None
 
     def closest_points(self, a: Body, b: Body, distance: float = 0.0) -> list[ClosestPoint]:
         """Return the closest points of all pairs of links of two bodies that are nearer than a distance in m."""

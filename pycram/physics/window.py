@@ -1,4 +1,7 @@
-"""PyBullet's window: checks whether one can open before PyBullet tries, which would end the whole process."""
+"""PyBullet's window: checks whether one can open before PyBullet tries, which would end the whole process.
+
+And where in the world its pixels are.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,19 @@ import ctypes
 import os
 import socket
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from pycram.foundation.failures import DisplayError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_CONNECT_TIMEOUT = 2.0  # s
+    from numpy.typing import NDArray
+
+_CONNECT_TIMEOUT: Final = 2.0  # s
+_FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
 
 
 def check_display(open_windows: Sequence[str]) -> None:
@@ -39,6 +47,21 @@ def check_display(open_windows: Sequence[str]) -> None:
         answers, why = _listens(host, 6000 + int(screen))
     if not answers:
         raise DisplayError(f"no X server answers at DISPLAY={display}{why}")
+
+
+def pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return both ends of the line of sight through a pixel, in the world, m.
+
+    Args:
+        camera: The window's, as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
+            distance, target. The vectors span the picture far away.
+        x: Of the pixel, from the left.
+        y: From above.
+    """
+    width, height, *_ = camera
+    forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
+    eye = target - camera[10] * forward
+    return eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical
 
 
 def _answers(display: str) -> tuple[bool, str]:

@@ -59,6 +59,8 @@ def _step(
     while done < steps and not (transaction.interrupts.noted or world.exiting):
         chunk = min(_SAMPLE_STEPS - world.sim_step % _SAMPLE_STEPS, steps - done)
         world.engine.step(chunk)
+        if world.mode == "GUI":
+            _note_drags(world, transaction)
         for body in world.objects:
             if body.fixed:  # solvers let what is attached to it in chains give way a little
                 carried.move_attached(body, transaction)
@@ -74,6 +76,15 @@ def _step(
             if sample.bodies:
                 transaction.samples.append(sample)
     return done, ended
+
+
+def _note_drags(world: BulletWorld, transaction: Transaction) -> None:
+    """Record what somebody drags in the window meanwhile: no command did it."""
+    drags = transaction.command.drags
+    bodies = {body.handle: body.name for body in world.objects}
+    for handle, link in world.engine.dragged(bodies):
+        if not any((drag.body, drag.link) == (bodies[handle], link) for drag in drags):
+            drags.append(records.Drag(body=bodies[handle], link=link, sim_step=world.sim_step))
 
 
 def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:

@@ -134,6 +134,7 @@ def _headline(change: Blame) -> str:
         "command": "was moved",
         "carried": f"was carried by {change.carried[-1].held.carrier}" if change.carried else "was carried",
         "along": f"moved along with {commanded(change.record)}",
+        "hand": "was dragged by hand in the window",
         "physics": "moved in simulation",
         "reset": "moved when the world was reset",
     }

@@ -85,6 +85,9 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
         yield f"note   the environment is a different one: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: physics in it is not compared"
+    if verification.dragged:
+        where = ", ".join(verification.dragged)
+        yield f"note   in {where} something was dragged by hand: from there on, physics in it is not compared"
 
 
 def _problem(problem: Problem) -> Iterator[str]:

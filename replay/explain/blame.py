@@ -56,7 +56,8 @@ class Blame:
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
         how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
-            in), "physics", "reset", "removed", or "before" (the recording began later).
+            in), "hand" (somebody dragged it in the window), "physics", "reset", "removed", or "before" (the recording
+            began later).
         before: its pose or value before; None if it wasn't there.
         after: its pose or value after; None if it was removed.
         distance: how far it moved: m, or of a revolute joint rad.
@@ -316,7 +317,7 @@ def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, floa
 def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachment]]:
     """Return how a command made a body move, by the state before it."""
     if _is_physics(record):
-        return "physics", []
+        return "hand" if any(drag.body == body for drag in record.drags) else "physics", []
     if record.HasField("reset"):
         return "reset", []
     cause = commanded(record)

@@ -49,7 +49,7 @@ class Reexecution:
 
     Attributes:
         worlds: those that are open, by their recorded names.
-        late: names of those that continue from a keyframe.
+        late: names of those that continue from a keyframe, or from what somebody dragged by hand.
     """
 
     def __init__(self, log: RecordReader, suffix: str, mode: str = "DIRECT") -> None:
@@ -144,6 +144,9 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
             if record.seq > step:
                 break
             if isinstance(record, Mutation):
+                if record.drags:
+                    dragged = f"{record.drags[0].body} was dragged by hand at step {record.seq}"
+                    raise NotRestored(step, f"{dragged}; without exact, the state will do")
                 reexecution.repeat(record, observed=False)
             elif name not in reexecution.worlds:
                 raise NotRestored(step, f"{name} began before the recording; without exact, the state will do")

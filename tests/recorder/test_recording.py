@@ -58,7 +58,7 @@ def test_a_world_that_exists_already_begins_with_its_keyframe(tmp_path: Path) ->
         thread.start()
         try:
             for _ in range(10):
-                with recorder.record(file):
+                with recorder.record(file, overwrite=True):
                     while changed.acquire(blocking=False):
                         pass
                     for _ in range(20):
@@ -82,7 +82,9 @@ def test_a_disk_that_is_full_from_the_start_is_an_error_before_the_block_runs(tm
     assert not ran
 
 
-def test_only_finished_recordings_are_overwritten(tmp_path: Path) -> None:
+def test_only_finished_recordings_are_overwritten_and_only_on_request(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     precious = tmp_path / "thesis.txt"
     precious.write_text("years of work")
     with pytest.raises(recorder.RecordingError, match="no recording"), recorder.record(precious):
@@ -90,15 +92,24 @@ def test_only_finished_recordings_are_overwritten(tmp_path: Path) -> None:
     assert precious.read_text() == "years of work"
     file = tmp_path / "x.mcap"
     with recorder.record(file):
-        with pytest.raises(recorder.RecordingError, match="another recording"), recorder.record(file):
+        with pytest.raises(recorder.RecordingError, match="another recording"), recorder.record(file, overwrite=True):
             pass
         with recorder.record(tmp_path / "y.mcap") as second:
             journal.emit(Event(name="both"))
         assert second.length == 3
-    with recorder.record(file), BulletWorld():  # an older recording is replaced
-        pass
+    for number in (2, 3):
+        with recorder.record(file) as recording, BulletWorld():
+            assert recording.path == tmp_path / f"x.{number}.mcap"
+        assert f"x.mcap is there already; recording to {recording.path}" in capsys.readouterr().err
+    (tmp_path / "x.2.mcap").unlink()  # the highest number is the latest run, whatever is deleted
+    with recorder.record(file) as recording:
+        assert recording.path == tmp_path / "x.4.mcap"
+    with recorder.record(file, overwrite=True) as recording, BulletWorld():
+        assert recording.path == file
+    assert "is there already" not in capsys.readouterr().err.partition("x.4.mcap")[2]
     with replay.open(file) as log:
         assert log.complete
+        assert log.state_at("last").worlds
 
 
 @pytest.mark.parametrize("where", ["nowhere/x.mcap", "."])
@@ -116,7 +127,6 @@ def test_a_path_that_can_t_be_written_is_an_error_before_the_block_runs(tmp_path
         ({"path": "a\0b"}, "no path"),
         ({"name": 5}, "name is 5"),
         ({"live": 5}, "live is 5"),
-        ({"arguments": None}, "arguments are None"),
         ({"source": "nowhere.py"}, "no source"),
     ],
 )
