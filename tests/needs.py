@@ -68,6 +68,7 @@ def browser() -> str | None:
 #: How each is found. They are looked at once in a process, and only when a test asks.
 _FOUND: Final[dict[str, Callable[[], bool]]] = {
     "Xvfb": lambda: shutil.which("Xvfb") is not None,
+    "XTest": lambda: _loads("libX11.so.6", "libXtst.so.6"),
     "OpenGL": lambda: _loads("libGL.so.1", "libGLX_mesa.so.0"),
     "Vulkan driver": lambda: _runs(sys.executable, "-c", _DEVICES),
     "window libraries": lambda: _loads(*_WINDOW_LIBRARIES),

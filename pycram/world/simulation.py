@@ -59,8 +59,7 @@ def _step(
     while done < steps and not (transaction.interrupts.noted or world.exiting):
         chunk = min(_SAMPLE_STEPS - world.sim_step % _SAMPLE_STEPS, steps - done)
         world.engine.step(chunk)
-        if world.mode == "GUI":
-            _note_drags(world, transaction)
+        _note_drags(world, transaction)
         for body in world.objects:
             if body.fixed:  # solvers let what is attached to it in chains give way a little
                 carried.move_attached(body, transaction)

@@ -135,6 +135,6 @@ def view(log: Path, file: Path) -> Shown:
 
 def small(file: Path, x: float = 0.0) -> Path:
     """Records a world with a cup in it."""
-    with recorder.record(file), BulletWorld(name="w"):
+    with recorder.record(file, overwrite=True), BulletWorld(name="w"):
         Object("cup", "cup", "cup.stl", [x, 0, 1])
     return file

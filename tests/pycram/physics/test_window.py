@@ -5,11 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import TYPE_CHECKING
 
 import pytest
 
+import replay
 from pycram.bullet_world import BulletWorld
 from pycram.failures import DisplayError
+from recorder.records import Mutation
+from replay.restore.verify import verify
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -32,6 +39,79 @@ with BulletWorld("GUI") as again:
     again.simulate(0.1)
 print("ended")
 """
+
+
+DRAGGING = """
+import ctypes, sys
+import pybullet
+import recorder
+from pycram.bullet_world import BulletWorld, Object
+
+x11, xtest = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXtst.so.6")
+x11.XOpenDisplay.restype = ctypes.c_void_p
+screen = ctypes.c_void_p(x11.XOpenDisplay(None))
+
+def point(x, y):
+    xtest.XTestFakeMotionEvent(screen, -1, x, y, 0)
+    x11.XSync(screen, 0)
+
+def press(down):
+    xtest.XTestFakeButtonEvent(screen, 1, down, 0)
+    x11.XSync(screen, 0)
+
+with recorder.record(sys.argv[1]), BulletWorld("GUI", name="lab") as world:
+    world.set_gravity([0, 0, -9.8])
+    Object("floor", "environment", "plane.urdf")
+    Object("bowl", "bowl", "bowl.stl", [1, 1, 0.05])
+    milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+    world.settle()
+    pybullet.resetDebugVisualizerCamera(0.6, 0, -30, milk.get_position())
+    # where the mouse is in the window: its events tell
+    def pointer():
+        found = [event for event in pybullet.getMouseEvents() if event[0] == 1]
+        return found[-1][1:3] if found else None
+    for _ in range(500):
+        point(400, 300); point(401, 301); world.simulate(0.01)
+        seen = pointer()
+        if seen: break
+    width, height = pybullet.getDebugVisualizerCamera()[:2]
+    x, y = round(401 + width / 2 - seen[0]), round(301 + height / 2 - seen[1])
+    point(x, y)
+    press(True)
+    for step in range(400):
+        point(x + min(step, 100), y)
+        world.simulate(1 / 30)
+        if milk.get_position()[0] > 0.05: break
+    press(False)
+    for _ in range(30):
+        world.simulate(1 / 30)
+    print("dragged to", milk.get_position()[0])
+"""
+
+
+@pytest.mark.needs("Xvfb", "OpenGL", "XTest")
+@pytest.mark.slow
+def test_what_somebody_drags_with_the_mouse_is_marked(
+    display: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "x.mcap"
+    ended = subprocess.run(
+        [sys.executable, "-c", DRAGGING, str(file)],
+        env=os.environ | {"DISPLAY": display},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+    assert ended.returncode == 0, ended.stderr
+    with replay.open(file) as log:
+        changes = list(log.records(Mutation))
+        dragged = [record for record in changes if record.drags]
+        assert dragged
+        assert {drag.body for record in dragged for drag in record.drags} == {"milk"}
+        assert not changes[-2].drags, "it was let go"
+        assert log.blame("milk", dragged[-1].seq).how == "hand"
+        assert verify(log).sound
 
 
 @pytest.mark.needs("Xvfb", "OpenGL")
