@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: demo test test-fast test-long test-lowest test-reading lint bench resources proto system-packages clean
 
-demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap
+demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
 test: .venv/ready-dev  ## all tests, and a slice of each long measure: 6 minutes on two cores

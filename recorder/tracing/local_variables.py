@@ -7,6 +7,7 @@ other by the name of its type.
 from __future__ import annotations
 
 import enum
+import re
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -34,6 +35,7 @@ _MAX_BITS: Final = 256  # of an integer
 _ELLIPSIS: Final = "..."
 _MARK: Final = "_pycram_frames"  # an error's attribute: the recording and the frames that its records hold already
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # a module's imports and definitions
+_TYPE_ALONE: Final = re.compile(r"<[\w.]+>")
 _EXACT: Final = frozenset({type(None), bool, int, float, complex, range, type(Path()), PurePosixPath})
 _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
     list: ("[", "]"),
@@ -88,7 +90,10 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
-    """Names and values, in the order of their first assignment; of a module, that has many, the last ones."""
+    """Names and values, in the order of their first assignment.
+
+    Of a module, that has many and imports some, the last ones of which more can be told than the type.
+    """
     try:
         values = {
             name: value
@@ -97,10 +102,10 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
         }
     except RuntimeError:  # another thread is changing them
         return
-    names = list(values)
-    of_module = frame.f_locals is frame.f_globals
-    for name in names[-MAX_VARIABLES:] if of_module else names[:MAX_VARIABLES]:
-        text = LEFT_OUT if is_secret(name) else described(values[name])
+    told = [(name, LEFT_OUT if is_secret(name) else described(value)) for name, value in values.items()]
+    if frame.f_locals is frame.f_globals:
+        told = [(name, text) for name, text in told if not _TYPE_ALONE.fullmatch(text)][-MAX_VARIABLES:]
+    for name, text in told[:MAX_VARIABLES]:
         yield name, text if len(text) <= MAX_CHARACTERS else text[: MAX_CHARACTERS - len(_ELLIPSIS)] + _ELLIPSIS
 
 
