@@ -35,7 +35,7 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
     run.arguments.extend(without_secrets([str(text) for text in arguments]))
     run.directory = _directory()
     if seed is not None:
-        run.seed = seed
+        run.seed = str(seed)
     run.hash_seed = hash_seed()
     if program is not None and program.is_file():
         run.plan.CopyFrom(_plan_revision(program.resolve()))

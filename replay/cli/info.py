@@ -75,7 +75,7 @@ def _plan(info: Summary) -> str:
 def _seed(start: Run | None) -> str:
     if start is None or not start.hash_seed:
         return ""
-    seed = f"{start.seed}" if start.HasField("seed") else "none is known"
+    seed = start.seed or "none is known"
     return seed if seed == start.hash_seed else f"{seed}; order of sets: {start.hash_seed}"
 
 

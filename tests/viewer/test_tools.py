@@ -23,7 +23,14 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 REPO = Path(__file__).parent.parent.parent
-RECORDS = ("/run", "/task", "/mutation", "/event", "/query")  # of the demos; there is nothing on other channels
+RECORDS = (
+    "/run",
+    "/task",
+    "/mutation",
+    "/event",
+    "/query",
+    "/output",
+)  # of the demos; there is nothing on other channels
 
 
 @pytest.fixture(scope="module", params=["set_the_table", "fails_to_reach"])
@@ -66,7 +73,7 @@ def stranger(log: Path) -> Stranger:
 
 def test_every_message_is_decoded_with_the_file_s_own_definitions(stranger: Stranger) -> None:
     topics = {channel.topic for channel, _, _ in stranger.messages}
-    assert {"/run", "/task", "/mutation", "/query", "/tf", "/log"} <= topics <= {*RECORDS, "/tf", "/log"}
+    assert {"/run", "/task", "/mutation", "/query", "/output", "/tf", "/log"} <= topics <= {*RECORDS, "/tf", "/log"}
     for channel, sent, message in stranger.messages:
         assert channel.message_encoding == "protobuf"
         assert not len(UnknownFieldSet(message)), "no field is left out of its definition"
