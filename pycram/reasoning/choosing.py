@@ -141,6 +141,7 @@ class Choice(Question):
         left_out = sum(count for group in list(groups.values())[_MAX_GROUPS:] for *_, count in group)
         if left_out:
             record.candidates.add(count=left_out)
+        record.chosen = -1
         if self.chosen:
             record.chosen = len(record.candidates)
             record.candidates.add(names=[self.chosen])

@@ -11,7 +11,7 @@ from pycram.foundation.collision_pair import CollisionPair
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
 
-_DIGITS: Final = 4  # decimals: these numbers explain, nothing is computed from them
+_DIGITS: Final = 6  # decimals: these numbers explain, nothing is computed from them
 _MAX_PAIRS: Final = 3
 
 

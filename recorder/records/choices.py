@@ -32,7 +32,7 @@ def rejection_lines(query: Query) -> Iterator[str]:
 
 def chosen_name(query: Query) -> str:
     """The name of the candidate that a query chose; empty if none."""
-    known = query.HasField("chosen") and query.chosen < len(query.candidates)
+    known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
@@ -113,7 +113,8 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
         which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
-        parts.append(f"{which} by {decision.resolver or 'no resolver'}")
+        made = "its data" if decision.known else "no solution"
+        parts.append(f"{which} by {decision.resolver}" if decision.resolver else made)
     if full or decision.chooser or decision.registered_for:
         module = decision.module or "no process module"
         why = f"for {decision.registered_for}" if decision.registered_for else ""

@@ -84,7 +84,8 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
 
 def _decided(record: Task) -> str:
     """How a motion was decided, where that isn't as by default."""
-    text = decision_text(record.decision) if record.HasField("decision") else ""
+    known = record.kind == "motion" and record.HasField("decision")  # its process module has the same
+    text = decision_text(record.decision) if known else ""
     return f", {text}" if text else ""
 
 

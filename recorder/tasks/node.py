@@ -15,7 +15,7 @@ from recorder.records import STEPS_PER_SECOND, Task, argument_values
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from recorder.records import Failure, Plain
+    from recorder.records import Decision, Failure, Plain
 
 BY_ID: Final = attrgetter("id")
 
@@ -116,6 +116,12 @@ class Node:
     def solution(self) -> dict[str, Plain]:
         """How that was resolved; empty unless it was recorded."""
         return argument_values(self.finished.solution if self.finished is not None else ())
+
+    @property
+    def decision(self) -> Decision | None:
+        """How it was decided, if it is a motion or a process module and that was recorded."""
+        records = (each for each in (self.finished, self.started) if each is not None and each.HasField("decision"))
+        return next((record.decision for record in records), None)
 
     @property
     def status(self) -> State:

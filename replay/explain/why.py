@@ -101,6 +101,7 @@ def _task_failure(
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=sum(1 for attempt in before.origins if attempt not in alike),
+        choices=tuple(_choices(log, task)),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_same_success=_since(log, same, state),
@@ -174,16 +175,30 @@ def _objects(parameters: Plain) -> list[tuple[str, str]]:
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out."""
+    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out.
+
+    What process modules chose isn't among them: plans don't rely on it.
+    """
     latest: dict[tuple[object, ...], Query] = {}
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.records(Query, start, stop):
+        if query.HasField("chosen"):
+            continue
         if not names or query.task in ids or any(mentions(query, name) for name in names):
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
             latest.pop(question, None)
             latest[question] = query
     queries = list(latest.values())
     return queries[-_MAX_QUERIES:], max(len(queries) - _MAX_QUERIES, 0)
+
+
+def _choices(log: RecordReader, task: Node) -> Iterator[Query]:
+    """Yield the choices of a failed task, and of the motions that it is made of."""
+    motion = task.motion
+    ids = {node.id for _, node in motion.walk()}
+    for query in log.records(Query, motion.started.seq, motion.last_step + 1):
+        if query.HasField("chosen") and query.task in ids:
+            yield query
 
 
 def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:
