@@ -52,7 +52,8 @@ def reason_text(candidate: Candidate) -> str:
         text = phrase(data) if phrase is not None else ""
     except (KeyError, TypeError, ValueError, AttributeError):  # of another release, or damaged
         text = ""
-    return text or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
+    several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
+    return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
 
 
 def _out_of_reach(data: Mapping[str, Any]) -> str:

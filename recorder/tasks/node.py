@@ -15,7 +15,7 @@ from recorder.records import STEPS_PER_SECOND, Task, argument_values
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from recorder.records import Decision, Failure, Plain
+    from recorder.records import Decision, Failure, Plain, Query
 
 BY_ID: Final = attrgetter("id")
 
@@ -75,6 +75,7 @@ class Node:
         asked: the record of its being asked for; None if it started at once.
         finished: the record of its end; None if it has not ended.
         forgotten: number of its children that the tree of a long-running plan has dropped.
+        choices: with which it chose what to do; only of a recording, on the path to the failure.
         size: bytes of its own records, where the tree has a limit for these.
         parts: its children, by their ids.
     """
@@ -84,6 +85,7 @@ class Node:
     asked: Task | None = None
     finished: Task | None = None
     forgotten: int = 0
+    choices: list[Query] = field(default_factory=list)
     size: int = 0
     parts: dict[int, Node] = field(default_factory=dict)
 

@@ -16,6 +16,7 @@ from replay.explain.failures import failed_threads, failures
 from replay.explain.plan_source import Source
 from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.run_summary import summary
+from replay.explain.task_tree import choices
 from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.state.difference import difference
 from replay.state.fold import state_at
@@ -101,7 +102,7 @@ def _task_failure(
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=sum(1 for attempt in before.origins if attempt not in alike),
-        choices=tuple(_choices(log, task)),
+        choices=tuple(choices(log, task)),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_same_success=_since(log, same, state),
@@ -190,15 +191,6 @@ def _queries(
             latest[question] = query
     queries = list(latest.values())
     return queries[-_MAX_QUERIES:], max(len(queries) - _MAX_QUERIES, 0)
-
-
-def _choices(log: RecordReader, task: Node) -> Iterator[Query]:
-    """Yield the choices of a failed task, and of the motions that it is made of."""
-    motion = task.motion
-    ids = {node.id for _, node in motion.walk()}
-    for query in log.records(Query, motion.started.seq, motion.last_step + 1):
-        if query.HasField("chosen") and query.task in ids:
-            yield query
 
 
 def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:
