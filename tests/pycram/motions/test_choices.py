@@ -102,6 +102,21 @@ def test_a_grasp_whose_way_is_blocked_names_the_links(scene: BulletWorld, sink: 
     assert pair["depth"] == pytest.approx(first.depth, abs=1e-6)
 
 
+def test_a_grasp_that_lost_has_what_is_in_its_way_and_the_rest_was_not_tried(
+    scene: BulletWorld, sink: MemorySink
+) -> None:
+    milk, bowl = scene.get_object("milk"), scene.get_object("bowl")
+    bowl.set_position([1.18, 1.0, 0.8835])
+    perform(type="pick-up", object=milk, arm="left")
+    (choice,) = choices(sink)
+    assert chosen_name(choice) == "top"
+    by_reason = {each.reason: each for each in choice.candidates}
+    assert list(by_reason["Touching"].names) == ["front"]
+    assert by_reason["Touching"].count > 1, "the postures for it"
+    assert [pair["body"] for pair in reasons(choice)["Touching"]["pairs"]] == ["bowl"]
+    assert {"left", "right"} < set(by_reason["Untried"].names)
+
+
 def test_what_is_too_big_for_the_fingers_has_its_width(scene: BulletWorld, sink: MemorySink) -> None:
     cereal = scene.get_object("cereal")
     with pytest.raises(GraspFailed, match="too big"):
