@@ -24,9 +24,10 @@ from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
+from pycram.motions.requests import recorded
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same
-from pycram.motions.solutions import Solution, Solutions
+from pycram.motions.solutions import Resolution, Solution, Solutions
 from pycram.scheduling.future import Future, branches_in, unwrap
 
 if TYPE_CHECKING:
@@ -124,9 +125,14 @@ class Designator(Equated, ABC):
         Raises:
             DesignatorError: There is none.
         """
+        with recorded("reference", self) as asked:
+            asked.answer = solution = self._referenced()
+        return solution
+
+    def _referenced(self) -> Solution:
         if self._data is not None:
-            solution: Solution = self._data
-            return solution
+            known: Solution = self._data
+            return known
         solution = self._solution()  # the user's code: no lock is held
         with self._lock:
             self._effective = True
@@ -137,6 +143,11 @@ class Designator(Equated, ABC):
     def resources(self) -> Resources | None:
         """Return what it needs, as far as known by now; None for the whole robot. Must not wait or fail."""
         return None
+
+    def resolution(self, index: int | None = None) -> Resolution:
+        """Return how its solution was found, as far as it was; or another one, by its index from 0."""
+        resolver = qualified_name(type(self)._solution) if self._data is None else ""  # noqa: SLF001  same class
+        return Resolution(resolver, index or 0)
 
     def next_solution(self) -> Self | None:
         """Return an equated designator with the same slots and the solution after this one's; None if there is none."""
@@ -248,18 +259,30 @@ class MotionDesignator(Designator):
 
         Only PyCRAM's own are known; others get the whole robot, unless their process module or a subclass says less.
         """
-        if self.effective and isinstance(solution := self.reference(), Mapping):
+        if self.effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)
         return motion_types.resources_by_type(self)
 
     def next_solution(self) -> Self | None:
         """Return the designator of the next solution; see :meth:`Designator.next_solution`."""
-        if self._data is not None or self._solutions.at(self._index + 1) is None:
+        if self._data is not None or self._following(self._index + 1) is None:
             return None
         following = type(self)(self._slots, self)
         following._solutions = self._solutions  # noqa: SLF001  same class
         following._index = self._index + 1  # noqa: SLF001  same class
         return following
+
+    def resolution(self, index: int | None = None) -> Resolution:
+        """Return how its solution was found, as far as it was; or another one, by its index from 0."""
+        if self._data is not None:
+            return super().resolution(index)
+        return self._solutions.resolution(self._index if index is None else index)
+
+    def _following(self, index: int) -> Solution | None:
+        """Return a later solution, which the plan asks for; None if there is none."""
+        with recorded("next_solution", self, index) as asked:
+            asked.answer = solution = self._solutions.at(index)
+        return solution
 
     def _solution(self) -> Solution:
         solution = self._solutions.at(self._index)
@@ -271,12 +294,12 @@ class MotionDesignator(Designator):
         yield self.reference()  # no designator is made for each of the others
         if self._data is None:
             for index in itertools.count(self._index + 1):
-                solution = self._solutions.at(index)
+                solution = self._following(index)
                 if solution is None:
                     return
                 yield solution
 
-    def _resolve(self) -> Iterator[Solution]:
+    def _resolve(self) -> Iterator[tuple[Solution, str]]:
         errors: list[DesignatorError] = []
         found = False
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]
@@ -284,7 +307,7 @@ class MotionDesignator(Designator):
             try:
                 for solution in _solutions_of(resolver, self):
                     found = True
-                    yield dict(solution)
+                    yield dict(solution), qualified_name(resolver)
             except DesignatorError as error:
                 errors.append(error)
         if errors and not found:

@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 from pycram.foundation import checks
@@ -123,7 +124,29 @@ def register_default(environment: str, modules: Callable[[], Modules]) -> None:
         _defaults[environment] = modules
 
 
-def module_for(cmd: str, world: BulletWorld) -> Module:
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """A process module, and why it is that one.
+
+    Attributes:
+        module: the module.
+        environment: the execution environment.
+        chooser: qualified name of the function that chose it; "" if it is a registered one.
+        registered_for: name of the robot that it was registered for; "" if the environment has it for any robot.
+    """
+
+    module: Module
+    environment: str
+    chooser: str = ""
+    registered_for: str = ""
+
+
+def current_environment() -> str:
+    """Return the name of the current execution environment."""
+    return _environment.get()
+
+
+def module_for(cmd: str, world: BulletWorld) -> Chosen:
     """Return the module for a ``cmd`` of a world's robot in the current environment.
 
     Raises:
@@ -132,11 +155,11 @@ def module_for(cmd: str, world: BulletWorld) -> Module:
     """
     if world.robot is None:
         raise NoWorld("robot")
-    modules = _modules_of(world, world.robot)
+    modules, registered_for = _modules_of(world, world.robot)
     if cmd not in modules:
         why = "" if world.robot.description else _undescribed(world.robot)
         raise NoProcessModule(cmd, world.robot.urdf.name, _environment.get(), sorted(modules), why)
-    return modules[cmd]
+    return Chosen(modules[cmd], _environment.get(), registered_for=registered_for)
 
 
 def _undescribed(robot: Object) -> str:
@@ -146,17 +169,18 @@ def _undescribed(robot: Object) -> str:
     return f"it has no description{but}: pycram describe writes one for Object(..., description=...); else "
 
 
-def _modules_of(world: BulletWorld, robot: Object) -> Modules:
+def _modules_of(world: BulletWorld, robot: Object) -> tuple[Modules, str]:
+    """Return the modules of a robot, and its name if they were registered for it."""
     environment = _environment.get()
     with _lock:
         registered = _registered.get((robot.urdf.name, environment))
         if registered is not None:
-            return registered
+            return registered, robot.urdf.name
         make = _defaults.get(environment)
         if make is None or robot.description is None:
-            return {}
+            return {}, ""
         sets = _of_world.setdefault(world, {})
         key = robot.name, environment
         if key not in sets:
             sets[key] = make()
-        return sets[key]
+        return sets[key], ""

@@ -16,8 +16,9 @@ from pycram.foundation.names import qualified_name
 from pycram.language.actions import run
 from pycram.language.body import current_block
 from pycram.motions.designator import Designator, DesignatorError, unfinished
-from pycram.motions.environments import Module, module_for
-from pycram.motions.motion import Motion
+from pycram.motions.environments import Chosen, current_environment, module_for
+from pycram.motions.motion import Motion, decision_of
+from pycram.motions.requests import performing
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.resources import ResourceQueue, Resources, Ticket
 from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
@@ -80,10 +81,12 @@ class ProcessModule(ABC):
         """Carry a designator out after all earlier ones; a failure frees the module for the next."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
-        with Ticket(queue, _ONE_AT_A_TIME).turn(), Binding(_inner_queues, {}):
+        with Ticket(queue, _ONE_AT_A_TIME).turn(), Binding(_inner_queues, {}), performing(designator):
             checkpoint()
             solution: Mapping[str, object] = designator.reference()
-            with span("process-module", type(self).__name__, solution) as task, uninterruptible():
+            task = span("process-module", type(self).__name__, solution)
+            task.decision = decision_of(designator)
+            with task, uninterruptible():
                 task.solution = solution
                 task.result = result = run(self._execute, designator)
                 return result
@@ -118,7 +121,7 @@ class ProcessModule(ABC):
             raise
 
 
-def choose(designator: Designator) -> Module:
+def choose(designator: Designator) -> Chosen:
     """Return the process module for a designator that can be resolved (thesis 4.8).
 
     Raises:
@@ -131,7 +134,7 @@ def choose(designator: Designator) -> Module:
         if module is not None and not isinstance(module, ProcessModule):
             raise BadArgument(f"what {qualified_name(chooser)} chose", module, "a process module, or None")
         if module is not None:
-            return module
+            return Chosen(module, current_environment(), chooser=qualified_name(chooser))
     return module_for(str(designator.reference().get("cmd", "")), _world())
 
 

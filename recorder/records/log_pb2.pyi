@@ -49,6 +49,38 @@ class Failure(_message.Message):
     frames: _containers.RepeatedCompositeFieldContainer[StackFrame]
     def __init__(self, type: _Optional[str] = ..., message: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., traceback: _Optional[str] = ..., frames: _Optional[_Iterable[_Union[StackFrame, _Mapping]]] = ...) -> None: ...
 
+class Decision(_message.Message):
+    __slots__ = ("resolver", "solution", "known", "complete", "environment", "module", "chooser", "registered_for")
+    RESOLVER_FIELD_NUMBER: _ClassVar[int]
+    SOLUTION_FIELD_NUMBER: _ClassVar[int]
+    KNOWN_FIELD_NUMBER: _ClassVar[int]
+    COMPLETE_FIELD_NUMBER: _ClassVar[int]
+    ENVIRONMENT_FIELD_NUMBER: _ClassVar[int]
+    MODULE_FIELD_NUMBER: _ClassVar[int]
+    CHOOSER_FIELD_NUMBER: _ClassVar[int]
+    REGISTERED_FOR_FIELD_NUMBER: _ClassVar[int]
+    resolver: str
+    solution: int
+    known: int
+    complete: bool
+    environment: str
+    module: str
+    chooser: str
+    registered_for: str
+    def __init__(self, resolver: _Optional[str] = ..., solution: _Optional[int] = ..., known: _Optional[int] = ..., complete: bool = ..., environment: _Optional[str] = ..., module: _Optional[str] = ..., chooser: _Optional[str] = ..., registered_for: _Optional[str] = ...) -> None: ...
+
+class Candidate(_message.Message):
+    __slots__ = ("names", "count", "reason", "data")
+    NAMES_FIELD_NUMBER: _ClassVar[int]
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    DATA_FIELD_NUMBER: _ClassVar[int]
+    names: _containers.RepeatedScalarFieldContainer[str]
+    count: int
+    reason: str
+    data: _containers.RepeatedCompositeFieldContainer[Argument]
+    def __init__(self, names: _Optional[_Iterable[str]] = ..., count: _Optional[int] = ..., reason: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ...) -> None: ...
+
 class SourceLine(_message.Message):
     __slots__ = ("file", "line")
     FILE_FIELD_NUMBER: _ClassVar[int]
@@ -370,7 +402,7 @@ class Keyframe(_message.Message):
     def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers", "decision")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Task.Phase]
@@ -416,6 +448,7 @@ class Task(_message.Message):
     SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     CALLERS_FIELD_NUMBER: _ClassVar[int]
+    DECISION_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -437,7 +470,8 @@ class Task(_message.Message):
     source_line: int
     attempt: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ...) -> None: ...
+    decision: Decision
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., decision: _Optional[_Union[Decision, _Mapping]] = ...) -> None: ...
 
 class HandlerCall(_message.Message):
     __slots__ = ("handler",)
@@ -484,7 +518,7 @@ class Picture(_message.Message):
     def __init__(self, width: _Optional[int] = ..., height: _Optional[int] = ..., bodies: _Optional[_Iterable[str]] = ..., pixels: _Optional[bytes] = ...) -> None: ...
 
 class Query(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "arguments", "answer_json", "evidence", "duration_ns", "failure", "picture", "candidates", "chosen")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -499,6 +533,8 @@ class Query(_message.Message):
     DURATION_NS_FIELD_NUMBER: _ClassVar[int]
     FAILURE_FIELD_NUMBER: _ClassVar[int]
     PICTURE_FIELD_NUMBER: _ClassVar[int]
+    CANDIDATES_FIELD_NUMBER: _ClassVar[int]
+    CHOSEN_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -513,7 +549,9 @@ class Query(_message.Message):
     duration_ns: int
     failure: Failure
     picture: Picture
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ...) -> None: ...
+    candidates: _containers.RepeatedCompositeFieldContainer[Candidate]
+    chosen: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., monotonic_ns: _Optional[int] = ..., name: _Optional[str] = ..., arguments: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., answer_json: _Optional[str] = ..., evidence: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., duration_ns: _Optional[int] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., picture: _Optional[_Union[Picture, _Mapping]] = ..., candidates: _Optional[_Iterable[_Union[Candidate, _Mapping]]] = ..., chosen: _Optional[int] = ...) -> None: ...
 
 class Fluent(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns", "name", "before_json", "after_json", "source", "bodies")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Run, Task, format_failure
+from recorder.records.choices import decision_text, rejections
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -83,17 +84,25 @@ def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
         return f"{name} asked for", _DEBUG
     took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
     if status == _SUCCEEDED:
-        return f"{name} succeeded in {took}", _INFO
+        return f"{name} succeeded in {took}{_decided(record)}", _INFO
     if status == _CANCELLED:
         return f"{name} was cancelled after {took}", _WARNING
-    return f"{name} failed after {took}: {format_failure(record.failure)}", _ERROR
+    return f"{name} failed after {took}{_decided(record)}: {format_failure(record.failure)}", _ERROR
+
+
+def _decided(record: Task) -> str:
+    """How a motion was decided, where that isn't as by default."""
+    known = record.kind == "motion" and record.HasField("decision")  # its process module has the same
+    text = decision_text(record.decision) if known else ""
+    return f", {text}" if text else ""
 
 
 def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
     asked = f"{record.name}({values(record.arguments)})"
+    rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
-        return f"{asked} raised {record.failure.type}", _WARNING
-    return f"{asked} -> {by_name(record.answer_json)}", _INFO
+        return f"{asked} raised {record.failure.type}{rejected}", _WARNING
+    return f"{asked} -> {by_name(record.answer_json)}{rejected}", _INFO
 
 
 def _event(record: Event) -> tuple[str, Log.Level.ValueType]:

@@ -15,7 +15,7 @@ from recorder.records import STEPS_PER_SECOND, Task, argument_values
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from recorder.records import Failure, Plain
+    from recorder.records import Decision, Failure, Plain, Query
 
 BY_ID: Final = attrgetter("id")
 
@@ -77,6 +77,7 @@ class Node:
         asked: the record of its being asked for; None if it started at once.
         finished: the record of its end; None if it has not ended.
         forgotten: number of its children that the tree of a long-running plan has dropped.
+        choices: with which it chose what to do; only of a recording, on the path to the failure.
         size: bytes of its own records, where the tree has a limit for these.
         parts: its children, by their ids.
     """
@@ -86,6 +87,7 @@ class Node:
     asked: Task | None = None
     finished: Task | None = None
     forgotten: int = 0
+    choices: list[Query] = field(default_factory=list)
     size: int = 0
     parts: dict[int, Node] = field(default_factory=dict)
 
@@ -118,6 +120,12 @@ class Node:
     def solution(self) -> dict[str, Plain]:
         """How that was resolved; empty unless it was recorded."""
         return argument_values(self.finished.solution if self.finished is not None else ())
+
+    @property
+    def decision(self) -> Decision | None:
+        """How it was decided, if it is a motion or a process module and that was recorded."""
+        records = (each for each in (self.finished, self.started) if each is not None and each.HasField("decision"))
+        return next((record.decision for record in records), None)
 
     @property
     def status(self) -> State:

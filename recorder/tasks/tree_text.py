@@ -10,13 +10,14 @@ from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
+from recorder.records.choices import chosen_name, decision_text, rejection_lines
 from recorder.records.text import text_of, values
 from recorder.tasks.node import Node, State, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from recorder.records import Output
+    from recorder.records import Decision, Output, Query
 
 _MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
@@ -63,6 +64,7 @@ def rows(
             yield Row(level, None, item)
             continue
         yield Row(level, item, label(item), item.id in failing)
+        yield from (Row(level + 2, None, text) for choice in item.choices for text in _choice_lines(choice))
         if item.is_origin and item.failure is not None:
             yield from (Row(level + 2, None, text) for text in format_failure(item.failure).splitlines())
         if item.forgotten:
@@ -95,6 +97,8 @@ def label(node: Node) -> str:
     if len(parameters) > _MAX_WIDTH:
         parameters = parameters[: _MAX_WIDTH - 3] + "..."
     shown = f"({parameters})" if parameters and node.kind in _WITH_PARAMETERS else ""
+    if node.kind == "process-module" and node.decision is not None and (decided := decision_text(node.decision)):
+        shown = f" ({decided})"
     return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}"
 
 
@@ -125,10 +129,22 @@ def facts(
             "on_failure_path": node.id in failing,
             "source": node.source,
             "output": [text_of(record)[0] for record in (output or {}).get(node.id, ())],
+            "decision": _fields(node.decision) if node.decision is not None else None,
+            "choices": ["\n".join(_choice_lines(choice)) for choice in node.choices],
         }
         for depth, node in walk(roots)
         if max_depth is None or depth < max_depth
     ]
+
+
+def _choice_lines(query: Query) -> Iterator[str]:
+    """A choice: what was asked and chosen, then why others were rejected, indented."""
+    yield f"{query.name}({values(query.arguments)}): {chosen_name(query) or 'none'}"
+    yield from (f"    {line}" for line in rejection_lines(query))
+
+
+def _fields(decision: Decision) -> dict[str, object]:
+    return {each.name: getattr(decision, each.name) for each in decision.DESCRIPTOR.fields}
 
 
 def _extent(node: Node) -> str:

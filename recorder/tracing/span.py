@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, cast
 
-from recorder.records import Task, arguments, failure, to_json
+from recorder.records import Decision, Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_name
@@ -74,6 +74,7 @@ class Span:
         solution: as resolved; set while it runs.
         result: what it returned; set while it runs.
         error: what it failed with, where that isn't raised; set while it runs.
+        decision: how it was decided; set while it runs, or before.
     """
 
     kind: str
@@ -86,6 +87,7 @@ class Span:
     solution: Mapping[str, object] = field(default_factory=dict)
     result: object = None
     error: BaseException | None = None
+    decision: Decision | None = None
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
@@ -194,6 +196,7 @@ class Span:
             kind=self.kind,
             name=self.name,
             attempt=self.attempt,
+            decision=self.decision,
         )
 
     def _emit(self, record: Task) -> None:

@@ -8,6 +8,7 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder.records import format_failure
+from recorder.records.choices import rejection_lines
 from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def _page(record: Query) -> str:
         "| evidence | |",
         "|---|---|",
         *[f"| {_cell(fact.name)} | {_cell(by_name(fact.json))} |" for fact in record.evidence[:]],
+        *[f"| rejected | {_cell(line)} |" for line in rejection_lines(record)],
     ]
     return "\n".join(lines)
 

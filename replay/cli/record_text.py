@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.collision_pairs import pair_text
 from recorder.records import STEPS_PER_SECOND, Event, Query, Task, argument_values, format_failure, from_json
+from recorder.records.choices import rejections
 from recorder.records.text import text_of
 from replay.cli import formatting
 
@@ -37,7 +38,7 @@ def question(query: Query) -> str:
 def answer(query: Query) -> str:
     """Return its answer: yes, no, the objects found, or how it failed."""
     if query.HasField("failure"):
-        return format_failure(query.failure)
+        return formatting.one_line(format_failure(query.failure))
     result = from_json(query.answer_json)
     if isinstance(result, bool):
         return "yes" if result else "no"
@@ -49,7 +50,7 @@ def answer(query: Query) -> str:
 def reasons(query: Query) -> str:
     """Return what its answer rests on."""
     evidence = argument_values(query.evidence)
-    phrases: list[str] = []
+    phrases = [text] if (text := rejections(query)) else []
     for key, item in evidence.items():
         if key in _PHRASES:
             phrases += _PHRASES[key](item, evidence)

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 from replay.cli import diff
 from replay.cli.blame import call_stack_facts, line_facts
-from replay.state.json_data import record_data
+from replay.state.json_data import message_data, record_data
 
 if TYPE_CHECKING:
+    from recorder.records import Plain
     from recorder.tasks import Node
     from replay.explain.why_data import ChangesSince, Why
 
@@ -52,6 +53,8 @@ def facts(why: Why) -> dict[str, object]:
         ],
         "others": why.other_failures,
         "threads": [record_data(record) for record in why.failed_threads],
+        "choices": [record_data(choice) for choice in why.choices],
+        "decision": _decision(why),
         "asked": [
             record_data(relevant.query)
             | {"moved_since": relevant.moved, "removed_since": relevant.removed, "other_world": relevant.world}
@@ -73,6 +76,12 @@ def _task_facts(task: Node) -> dict[str, object]:
         "steps": [task.started.seq, task.finished and task.finished.seq],
         "error": task.error,
     }
+
+
+def _decision(why: Why) -> Plain:
+    """Return how the failed motion was decided; None if that isn't on record."""
+    decision = why.task.motion.decision if why.task is not None else None
+    return message_data(decision) if decision is not None else None
 
 
 def _since_facts(since: ChangesSince) -> dict[str, object]:

@@ -8,6 +8,7 @@ import shlex
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
+from recorder.records.choices import chosen_name, decision_text, rejection_lines
 from replay.cli import diff, formatting, record_text
 from replay.cli.why_advice import asked_again, commands
 from replay.explain.why_data import heading
@@ -163,6 +164,11 @@ def _tasks(why: Why) -> Iterator[str]:
             took = formatting.seconds(task.finished.duration_ns) if task.finished is not None else ""
             state = f"failed after {took}" if task.failed else f"went on, {took}"
         yield f"{'  ' * depth}{_call(task)}  [steps {task.started.seq}-{task.last_step}, {state}]"
+        if task is why.task.motion and task.decision is not None:
+            yield f"{'  ' * depth}    {decision_text(task.decision, full=True)}"
+    for choice in why.choices[-_LAST:]:
+        yield f"{'  ' * len(path)}{record_text.question(choice)}: {chosen_name(choice) or 'none'}  [step {choice.seq}]"
+        yield from (f"{'  ' * len(path)}    {line}" for line in rejection_lines(choice))
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
     attempted = {attempt.task for attempt in why.attempts}  # in a section of their own

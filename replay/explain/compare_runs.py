@@ -19,7 +19,7 @@ from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
@@ -34,6 +34,7 @@ _INCIDENTAL: Final = (
 
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = ("name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu")
+_REQUESTS: Final = ("reference", "next_solution")
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
@@ -82,6 +83,7 @@ def compare(first: RecordReader, second: RecordReader, tolerance: float = 0.0) -
 
 def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> tuple[int, Divergence | None]:
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
+    explaining = [False, False]
     equal = since = 0
     diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
     for pair in zip_longest(_keyed(first), _keyed(second)):
@@ -89,6 +91,7 @@ def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> 
             if item is None:
                 continue
             key, record = item
+            explaining[side] |= _explains(record)
             match = waiting[1 - side].pop(key, None)
             if match is None:
                 waiting[side][key] = record
@@ -102,12 +105,23 @@ def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> 
         since += diverged is not None
         if since > _WINDOW:
             break
-    first_difference = _earliest(diverged, waiting)
+    first_difference = _earliest(diverged, _without_unknown(waiting, explaining))
     if first_difference is None:
         return equal, None
     a_record, b_record, fields = first_difference
     path = _path(second, b_record) if a_record is None and b_record is not None else _path(first, a_record)
     return equal, Divergence(a_record, b_record, path, fields)
+
+
+def _without_unknown(
+    waiting: tuple[dict[_Key, Record], dict[_Key, Record]], explaining: Sequence[bool]
+) -> tuple[dict[_Key, Record], dict[_Key, Record]]:
+    """Return the unmatched records without those that tell how something was chosen, if the other run has none."""
+    first, second = (
+        {key: record for key, record in unmatched.items() if explaining[1 - side] or not _explains(record)}
+        for side, unmatched in enumerate(waiting)
+    )
+    return first, second
 
 
 def _earliest(
@@ -141,12 +155,25 @@ def _keyed(log: RecordReader) -> Iterator[tuple[_Key, Record]]:
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
+        if _explains(record):  # numbered by themselves, as early recordings lack them
+            path = _explaining(path)
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
         if isinstance(record, Task) and record.phase == Task.FINISHED:
             paths.pop(record.task, None)
             counts.pop(path, None)
+            counts.pop(_explaining(path), None)
             parts.pop(path, None)
+
+
+def _explaining(path: int) -> int:
+    """Return the path of records that tell how a task chose something."""
+    return hash((path, "explaining"))
+
+
+def _explains(record: Record) -> bool:
+    """Return whether a record tells how something was chosen, or what was requested of a designator."""
+    return isinstance(record, Query) and (record.HasField("chosen") or record.name in _REQUESTS)
 
 
 def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str, tuple[Plain, Plain]]:
@@ -154,6 +181,9 @@ def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _bare(first), _bare(second)
+    if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
+        a.ClearField("decision")  # an early recording lacks it
+        b.ClearField("decision")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
         return {}  # the bytes distinguish -0.0 from 0.0
     return dict(_leaves(record_data(a), record_data(b), "", tolerance))

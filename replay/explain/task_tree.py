@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from recorder.records import Output, Task
+from recorder.records import Output, Query, Task
 from recorder.tasks import Tree
 from replay.explain.root_cause import root_cause, uncaught_failure
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.tasks import Node
     from replay.file.record_reader import RecordReader
+
+
+def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
+    """Yield the choices of a failed task's motion, and of the motions that it is made of."""
+    motion = failed.motion
+    ids = {node.id for _, node in motion.walk()}
+    end = motion.last_step + 1
+    for query in log.records(Query, motion.started.seq, end if stop is None else min(stop, end)):
+        if query.HasField("chosen") and query.task in ids:
+            yield query
 
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
@@ -23,4 +36,8 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
     if stop is None and uncaught_failure(log) is not None:
         cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks
         folded.began = cause.task.id if cause is not None and cause.task is not None else 0
+    failed = folded.failure_path()
+    if failed:
+        for choice in choices(log, failed[-1], stop):
+            folded.nodes[choice.task].choices.append(choice)
     return folded

@@ -16,6 +16,7 @@ from replay.explain.failures import failed_threads, failures
 from replay.explain.plan_source import Source
 from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.run_summary import summary
+from replay.explain.task_tree import choices
 from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.state.difference import difference
 from replay.state.fold import state_at
@@ -117,6 +118,7 @@ def _task_failure(
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=sum(1 for attempt in before.origins if attempt not in alike),
+        choices=tuple(choices(log, task)),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_same_success=_since(log, same, state),
@@ -190,10 +192,15 @@ def _objects(parameters: Plain) -> list[tuple[str, str]]:
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out."""
+    """Return the last queries about some bodies or of some tasks, each question once, and how many are left out.
+
+    What process modules chose isn't among them: plans don't rely on it.
+    """
     latest: dict[tuple[object, ...], Query] = {}
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.records(Query, start, stop):
+        if query.HasField("chosen"):
+            continue
         if not names or query.task in ids or any(mentions(query, name) for name in names):
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
             latest.pop(question, None)

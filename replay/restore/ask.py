@@ -96,6 +96,9 @@ def ask(
         record = log[step]
         if not isinstance(record, Query):
             raise BadQuestion(f"step {step}", "its record is no query that could be asked again; give a question")
+        if record.name not in QUERIES:
+            cause = f"its record is a {record.name}, which was no question of the plan's to a world; give a question"
+            raise BadQuestion(f"step {step}", cause)
         question, world = question_of(record), record.world
     call = parse(question) if isinstance(question, str) else question
     if call.query not in QUERIES:

@@ -39,6 +39,11 @@ def record_data(record: Record) -> dict[str, Plain]:
     return envelope | {key: value for key, value in _fields(record) if key not in _ENVELOPE}
 
 
+def message_data(message: Message) -> dict[str, Plain]:
+    """Return a part of a record; fields that are not set are left out."""
+    return dict(_fields(message))
+
+
 def _fields(message: Message) -> Iterator[tuple[str, Plain]]:
     for field, value in message.ListFields():
         if field.name.endswith("_json"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,8 @@ from replay.cli.main import main
 
 if TYPE_CHECKING:
     from replay.recording import Recording
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_why_follows_the_causes_to_the_task_and_the_plan_s_lines(small: Recording) -> None:
@@ -242,9 +245,41 @@ def test_why_with_json_has_the_same_content(failed: Recording, capsys: pytest.Ca
     assert data["failure"]["type"] == "Unreachable"
     assert [each["parameters"]["arm"] for each in data["tries"]] == ["left", "right", "left", "right"]
     assert [asked["name"] for asked in data["asked"]] == ["visible", "reachable_object", "blocking"]
-    queries = [query.seq for query in failed.records(Query)]
+    queries = [query.seq for query in failed.records(Query) if not query.HasField("chosen")]
     assert [asked["step"] for asked in data["asked"]] == queries[-3:]
     assert isinstance(failed[-1], Run)
+    (choice,) = data["choices"]
+    assert (choice["name"], choice["arguments"]["arm"], choice["chosen"]) == ("grasp", "right", -1)
+    assert {each["reason"] for each in choice["candidates"]} == {"OutOfReach"}
+    assert min(each["data"]["distance"] for each in choice["candidates"]) == pytest.approx(0.211, abs=1e-3)
+    assert data["decision"]["module"] == "pycram.motions.modules.pick_up.PickUp"
+
+
+@pytest.mark.slow
+def test_what_a_failed_motion_chose_from_is_told_everywhere(
+    failed: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (choice,) = failed.why().choices
+    shown = {}
+    for verb in (
+        ["why"],
+        ["tree"],
+        ["log", "--from", str(choice.seq), "--to", str(choice.seq)],
+        ["show", str(choice.seq)],
+    ):
+        assert main([verb[0], str(failed.path), *verb[1:]]) == 0
+        shown[verb[0]] = capsys.readouterr().out
+    for verb, text in shown.items():
+        assert "out of reach by 0.211 m or more" in text, verb
+    assert "OutOfReach" in shown["show"]
+    excerpt = (DOCS / "reasoning.md").read_text().partition("motion that failed:\n\n```\n")[2].partition("```")[0]
+    lines = {re.sub(r"\d+", "#", line) for line in shown["why"].splitlines()}
+    assert excerpt
+    for line in excerpt.splitlines():
+        assert re.sub(r"\d+", "#", line).strip() in {each.strip() for each in lines}, "docs/reasoning.md shows it"
+    assert shown["tree"].count("grasp(object=milk") == 1, "of the motion that the tree's marks lead to"
+    assert main(["ask", str(failed.path), str(choice.seq)]) == 2
+    assert "its record is a grasp" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -5,13 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import BadArgument, Blocked, PostureInCollision, Unreachable
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import solver
+from pycram.reasoning.rejections import OutOfReach, Touching
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from pycram.foundation.collision_pair import CollisionPair
+    from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.reasoning.choosing import Choice
+    from pycram.world.object import Object
 
 
 class MoveJoints(SimulatedModule):
@@ -22,12 +29,12 @@ class MoveJoints(SimulatedModule):
         robot = self.robot()
         description = self.description(robot)
         positions: dict[str, float] = {}
-        moved: list[str] = []
+        moved: dict[str, object] = {}
         for name, arm in description.arms.items():
             wanted = solution.get(f"{name}-arm")
             if wanted is None:
                 continue
-            moved.append(name)
+            moved[f"{name}-arm"] = wanted
             if isinstance(wanted, str):
                 positions |= arm.posture(wanted)
             elif len(wanted) != len(arm.joints):
@@ -35,9 +42,13 @@ class MoveJoints(SimulatedModule):
             else:
                 positions |= dict(zip(arm.joints, wanted, strict=True))
         with robot.world.lock:
-            touched = checker.newly_touched(robot, positions)
-            if touched:
-                raise PostureInCollision(moved, list(dict.fromkeys(pair.body for pair in touched)), touched)
+            with choosing("posture", robot.world, **moved) as choice:
+                touched = checker.newly_touched(robot, positions)
+                if touched:
+                    choice.reject(AS_ASKED, Touching(touched))
+                    arms = [name.removesuffix("-arm") for name in moved]
+                    raise PostureInCollision(arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
+                choice.take(AS_ASKED)
             robot.set_joint_positions(positions)
 
 
@@ -49,15 +60,31 @@ class MoveTCP(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
+        turn = solution.get("orientation")
         with robot.world.lock:
-            postures = solver.postures(robot, arm.tool_frame, target, solution.get("orientation"), thorough=True)
-            if not postures[0].reaches():
-                raise Unreachable(arm.name, target, postures[0].position_error)
-            touched: list[CollisionPair] = []
-            for posture in postures:
-                if posture.reaches():
-                    touched = checker.newly_touched(robot, posture.positions)
-                    if not touched:
-                        robot.set_joint_positions(posture.positions)
-                        return
-            raise Blocked(arm.name, target, touched)
+            with choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice:
+                positions = _posture(robot, arm, target, turn, choice)
+            robot.set_joint_positions(positions)
+
+
+def _posture(
+    robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
+) -> Mapping[str, float]:
+    """Return the joint values of the nearest posture that brings the tool to a target and touches nothing new.
+
+    Raises:
+        Unreachable: There is none that gets there; Blocked if something is in the way.
+    """
+    postures = solver.postures(robot, arm.tool_frame, target, orientation, thorough=True)
+    if not postures[0].reaches():
+        choice.reject("the nearest posture", OutOfReach(postures[0].position_error, postures[0].turn_error))
+        raise Unreachable(arm.name, target, postures[0].position_error)
+    touched: list[CollisionPair] = []
+    for number, posture in enumerate(postures, 1):
+        if posture.reaches():
+            touched = checker.newly_touched(robot, posture.positions)
+            if not touched:
+                choice.take(f"posture {number}")
+                return posture.positions
+            choice.reject(f"posture {number}", Touching(touched))
+    raise Blocked(arm.name, target, touched)

@@ -10,11 +10,13 @@ from pycram.foundation.collision_pair import CollisionPair, phrases
 from pycram.foundation.failures import AccessFailed, BadArgument, HandleBlocked, HandleUnreachable
 from pycram.models.visual import shapes_of
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.grasping.remedies import remedies
+from pycram.reasoning.rejections import Touching
 from pycram.world import carried
 
 if TYPE_CHECKING:
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.grasping.handle_path import HandlePath
     from pycram.world.object import Object
 
@@ -55,7 +58,10 @@ class Accessing(SimulatedModule):
                 raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
             steps = max(1, math.ceil(abs(end - start) / _STEP))
             values = [start + (end - start) * i / steps for i in range(steps + 1)]
-            path = self._path(robot, arm, handle, values)
+            with choosing(
+                "handle_path", robot.world, object=container, joint=joint, handle=link, arm=arm.name, to=end
+            ) as choice:
+                path = self._path(robot, arm, handle, values, choice)
             robot.set_joint_positions(arm.gripper.positions("open"))
             robot.set_joint_positions(path.postures[0])
             robot.set_joint_positions(arm.gripper.positions("close"))
@@ -65,24 +71,26 @@ class Accessing(SimulatedModule):
             robot.set_joint_positions(arm.gripper.positions("open"))
 
     @staticmethod
-    def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> HandlePath:
+    def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
         """Return the arm's way.
 
         Raises:
             HandleUnreachable: the arm doesn't get there.
             HandleBlocked: something would be in the way.
         """
-        found = plan(robot, arm, handle, values)
+        found = plan(robot, arm, handle, values, choice=choice)
         swept = list(_swept(handle, values))
         if swept:
             names = ", ".join(sorted({pair.body for _, pair in swept}))
             pairs = [pair for _, pair in swept]
+            choice.reject(choice.chosen or "any way", Touching(pairs))
             reason = f"{names} would be in the way: {phrases(pairs)}"
             way = {"handle": handle.link, "arm": arm.name, "asked": values[-1], "value": swept[0][0]}
             raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
         if not isinstance(found, DeadEnd):
             return found
-        hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values)]
+        with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:
+            hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values, other)]
         if found.reached is not None and found.reached != values[0]:
             hints.insert(0, f"from here it would get to {found.reached:.3f}")
         raise _failure(arm, handle, values[-1], found, hints or ["no arm or place nearby that was tried would do"])

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import GripperBlocked
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.grasping import fingers
+from pycram.reasoning.rejections import Touching, short
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,9 +56,16 @@ class MoveGripper(SimulatedModule):
         opening = solution["motion"] == "open"
         with robot.world.lock:
             held = self.held(robot, arm) if opening else None
-            motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
-            if held is not None and motion.stopped_by and motion.gap < fingers.CLEAR:
-                raise GripperBlocked(arm.name, held.name, motion.stopped_by)
+            with choosing(
+                "finger_motion", robot.world, arm=arm.name, motion=solution["motion"], release=held
+            ) as choice:
+                motion = fingers.moved(robot, arm, 1.0 if opening else 0.0, release=held)
+                if motion.stopped_by:
+                    choice.reject("all the way", Touching(motion.stopped_by))
+                if held is not None and motion.stopped_by and motion.gap < fingers.CLEAR:
+                    raise GripperBlocked(arm.name, held.name, motion.stopped_by)
+                as_far = "as far as they get" if motion.stopped_by else "all the way"
+                choice.take(as_far, share_open=short(motion.share))
             robot.set_joint_positions(motion.positions)
             settled = True
             if held is not None:

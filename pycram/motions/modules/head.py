@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import LookingFailed, MissingPart
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.kinematics import pan_tilt
+from pycram.reasoning.rejections import OutOfReach
 from recorder import geometry
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from pycram.models.robots.sensors import CameraDescription
     from pycram.motions.designator import Designator
+    from pycram.reasoning.choosing import Choice
+    from pycram.world.object import Object
     from recorder.geometry import Vector
 
 _ACCURACY: Final = math.radians(0.5)
@@ -34,16 +40,32 @@ class MoveHead(SimulatedModule):
         if camera is None:
             raise MissingPart(robot.name, "camera")
         joints = description.head.joints if description.head else ()
+        looked_at = {key: solution[key] for key in ("target", "object") if key in solution}
         with robot.world.lock:
-            target = solution["target"] if "target" in solution else center(solution["object"])
-            point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
-            positions, seen = pan_tilt.look(robot.urdf, joints, camera, point, robot.get_joint_positions())
-            x, y, z = seen
-            angle = math.atan2(math.hypot(x, y), z)
-            if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
-                raise LookingFailed(target, angle)
+            with choosing("gaze", robot.world, **looked_at) as choice:
+                positions = _aimed(robot, joints, camera, looked_at, choice)
             if positions:
                 robot.set_joint_positions(positions)
+
+
+def _aimed(
+    robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
+) -> Mapping[str, float]:
+    """Return the values of the head's joints with which its camera sees a target or an object.
+
+    Raises:
+        LookingFailed: There are none.
+    """
+    target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
+    point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
+    positions, seen = pan_tilt.look(robot.urdf, joints, camera, point, robot.get_joint_positions())
+    x, y, z = seen
+    angle = math.atan2(math.hypot(x, y), z)
+    if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
+        choice.reject("the nearest posture", OutOfReach(0.0, angle))
+        raise LookingFailed(target, angle)
+    choice.take(AS_ASKED, off_axis=round(math.degrees(angle), 3))
+    return positions
 
 
 def _in_picture(camera: CameraDescription, point: Vector) -> bool:

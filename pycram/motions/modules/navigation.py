@@ -6,8 +6,10 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import InCollision, NotDrivable
-from pycram.motions.modules.simulated import SimulatedModule
+from pycram.motions.modules.simulated import AS_ASKED, SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
+from pycram.reasoning.rejections import Touching, Unfit
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -31,11 +33,18 @@ class Navigation(SimulatedModule):
         if robot.description is not None and not robot.description.drives:
             raise NotDrivable(target, orientation, "its base is fixed")
         with robot.world.lock:
-            _check_ground(robot, target, orientation)
-            touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)
-            if touched:
-                pairs = [collision["pair"] for collision in touched.values()]
-                raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
+            with choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
+                try:
+                    _check_ground(robot, target, orientation)
+                except NotDrivable as refusal:
+                    choice.reject(AS_ASKED, Unfit(refusal.reason))
+                    raise
+                touched = checker.touched(robot, {}, base=(tuple(target), tuple(orientation)), all_links=True)
+                if touched:
+                    pairs = [collision["pair"] for collision in touched.values()]
+                    choice.reject(AS_ASKED, Touching(pairs))
+                    raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
+                choice.take(AS_ASKED)
             robot.set_position_and_orientation(target, orientation)
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.failures import MissingPart, PerceptionError
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.queries.visibility import visible
+from pycram.reasoning.rejections import Inferior, Unseen
 
 if TYPE_CHECKING:
     from pycram.motions.designator import Designator
@@ -27,16 +30,21 @@ class Detecting(SimulatedModule):
             raise MissingPart(robot.name, "camera")
         reasons: dict[str, str] = {}
         seen: list[tuple[float, Object]] = []
-        with robot.world.lock:
+        with robot.world.lock, choosing("best_seen", robot.world, type=kind) as choice:
             for body in robot.world.get_objects_by_type(kind):
                 verdict = visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
+                evidence: dict[str, Any] = dict(verdict.evidence)
                 if verdict:
-                    seen.append((float(str(verdict.evidence["share"])), body))
+                    seen.append((float(evidence["share"]), body))
+                    choice.reject(body.name, Inferior("share", evidence["share"]))
                 else:
-                    reasons[body.name] = _reason(dict(verdict.evidence))
-        if not seen:
-            raise PerceptionError(kind, reasons)
-        return max(seen, key=lambda item: item[0])[1]
+                    reasons[body.name] = _reason(evidence)
+                    choice.reject(body.name, Unseen(evidence["share"], list(evidence["hidden_by"])))
+            if not seen:
+                raise PerceptionError(kind, reasons)
+            best = max(seen, key=lambda item: item[0])[1]
+            choice.take(best.name, best)
+        return best
 
 
 def _reason(evidence: dict[str, Any]) -> str:
@@ -52,11 +60,13 @@ class WorldStateDetecting(SimulatedModule):
     def _execute(self, designator: Designator) -> Object:
         kind = designator.reference()["object-type"]
         robot = self.robot()
-        with robot.world.lock:
+        with robot.world.lock, choosing("nearest", robot.world, type=kind) as choice:
             here = robot.get_position()
-            found = robot.world.get_objects_by_type(kind)
+            found = [(math.dist(body.get_position(), here), body) for body in robot.world.get_objects_by_type(kind)]
             if not found:
                 raise PerceptionError(kind)
-            return min(
-                found, key=lambda body: sum((a - b) ** 2 for a, b in zip(body.get_position(), here, strict=True))
-            )
+            for distance, body in found:
+                choice.reject(body.name, Inferior("distance", distance))
+            nearest = min(found, key=lambda item: item[0])[1]
+            choice.take(nearest.name, nearest)
+            return nearest

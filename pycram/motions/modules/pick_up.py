@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping import choice, fingers
+from pycram.reasoning.grasping import choice as grasp_choice, fingers
 from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
+from pycram.reasoning.rejections import Misfit, Slips, Touching, short
 from pycram.world import overlaps
 from recorder import geometry
 
@@ -41,9 +43,10 @@ class PickUp(SimulatedModule):
         body: Object = solution["object"]
         gripper = arm.gripper
         with robot.world.lock:
-            self._check_free(robot, arm, body)
-            names = (solution["grasp"],) if "grasp" in solution else None
-            posture, closed = _plan(robot, arm, body, names)
+            with choosing("grasp", robot.world, object=body, arm=arm.name, side=solution.get("grasp")) as choice:
+                self._check_free(robot, arm, body)
+                names = (solution["grasp"],) if "grasp" in solution else None
+                posture, closed = _plan(robot, arm, body, names, choice)
             robot.set_joint_positions(gripper.positions("open"))
             robot.set_joint_positions(posture)
             robot.set_joint_positions(closed)
@@ -72,7 +75,7 @@ class PickUp(SimulatedModule):
 
 
 def _plan(
-    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None
+    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, choice: Choice
 ) -> tuple[Mapping[str, float], Mapping[str, float]]:
     """Return postures of the arm and of its closed gripper that hold an object, for the grasp that touches least.
 
@@ -83,15 +86,20 @@ def _plan(
     refused: list[Grasp] = []
     failures: list[PlanFailure] = []
     while len(failures) < _MAX_GRASPS:
-        plan = choice.best(body, robot, arm.tool_frame, names, refused)
+        plan = grasp_choice.best(body, robot, arm.tool_frame, names, refused, choice)
         if plan.grasp is None or plan.posture is None:
             failures.append(_nothing(robot, arm, body, names, plan))
             break
         closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
         failure = _problem(arm, body, plan, closing)
         if closing is not None and failure is None:
+            position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
+            choice.take(str(plan.grasp), position=position, orientation=orientation)
             return plan.posture.positions, closing.positions
-        failures += [failure] if failure else []
+        if failure is not None:
+            failures.append(failure)
+            slips = Slips(closing.sides if closing else 0)
+            choice.reject(str(plan.grasp), Touching(failure.pairs) if isinstance(failure, Blocked) else slips)
         refused.append(plan.grasp)
     raise failures[0]  # of the grasp that touches least
 
@@ -103,9 +111,11 @@ def _nothing(robot: Object, arm: Arm, body: Object, names: Sequence[str] | None,
         lies = f"as it leans, by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
             return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
-        misfits: list[float] = []
-        candidates(body, robot, arm, names, misfits=misfits)
-        return DoesNotFit(arm.name, body.name, misfits, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
+        sides = Choice("grasp", {})  # also where nobody records
+        candidates(body, robot, arm, names, choice=sides)
+        misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
+        widths = [misfit.width for misfit in misfits if misfit.width is not None]
+        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies)
     if plan.self_collisions:
         return Blocked(arm.name, center(body), plan.self_collisions)
     return Unreachable(arm.name, center(body), plan.posture.position_error)

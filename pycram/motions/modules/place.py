@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import PlaceFailed, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
+from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import fingers, placing, sides
 from pycram.reasoning.kinematics import solver
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, short
 from pycram.world import settling
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike, Quaternion
 
@@ -67,7 +70,10 @@ class Place(SimulatedModule):
             held = robot.attachments.get(body)
             if held is None or held.carrier_link != arm.tool_frame:
                 raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
-            plan = _plan(robot, arm, body, target, orientation)
+            with choosing(
+                "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
+            ) as choice:
+                plan = _plan(robot, arm, body, target, orientation, choice)
             robot.set_joint_positions(plan.posture)
             robot.set_joint_positions(plan.opened)
             robot.detach(body)
@@ -93,7 +99,14 @@ class _Refusals:
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
 
 
-def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None) -> _Plan:
+def _plan(
+    robot: Object,
+    arm: Arm,
+    body: Object,
+    target: Sequence[float],
+    orientation: Sequence[float] | None,
+    choice: Choice,
+) -> _Plan:
     """Return the first posture in which nothing is in the way, not even when the fingers open.
 
     Raises:
@@ -106,18 +119,22 @@ def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orient
     )
     refusals = _Refusals()
     turns = _orientations(robot, body, body_T_tool, orientation)
-    for pose, quick in _poses(body, target, turns, refusals):
+    for pose, quick in _poses(body, target, turns, refusals, choice):
+        name = _name(pose[1])
         position, turn = geometry.multiply(pose, body_T_tool)
         for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
             if not posture.reaches():
                 refusals.misses.append(posture.position_error)
+                choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
                 continue
             pairs = [collision["pair"] for collision in checker.touched(robot, posture.positions).values()]
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
+                    choice.take(name, position=short(pose[0]), orientation=short(pose[1]))
                     return _Plan(posture.positions, pose, opening.positions)
                 pairs = list(opening.stopped_by)
+            choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
     if refusals.pairs:
@@ -129,7 +146,7 @@ def _plan(robot: Object, arm: Arm, body: Object, target: Sequence[float], orient
 
 
 def _poses(
-    body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals
+    body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals, choice: Choice
 ) -> Iterator[tuple[Pose, bool]]:
     """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly."""
     tried: list[Pose] = []
@@ -138,10 +155,18 @@ def _poses(
             position = placing.set_down(body, target, turn)
         except PlaceFailed as failure:  # there may be room for it when it is turned
             refusals.no_room.append(failure)
+            choice.reject(_name(turn), NoRoom(failure.reason))
             continue
         tried.append((position, turn))
         yield tried[-1], True
     yield from ((pose, False) for pose in tried)
+
+
+def _name(turn: Quaternion) -> str:
+    """Return what distinguishes an orientation from others in which an object may stand."""
+    x, y, _ = geometry.rotate(turn, (1.0, 0.0, 0.0))
+    upside_down = geometry.rotate(turn, (0.0, 0.0, 1.0))[2] < 0.0
+    return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
 
 
 def _check_outcome(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
 from pycram.motions.process_module import ProcessModule
@@ -11,6 +11,9 @@ from pycram.world.world import BulletWorld
 if TYPE_CHECKING:
     from pycram.models.robots.description import Arm, RobotDescription
     from pycram.world.object import Object
+
+AS_ASKED: Final = "as asked"
+"""The only candidate, where a plan leaves nothing to choose."""
 
 
 class NoDescription(UsageError):

@@ -218,6 +218,16 @@ class CollisionChecker:
             )
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
+    def known(self, candidate: Candidate) -> list[CollisionPair]:
+        """Return what is touched in a candidate as far as it was checked, deepest first."""
+        depths = {
+            pair: max((-touch.distance for touch in touches), default=0.0)
+            for pair, touches in candidate.touches.items()
+        }
+        least = {pair: _SELF_DEPTH if pair[2] is self.robot else DEPTH for pair in depths}
+        found = [self._named(pair, depth) for pair, depth in depths.items() if depth >= least[pair]]
+        return sorted(found, key=lambda pair: -pair.depth)
+
     def self_collisions(self, candidate: Candidate) -> list[CollisionPair]:
         """Return pairs of the robot's own links, more than a shoulder apart, that overlap in a candidate."""
         found = []

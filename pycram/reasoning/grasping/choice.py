@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
+from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import Grasp, candidates
 from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.rejections import OutOfReach, Touching, Untried
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 
     from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Candidate, Collision
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
@@ -62,7 +65,12 @@ class GraspPlan:
 
 
 def best(
-    body: Object, robot: Object, link: str, names: Sequence[str] | None = None, refused: Collection[Grasp] = ()
+    body: Object,
+    robot: Object,
+    link: str,
+    names: Sequence[str] | None = None,
+    refused: Collection[Grasp] = (),
+    choice: Choice = UNHEARD,
 ) -> GraspPlan:
     """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
@@ -72,21 +80,25 @@ def best(
         link: an arm's tool frame, or any other link, which then just has to get to the target's center.
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
+        choice: is told why the others aren't taken.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
-        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, link, None)
-    central = [grasp for grasp in candidates(body, robot, arm, names) if grasp not in refused]
-    plan = _best_of(central, body, robot, link, arm)
+        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, link, None, choice)
+    central = candidates(body, robot, arm, names, choice=choice)
+    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, link, arm, choice)
     if plan.grasp is None or plan.obstacles:
-        beside = [grasp for grasp in candidates(body, robot, arm, names, off_center=True) if grasp not in refused]
-        other = _best_of(beside, body, robot, link, arm) if beside else plan
+        every = candidates(body, robot, arm, names, off_center=True, choice=choice)
+        beside = [grasp for grasp in every if grasp not in refused]
+        other = _best_of(beside, body, robot, link, arm, choice) if beside else plan
         if other.grasp is not None and not other.obstacles:
             return other
     return plan
 
 
-def _best_of(grasps: Sequence[Grasp], body: Object, robot: Object, link: str, arm: Arm | None) -> GraspPlan:
+def _best_of(
+    grasps: Sequence[Grasp], body: Object, robot: Object, link: str, arm: Arm | None, choice: Choice
+) -> GraspPlan:
     """Return the one of some grasps that touches least."""
     solver = Solver(robot, link)
     if arm is None:
@@ -96,17 +108,21 @@ def _best_of(grasps: Sequence[Grasp], body: Object, robot: Object, link: str, ar
         solved = solver.closed_form(targets)
         if not any(solved):  # a search finds what is at the edge of what the arm can: only if there is need
             solved = solver.search(targets)
-    options = [
-        (grasp, reaching)
-        for grasp, postures in zip(grasps, solved, strict=True)
-        if (reaching := [posture for posture in postures if posture.reaches()])
-    ]
+    options = []
+    for grasp, postures in zip(grasps, solved, strict=True):
+        reaching = [posture for posture in postures if posture.reaches()]
+        if reaching:
+            options.append((grasp, reaching))
+        else:  # the closed form doesn't say by how much
+            nearest = postures[0] if postures else None
+            miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
+            choice.reject(str(grasp), OutOfReach(*miss))
     if not options:
         missed = itertools.chain.from_iterable(solved)
         return GraspPlan(None, min(missed, key=lambda posture: posture.position_error, default=None))
     opened = arm.gripper.positions("open") if arm else {}
     with CollisionChecker(robot, [*solver.joints, *opened], [] if arm else [body]) as checker:
-        return _Choice(body, checker, options, opened, checker.links_beyond(solver.joints)).best()
+        return _Choice(body, checker, options, opened, checker.links_beyond(solver.joints), choice).best()
 
 
 class _Choice:
@@ -122,6 +138,7 @@ class _Choice:
         options: grasps, each with the postures for it.
         opened: joint values of the open gripper.
         hand: links that all postures for a grasp bring to one pose.
+        choice: is told what is known of the grasps in the end.
     """
 
     def __init__(
@@ -131,8 +148,10 @@ class _Choice:
         options: Sequence[tuple[Grasp, Sequence[Posture]]],
         opened: Mapping[str, float],
         hand: Collection[str],
+        choice: Choice,
     ) -> None:
         self._target = target
+        self._choice = choice
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
@@ -143,6 +162,25 @@ class _Choice:
 
     def best(self) -> GraspPlan:
         """Return the grasp, its posture, and what is touched there."""
+        plan = self._least()
+        if self._choice.wanted:
+            self._tell(plan)
+        return plan
+
+    def _tell(self, plan: GraspPlan) -> None:
+        """Tell what is known of the grasps: of the best all, of the others what was checked until they were worse."""
+        for (grasp, postures), tried in zip(self._options, self._candidates, strict=True):
+            known = [self._checker.known(candidate) for candidate in tried]
+            by_hand = [pair for pair in known[0] if pair.link in self._hand]
+            if grasp is plan.grasp:
+                pairs = [collision["pair"] for collision in plan.obstacles.values()]
+                pairs += [plan.penetrating] if plan.penetrating else []
+            else:  # one posture of which nothing is known may do
+                pairs = by_hand or min(known, key=len)
+            self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
+
+    def _least(self) -> GraspPlan:
+        """Return the plan that touches least."""
         queue: list[tuple[Cost, int, int, dict[Object, float]]] = []
         queue.extend((_FREE, option, _HAND, {}) for option in range(len(self._options)))
         contorted: dict[tuple[int, int], GraspPlan] = {}  # postures in which the robot touches itself

@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.convex import solids_of
+from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.grasping.sides import GRASPS, heading
+from pycram.reasoning.rejections import Misfit, Uneven
 from recorder import geometry
 from recorder.geometry import IDENTITY
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Quaternion, Vector
 
@@ -40,6 +43,7 @@ _FLAT: Final = 0.002  # m that a surface may be uneven below a suction cup
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
 _LONG: Final = 2.0  # times as long as it is wide
 _LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
+_RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +55,17 @@ class Grasp:
         position: of the tool frame in the world, m.
         orientation: of the tool frame in the world, xyzw.
         width: m between the fingers when they hold it.
+        label: what tells it from others, as "top across"; the side alone if empty.
     """
 
     name: str
     position: Vector
     orientation: Quaternion
     width: float
+    label: str = ""
+
+    def __str__(self) -> str:
+        return self.label or self.name
 
 
 def candidates(
@@ -66,7 +75,7 @@ def candidates(
     names: Sequence[str] | None = None,
     *,
     off_center: bool = False,
-    misfits: list[float] | None = None,
+    choice: Choice = UNHEARD,
 ) -> Sequence[Grasp]:
     """Return grasps of an object, best first.
 
@@ -76,7 +85,7 @@ def candidates(
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
         off_center: something long from the top, between its middle and its ends; else everything in the middle.
-        misfits: gets the widths that are too thin or too big for the gripper, m.
+        choice: is told from which sides it doesn't fit, and why.
     """
     lean = leaning(body)
     lying = body.get_orientation()
@@ -88,14 +97,24 @@ def candidates(
         caster = RayCaster(body, lean)
         stood = geometry.product(geometry.conjugate(lean), lying)
         for offset in offsets:
-            for grasp in _upright(caster, stood, robot, arm, names, offset, misfits):
+            for grasp in _upright(caster, stood, robot, arm, names, offset, choice):
                 away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
                 x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
                 turn = geometry.product(lean, grasp.orientation)
-                found.append(replace(grasp, position=(x, y, z), orientation=turn))
+                found.append(replace(grasp, position=(x, y, z), orientation=turn, label=f"{grasp} leaning"))
     caster = RayCaster(body)
     for offset in offsets:
-        found += _upright(caster, lying, robot, arm, names, offset, misfits)
+        found.extend(_upright(caster, lying, robot, arm, names, offset, choice))
+    return _distinguished(found)
+
+
+def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
+    """Return grasps with labels that differ."""
+    seen: dict[str, int] = {}
+    found = []
+    for grasp in grasps:
+        seen[grasp.label] = count = seen.get(grasp.label, 0) + 1
+        found.append(replace(grasp, label=f"{grasp.label} {count}") if count > 1 else grasp)
     return found
 
 
@@ -133,34 +152,41 @@ def _upright(
     arm: Arm,
     names: Sequence[str] | None,
     offset: Vector,
-    misfits: list[float] | None,
+    choice: Choice,
 ) -> list[Grasp]:
     """Return grasps of an object that stands upright, or is taken to, with an orientation; offset in its frame."""
-    misfits = [] if misfits is None else misfits
+    beside = " off center" if any(offset) else ""
     facing = heading(robot)
     dx, dy, _ = geometry.rotate(lying, offset)
     x, y, z = caster.center
     middle = (x + dx, y + dy, z)
     sides: list[list[tuple[str, Quaternion]]] = []
+    labels: list[str] = []
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
             turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
             sides.append([(name, other) for other in (turn, *_along(turn, lying))])
+            labels.append(f"{name}{' across' if roll else ''}{beside}")
     every = [option for options in sides for option in options]
+    fitting: Iterator[Grasp | Misfit | Uneven]
     if arm.gripper.suction:
         fitting = _on_surface(caster, every, arm)
     else:
-        fitting = iter(_between_fingers(caster, every, arm, middle, misfits))
+        fitting = iter(_between_fingers(caster, every, arm, middle))
     found: list[Grasp] = []
-    for options in sides:
+    for label, options in zip(labels, sides, strict=True):
         (_, turn), *_ = options
-        fit = [grasp for grasp in itertools.islice(fitting, len(options)) if grasp is not None]
+        tried = list(itertools.islice(fitting, len(options)))
+        fit = [grasp for grasp in tried if isinstance(grasp, Grasp)]
         if fit:  # as the robot stands, unless the object lies across
             widths = [grasp.width + (grasp.orientation != turn) * FREE for grasp in fit]
-            found.append(fit[widths.index(min(widths))])
+            found.append(replace(fit[widths.index(min(widths))], label=label))
+        else:
+            misfits = (each for each in tried if not isinstance(each, Grasp))
+            choice.reject(label, min(misfits, key=lambda each: each.miss()))
     rims = arm.gripper.fingers and middle == caster.center and (names is None or "top" in names)
     if rims and all(grasp.name != "top" for grasp in found):
-        found.extend(_rims(caster, robot, arm, misfits))
+        found.extend(_rims(caster, robot, arm, choice))
     return found
 
 
@@ -179,9 +205,9 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
 
 
 def _between_fingers(
-    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, misfits: list[float]
-) -> Iterator[Grasp | None]:
-    """Yield for each side and orientation the grasp with the object centered between the fingers; None if none fits."""
+    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector
+) -> Iterator[Grasp | Misfit]:
+    """Yield for each side and orientation the grasp with the object centered between the fingers, or why not."""
     if not options:
         return
     gripper = arm.gripper
@@ -206,16 +232,20 @@ def _between_fingers(
     lows = np.where(held, lows, np.inf).min(axis=1)
     highs = np.where(held, highs, -np.inf).max(axis=1)
     widths = highs - lows
-    fits = held.any(axis=1) & (widths <= gripper.aperture - FREE) & (widths >= gripper.gap)
-    misfits += widths[held.any(axis=1) & ~fits].tolist()
-    found = zip(options, scans, fits.tolist(), depths.tolist(), lows.tolist(), highs.tolist(), strict=True)
-    for (name, turn), scan, fit, deep, low, high in found:
-        tool = deep, (low + high) / 2, 0.0
-        yield Grasp(name, geometry.transform(scan.frame, tool), turn, high - low) if fit else None
+    least, most = gripper.gap, gripper.aperture - FREE
+    solids = held.any(axis=1)
+    fits = solids & (widths <= most) & (widths >= least)
+    columns = (fits, solids, depths, lows, highs)
+    found = zip(options, scans, *(column.tolist() for column in columns), strict=True)
+    for (name, turn), scan, fit, solid_there, deep, low, high in found:
+        if fit:
+            yield Grasp(name, geometry.transform(scan.frame, (deep, (low + high) / 2, 0.0)), turn, high - low)
+        else:
+            yield Misfit(high - low if solid_there else None, least, most)
 
 
-def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | None]:
-    """Yield for each side and orientation the grasp with a suction cup on a flat place; None if there is none."""
+def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | Uneven]:
+    """Yield for each side and orientation the grasp with a suction cup on a flat place, or why not."""
     gripper = arm.gripper
     radius = gripper.suction
     for name, turn in options:
@@ -227,10 +257,13 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))
         on_surface = geometry.transform(frame, (0.0, float(points[1][1]), 0.0))
-        yield Grasp(name, on_surface, turn, 0.0) if uneven <= _FLAT else None  # nan where there is nothing
+        if uneven <= _FLAT:  # nan where there is nothing
+            yield Grasp(name, on_surface, turn, 0.0)
+        else:
+            yield Uneven(None if math.isnan(uneven) else uneven)
 
 
-def _rims(caster: RayCaster, robot: Object, arm: Arm, misfits: list[float]) -> Iterator[Grasp]:
+def _rims(caster: RayCaster, robot: Object, arm: Arm, choice: Choice) -> Iterator[Grasp]:
     """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
     gripper = arm.gripper
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
@@ -246,18 +279,20 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, misfits: list[float]) -> I
         away = geometry.rotate(facing, direction)
         frames.append(((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0]))))
     walls = caster.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
-    for frame, roll, wall in zip(frames, (0.0, math.pi / 2, 0.0), walls, strict=True):
+    rolls = (0.0, math.pi / 2, 0.0)
+    for label, frame, roll, wall in zip(_RIMS, frames, rolls, walls, strict=True):
         floors = np.flatnonzero(np.isnan(wall).any(axis=1)).tolist()
         floor = floors[0] if floors else _LEVELS
         if not floor:
+            choice.reject(label, Misfit(None, gripper.gap, gripper.aperture - FREE))
             continue
         tips = height
         if floor < _LEVELS:  # tips stay above the floor of the hollow
             tips = max(tips, first + floor * step + gripper.tips + _CLEARANCE)
         inside, outside = float(wall[:floor, 0].min()), float(wall[:floor, 1].max())
         if not gripper.gap <= outside - inside <= gripper.aperture - FREE:
-            misfits.append(outside - inside)
+            choice.reject(label, Misfit(outside - inside, gripper.gap, gripper.aperture - FREE))
             continue
         turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
-        yield Grasp("top", (grasp_x, grasp_y, tips), turn, outside - inside)
+        yield Grasp("top", (grasp_x, grasp_y, tips), turn, outside - inside, label)

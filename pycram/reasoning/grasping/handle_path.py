@@ -17,10 +17,12 @@ import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.models.visual import shapes_of
+from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.rejections import Contorted, OutOfReach, Touching
 from pycram.world import carried
 from recorder import geometry
 
@@ -30,8 +32,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.collision.checker import Candidate
     from pycram.reasoning.grasping.handles import Grip, Handle
+    from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
 
@@ -76,6 +80,12 @@ class DeadEnd:
     turn: float = 0.0
     pairs: Sequence[CollisionPair] = ()
 
+    def rejection(self) -> Rejection:
+        """Return it as the reason why a way is rejected."""
+        if self.pairs:
+            return Touching(self.pairs)
+        return Contorted(self.value) if self.distance is None else OutOfReach(self.distance, self.turn)
+
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
@@ -98,6 +108,7 @@ def plan(
     base: Pose | None = None,
     *,
     quick: bool = False,
+    choice: Choice = UNHEARD,
 ) -> HandlePath | DeadEnd:
     """Return the way of an arm that holds a handle while its joint goes through values.
 
@@ -108,6 +119,7 @@ def plan(
         values: of its joint, rad or m, from the present one on.
         base: where the robot's base is taken to stand; where it does by default.
         quick: don't look long; a dead end then proves nothing.
+        choice: is told which ways to hold the handle end where, and which it is.
     """
     moved = carried.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
@@ -120,8 +132,11 @@ def plan(
             ways = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in ways:
                 found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
+                name = f"{grip.name}, {'from the front' if len(angles) == 1 else 'turned'}"
                 if isinstance(found, HandlePath):
+                    choice.take(name)
                     return found
+                choice.reject(name, found.rejection())
                 ends.append(found)
     finally:
         clone_of(robot.world, "reach").invalidate(handle.container.name)

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
 """Rad about the bar, by which a gripper may be turned from the front."""
 
-_SHIFTS: Final = (0.0, 0.5, -0.5)  # of the way from the bar's middle to where the gripper would reach over its end
+#: Of the way from the bar's middle to where the gripper would reach over its end.
+_SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +38,14 @@ class Grip:
     """How a gripper holds a handle.
 
     Attributes:
+        name: which part of the bar it holds.
         position: of the middle of what it holds, in the handle's frame, m.
         axis: along the bar, in the handle's frame.
         front: orientation of the tool in the handle's frame when it comes from the front.
         back: m that the tool stays before the position.
     """
 
+    name: str
     position: Vector
     axis: Vector
     front: Quaternion
@@ -91,9 +94,9 @@ class Handle:
         beside = max((high - low)[bar] / 2 - gripper.underside, 0.0)
         x, y, z = axis.tolist()
         grips = []
-        for shift in _SHIFTS if beside else _SHIFTS[:1]:
+        for name, shift in _SHIFTS.items() if beside else (("middle", 0.0),):
             at = middle + shift * beside * axis
-            grips.append(Grip((float(at[0]), float(at[1]), float(at[2])), (x, y, z), front, back))
+            grips.append(Grip(name, (float(at[0]), float(at[1]), float(at[2])), (x, y, z), front, back))
         return grips
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:

@@ -9,16 +9,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping.handle_path import HandlePath, plan
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
+from pycram.reasoning.rejections import Touching
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.grasping.handles import Handle
     from pycram.world.object import Object
     from recorder.geometry import Pose, Vector
@@ -42,6 +45,10 @@ class Remedy:
     base: Vector | None = None
     distance: float = 0.0
 
+    def __str__(self) -> str:
+        place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
+        return f"{self.arm} arm from {place}"
+
     def phrase(self) -> str:
         """Return it in words."""
         if self.base is None:
@@ -50,7 +57,9 @@ class Remedy:
         return f"the {self.arm} arm could with the robot at [{place}], {self.distance:.2f} m from here"
 
 
-def remedies(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> list[Remedy]:
+def remedies(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNHEARD
+) -> list[Remedy]:
     """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
 
     Args:
@@ -58,6 +67,7 @@ def remedies(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -
         arm: the arm that can't.
         handle: of what should be moved.
         values: of its joint, rad or m, from the present one on.
+        choice: is told what was tried.
     """
     description = robot.description
     free = [
@@ -65,28 +75,40 @@ def remedies(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -
         for other in (description.arms.values() if description else ())
         if all(held.carrier_link != other.tool_frame for held in robot.carried)
     ]
-    found = [
-        Remedy(other.name)
-        for other in free
-        if other is not arm and isinstance(plan(robot, other, handle, values), HandlePath)
-    ]
+    found: list[Remedy] = []
+    for other in free:
+        if other is not arm:
+            way = plan(robot, other, handle, values)
+            if isinstance(way, HandlePath):
+                found.append(Remedy(other.name))
+            else:
+                choice.reject(str(Remedy(other.name)), way.rejection())
     places = (
-        _from_elsewhere(robot, other, handle, values) for other in sorted(free, key=lambda other: other is not arm)
+        _from_elsewhere(robot, other, handle, values, choice)
+        for other in sorted(free, key=lambda other: other is not arm)
     )
     elsewhere = next((place for place in places if place is not None), None)
-    return found + ([elsewhere] if elsewhere is not None else [])
+    found += [elsewhere] if elsewhere is not None else []
+    if found:
+        choice.take(str(found[0]))
+    return found
 
 
-def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> Remedy | None:
+def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> Remedy | None:
     """Return the nearest place, of those on a grid, from which an arm could do it."""
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
     tried = 0
     for base in _promising(robot, arm, handle, values, list(_places(now))):
-        if checker.touched(robot, {}, base, all_links=True):
+        remedy = Remedy(arm.name, base[0], math.dist(base[0], position))
+        touched = checker.touched(robot, {}, base, all_links=True)
+        if touched:
+            choice.reject(str(remedy), Touching([collision["pair"] for collision in touched.values()]))
             continue
-        if isinstance(plan(robot, arm, handle, values, base, quick=True), HandlePath):
-            return Remedy(arm.name, base[0], math.dist(base[0], position))
+        way = plan(robot, arm, handle, values, base, quick=True)
+        if isinstance(way, HandlePath):
+            return remedy
+        choice.reject(str(remedy), way.rejection())
         tried += 1
         if tried == _MAX_PLACES:
             break

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import functools
 import inspect
-import time
 from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, NoWorld, UsageError
+from pycram.foundation.failures import BadArgument, NoWorld
+from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
-from recorder import records
-from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from typing import Self
+
+    from recorder import records
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -139,36 +139,15 @@ def _check(arguments: dict[str, Any]) -> BulletWorld:
 
 def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
     """Call a query's function with the world locked against changes, and record the answer."""
-    start = time.perf_counter_ns()
-    answer: Answer | None = None
-    error: BaseException | None = None
-    with world.lock:
-        transactions = world.transactions
-        outer, transactions.query = transactions.query, ""  # asked inside another query: that one is fine
-        try:
-            transactions.check(f"ask {function.__name__}")
-            transactions.query = function.__name__
-            answer = function(**arguments)
-        except BaseException as raised:
-            error = raised
-            raise
-        finally:
-            transactions.query = outer
-            if journal.recording() and not isinstance(error, UsageError):  # what can't be asked has not been asked
-                record = records.Query(
-                    name=function.__name__,
-                    arguments=records.arguments(
-                        (_RECORDED.get(name, name), value)
-                        for name, value in arguments.items()
-                        if name != "world" and (name, value) != ("robot", None)
-                    ),
-                    answer_json=records.to_json(answer),
-                    evidence=records.arguments(answer.evidence if answer is not None else {}),
-                    duration_ns=time.perf_counter_ns() - start,
-                    failure=records.failure(error) if error is not None else None,
-                    picture=answer.picture if answer is not None else None,
-                )
-                journal.emit(record, world=world.name, sim_step=world.sim_step)
+    asked = {
+        _RECORDED.get(name, name): value
+        for name, value in arguments.items()
+        if name != "world" and (name, value) != ("robot", None)
+    }
+    question = Question(function.__name__, asked)
+    with question.asked(world):
+        answer = function(**arguments)
+        question.answer, question.evidence, question.picture = answer, answer.evidence, answer.picture
     return answer
 
 

@@ -1,0 +1,178 @@
+"""Questions to a world, on record: what was asked, the answer, and of choices what was considered and rejected.
+
+The queries of :mod:`pycram.reasoning.queries` are such questions, and so is each choice of a process module: a grasp, a
+posture, where something is put down. While one is answered, its world's lock is held and the world refuses changes.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import UsageError
+from recorder import records
+from recorder.tracing import journal
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from pycram.reasoning.rejections import Rejection
+    from pycram.world.world import BulletWorld
+
+_MAX_GROUPS: Final = 8  # of candidates that are listed; the rest is counted
+_MAX_NAMES: Final = 4  # of the candidates of a group
+
+
+@dataclass(slots=True)
+class Question:
+    """A question while it is answered.
+
+    Attributes:
+        name: what is asked for.
+        arguments: what about, by name.
+        answer: the answer.
+        evidence: what it rests on.
+        picture: what the camera saw, if one was asked.
+    """
+
+    name: str
+    arguments: Mapping[str, object]
+    answer: object = None
+    evidence: Mapping[str, object] = field(default_factory=dict)
+    picture: records.Picture | None = None
+
+    @contextmanager
+    def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
+        """Answer it in the block, with the world locked against changes; then it is on record, also if it failed.
+
+        Args:
+            world: what it is about.
+            trace: whether a failure's traceback goes on record.
+
+        Raises:
+            WorldClosed: the world has ended.
+        """
+        start = time.perf_counter_ns()
+        error: BaseException | None = None
+        with world.lock:
+            transactions = world.transactions
+            outer, transactions.query = transactions.query, ""  # asked inside another question: that one is fine
+            try:
+                transactions.check(f"ask {self.name}")
+                transactions.query = self.name
+                yield
+            except BaseException as raised:
+                error = raised
+                raise
+            finally:
+                transactions.query = outer
+                if journal.recording() and not isinstance(error, UsageError):  # what can't be asked wasn't asked
+                    record = self._record(error, trace=trace)
+                    record.duration_ns = time.perf_counter_ns() - start
+                    journal.emit(record, world=world.name, sim_step=world.sim_step)
+
+    def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
+        return records.Query(
+            name=self.name,
+            arguments=records.arguments(self.arguments),
+            answer_json=records.to_json(self.answer),
+            evidence=records.arguments(self.evidence),
+            failure=records.failure(error, trace=trace) if error is not None else None,
+            picture=self.picture,
+        )
+
+
+class Choice(Question):
+    """A question whose answer is one of several candidates. A candidate has what was said last of it."""
+
+    __slots__ = ("_rejected", "chosen", "wanted")
+
+    def __init__(self, name: str, arguments: Mapping[str, object], *, wanted: bool = True) -> None:
+        super().__init__(name, arguments)
+        self.wanted = wanted  # whether anybody will know of the candidates: reasons that cost time needn't be found
+        self._rejected: dict[str, tuple[Rejection, int]] = {}
+        self.chosen = ""  # name of the candidate that was taken
+
+    def reject(self, candidate: str, reason: Rejection, count: int = 1) -> None:
+        """Say why a candidate won't do.
+
+        Args:
+            candidate: its name, as "front".
+            reason: why.
+            count: how many alike it stands for, as postures for one grasp.
+        """
+        if self.wanted:
+            self._rejected[candidate] = reason, count
+            self.chosen = "" if candidate == self.chosen else self.chosen
+
+    def reasons(self) -> list[Rejection]:
+        """Return why candidates were rejected, in the order in which they were considered."""
+        return [reason for reason, _ in self._rejected.values()]
+
+    def take(self, candidate: str, answer: object = None, **evidence: object) -> None:
+        """Say which candidate it is.
+
+        Args:
+            candidate: its name.
+            answer: the answer; its name by default.
+            evidence: what else is to be known of it.
+        """
+        self._rejected.pop(candidate, None)
+        self.chosen = candidate
+        self.answer = candidate if answer is None else answer
+        self.evidence = evidence
+
+    def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
+        record = super()._record(error, trace=trace)
+        groups: dict[object, list[tuple[Rejection, str, int]]] = {}
+        for name, (reason, count) in self._rejected.items():
+            groups.setdefault((type(reason), reason.alike()), []).append((reason, name, count))
+        for group in list(groups.values())[:_MAX_GROUPS]:
+            group.sort(key=lambda item: item[0].miss())
+            reason = group[0][0]
+            record.candidates.add(
+                names=[name for _, name, _ in group[:_MAX_NAMES]],
+                count=sum(count for *_, count in group),
+                reason=type(reason).__name__,
+                data=records.arguments(reason.data()),
+            )
+        left_out = sum(count for group in list(groups.values())[_MAX_GROUPS:] for *_, count in group)
+        if left_out:
+            record.candidates.add(count=left_out)
+        record.chosen = -1
+        if self.chosen:
+            record.chosen = len(record.candidates)
+            record.candidates.add(names=[self.chosen])
+        return record
+
+
+UNHEARD: Final = Choice("", {}, wanted=False)
+"""For reasoning that nobody asks for its candidates."""
+
+
+@contextmanager
+def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[Choice]:
+    """Choose something in the block, before the world is changed: one record, also if it fails.
+
+    For example::
+
+        with choosing("grasp", robot.world, object=body, arm=arm.name) as choice:
+            for side in sides:
+                if too_wide(side):
+                    choice.reject(side, Misfit(width, opening))
+            choice.take("front", position=position)
+
+    A failure has its traceback in the record of the task around it, and not in this one. Arguments that are None are
+    left out.
+
+    Args:
+        name: what is chosen.
+        world: where; it refuses changes meanwhile.
+        arguments: what the choice is about.
+    """
+    given = {key: value for key, value in arguments.items() if value is not None}
+    choice = Choice(name, given, wanted=journal.recording())
+    with choice.asked(world, trace=False):
+        yield choice

@@ -1,0 +1,204 @@
+"""What a process module chose is on record: what was asked, the candidates, why each was rejected, the chosen one."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from pycram.designator import MotionDesignator
+from pycram.failures import Blocked, ChangeRefused, GraspFailed, HandleUnreachable, PlaceFailed, Unreachable
+from pycram.process_module import ProcessModule
+from pycram.reasoning.choosing import choosing
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Rejection, Unfit
+from recorder.records import Mutation, Query, Task, argument_values
+from recorder.records.choices import chosen_name, rejection_lines
+
+if TYPE_CHECKING:
+    from pycram.bullet_world import BulletWorld
+    from tests.conftest import MemorySink
+
+DRAWER = {
+    "drawer-joint": "sink_area_left_upper_drawer_main_joint",
+    "drawer-handle": "sink_area_left_upper_drawer_handle",
+}
+PARK = {"left-arm": "park", "right-arm": "park"}
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def choices(sink: MemorySink) -> list[Query]:
+    return [record for record in sink.of(Query) if record.HasField("chosen")]
+
+
+def reasons(choice: Query) -> dict[str, dict[str, Any]]:
+    """The data of the rejected by what they were rejected for."""
+    return {each.reason: argument_values(each.data) for each in choice.candidates if each.reason}
+
+
+def test_each_process_module_says_what_it_chose(scene: BulletWorld, sink: MemorySink) -> None:
+    milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
+    perform(type="move-arm-joints", **PARK)
+    perform(type="moving", target=[0.65, 0.75, 0])
+    perform(type="looking", object=milk)
+    perform(type="detecting", object_type="milk")
+    perform(type="world-state-detecting", object_type="milk")
+    perform(type="pick-up", object=milk, arm="left")
+    perform(type="place", object=milk, target=[1.35, 0.95, 0.98], arm="left")
+    perform(type="move-tcp", target=[1.1, 0.85, 1.1], arm="left")
+    perform(type="opening-gripper", gripper="left")
+    perform(type="move-arm-joints", **PARK)
+    perform(type="accessing", part_of=kitchen, arm="left", distance=0.1, **DRAWER)
+    modules = {task.task: task.name for task in sink.of(Task) if task.kind == "process-module"}
+    made = [(modules[choice.task], choice.name, bool(chosen_name(choice))) for choice in choices(sink)]
+    assert made == [
+        ("MoveJoints", "posture", True),
+        ("Navigation", "base_pose", True),
+        ("MoveHead", "gaze", True),
+        ("Detecting", "best_seen", True),
+        ("WorldStateDetecting", "nearest", True),
+        ("PickUp", "grasp", True),
+        ("Place", "placement", True),
+        ("MoveTCP", "posture", True),
+        ("MoveGripper", "finger_motion", True),
+        ("MoveJoints", "posture", True),
+        ("Accessing", "handle_path", True),
+    ]
+    steps = {record.seq: record for record in (*sink.of(Mutation), *sink.of(Query))}
+    for choice in choices(sink):
+        moved = [seq for seq, each in steps.items() if isinstance(each, Mutation) and each.task == choice.task]
+        assert all(choice.seq < seq for seq in moved), "everything is chosen before anything moves"
+
+
+def test_a_grasp_that_nothing_reaches_has_how_far_each_side_is_away(scene: BulletWorld, sink: MemorySink) -> None:
+    milk = scene.get_object("milk")
+    milk.set_position([1.75, 1, 0.95])
+    with pytest.raises(Unreachable) as raised:
+        perform(type="pick-up", object=milk, arm="right")
+    (choice,) = choices(sink)
+    assert choice.name == "grasp"
+    assert choice.failure.type == "Unreachable"
+    assert not choice.failure.traceback, "its task has it"
+    assert chosen_name(choice) == ""
+    away = reasons(choice)["OutOfReach"]["distance"]
+    assert away == pytest.approx(raised.value.distance, abs=1e-6)
+    (line,) = [line for line in rejection_lines(choice) if "out of reach" in line]
+    assert f"by {away:.3f} m" in line
+
+
+def test_a_grasp_whose_way_is_blocked_names_the_links(scene: BulletWorld, sink: MemorySink) -> None:
+    milk, bowl = scene.get_object("milk"), scene.get_object("bowl")
+    bowl.set_position([1.18, 1.0, 0.8835])
+    with pytest.raises(Blocked) as raised:
+        perform(type="pick-up", object=milk, arm="left", grasp="front")
+    (choice,) = choices(sink)
+    assert argument_values(choice.arguments)["side"] == "front"
+    (pair, *_) = reasons(choice)["Touching"]["pairs"]
+    first = raised.value.pairs[0]
+    assert (pair["link"], pair["body"]) == (first.link, "bowl")
+    assert pair["depth"] == pytest.approx(first.depth, abs=1e-6)
+
+
+def test_a_grasp_that_lost_has_what_is_in_its_way_and_the_rest_was_not_tried(
+    scene: BulletWorld, sink: MemorySink
+) -> None:
+    milk, bowl = scene.get_object("milk"), scene.get_object("bowl")
+    bowl.set_position([1.18, 1.0, 0.8835])
+    perform(type="pick-up", object=milk, arm="left")
+    (choice,) = choices(sink)
+    assert chosen_name(choice) == "top"
+    by_reason = {each.reason: each for each in choice.candidates}
+    assert list(by_reason["Touching"].names) == ["front"]
+    assert by_reason["Touching"].count > 1, "the postures for it"
+    assert [pair["body"] for pair in reasons(choice)["Touching"]["pairs"]] == ["bowl"]
+    assert {"left", "right"} < set(by_reason["Untried"].names)
+
+
+def test_what_is_too_big_for_the_fingers_has_its_width(scene: BulletWorld, sink: MemorySink) -> None:
+    cereal = scene.get_object("cereal")
+    with pytest.raises(GraspFailed, match="too big"):
+        perform(type="pick-up", object=cereal, arm="right", grasp="left")
+    (choice,) = choices(sink)
+    misfit = reasons(choice)["Misfit"]
+    low, high = cereal.get_AABB()
+    assert misfit["width"] == pytest.approx(high[0] - low[0], abs=8e-3), "which the engine pads"
+    assert misfit["width"] > misfit["most"]
+
+
+def test_a_place_that_is_taken_rejects_all_orientations_for_one_reason(scene: BulletWorld, sink: MemorySink) -> None:
+    milk = scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    with pytest.raises(PlaceFailed):
+        perform(type="place", object=milk, target=[1.3, 0.6, 0.95], arm="left")
+    choice = choices(sink)[-1]
+    (rejected,) = choice.candidates
+    assert (rejected.count, rejected.reason, len(rejected.names)) == (12, "NoRoom", 4)
+    assert "cereal is there already" in argument_values(rejected.data)["reason"]
+    assert next(rejection_lines(choice)).startswith(f"{', '.join(rejected.names)} and 8 more: cereal")
+
+
+def test_a_drawer_out_of_reach_has_each_grip_and_what_was_tried_instead(scene: BulletWorld, sink: MemorySink) -> None:
+    scene.robot.set_position([0.1, 1.9, 0])
+    kitchen = scene.get_object("kitchen")
+    with pytest.raises(HandleUnreachable) as raised:
+        perform(type="accessing", part_of=kitchen, arm="left", distance=0.3, **DRAWER)
+    remedy, path = choices(sink)
+    assert (remedy.name, path.name) == ("remedy", "handle_path")
+    assert sum(each.count for each in path.candidates) == 6, "three places on the bar, each from the front and turned"
+    assert reasons(path)["OutOfReach"]["distance"] <= raised.value.distance + 1e-6
+    assert any("right arm from here" in each.names for each in remedy.candidates)
+
+
+def test_what_was_chosen_from_is_not_on_record_twice(world: BulletWorld, sink: MemorySink) -> None:
+    with choosing("side", world) as choice:
+        choice.reject("front", OutOfReach(0.3))
+        choice.reject("front", OutOfReach(0.2))
+        choice.reject("left", OutOfReach(0.1), count=3)
+        choice.reject("top", NoRoom("a lamp is there already"))
+        choice.take("top")
+    (record,) = choices(sink)
+    assert [(list(each.names), each.count) for each in record.candidates] == [(["left", "front"], 4), (["top"], 0)]
+    assert argument_values(record.candidates[0].data)["distance"] == 0.1, "of the one that came nearest"
+    assert chosen_name(record) == "top"
+    assert json.loads(record.answer_json) == "top"
+
+
+def test_long_lists_say_how_many_were_left_out(world: BulletWorld, sink: MemorySink) -> None:
+    with choosing("number", world) as choice:
+        for number in range(30):
+            choice.reject(str(number), Unfit(f"{number} is odd"))
+    (record,) = choices(sink)
+    assert len(record.candidates) == 9
+    assert list(rejection_lines(record))[-1] == "22 more were rejected"
+    assert record.chosen == -1
+
+
+def test_reasons_of_a_users_own_are_told(world: BulletWorld, sink: MemorySink) -> None:
+    class TooHot(Rejection):
+        def data(self) -> dict[str, object]:
+            return {"degrees": 80}
+
+    with choosing("cup", world, fill="tea") as choice:
+        choice.reject("left", TooHot())
+    (record,) = choices(sink)
+    assert list(rejection_lines(record)) == ["left: TooHot(degrees=80)"]
+
+
+def test_nothing_changes_while_something_is_chosen(scene: BulletWorld, sink: MemorySink) -> None:
+    milk = scene.get_object("milk")
+    with pytest.raises(ChangeRefused, match="inside the query side"), choosing("side", scene):
+        milk.set_position([0, 0, 1])
+    assert not choices(sink)
+    milk.set_position([1.3, 1, 1])
+
+
+def test_without_a_recording_no_candidates_are_kept(world: BulletWorld) -> None:
+    with choosing("side", world) as choice:
+        choice.reject("front", OutOfReach(0.3))
+        choice.take("top", height=1.0)
+    assert not choice.wanted
+    assert not choice._rejected
+    assert choice.answer == "top"
