@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 from recorder.errors import RecordingError
 from recorder.mcap.sink import McapSink
 from recorder.packages import hint
-from recorder.records import Run, failure
+from recorder.records import Run, Task, failure
 from recorder.records.asset import AssetFile
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.journal import Journal
 from recorder.viewer.live_sink import RerunSink
@@ -59,7 +59,8 @@ def record(
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
-    Worlds that exist already are recorded from a keyframe on.
+    Worlds that exist already are recorded from a keyframe on. Tasks that run already, such as the motion in which
+    the recording begins, come first in it; those that still run when it ends come last.
 
     Args:
         path: the MCAP file to write; a recording that is there is replaced.
@@ -127,7 +128,7 @@ def _begin(
         log.append(Run(phase=Run.STARTED, name=title, thread=current_name()))
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
-        journal.open_journal(log)
+        journal.open_journal(log, span.running())
         undoing.pop_all()
     return log, viewer
 
@@ -168,9 +169,21 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure(error))
     try:
-        log.append(end)
+        with span.running() as tasks:
+            for began in reversed(tasks):
+                log.append(_left(began))
+            log.append(end)
+            journal.forget_journal(log)  # tasks that end now are in it no more
     finally:
         journal.close_journal(log)
+
+
+def _left(began: Task) -> Task:
+    """The last record of a task that still runs when its recording ends, by that of its beginning."""
+    left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
+    for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
+        setattr(left, field, getattr(began, field))
+    return left
 
 
 def _program() -> Path | None:

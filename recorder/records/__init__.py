@@ -26,6 +26,7 @@ from recorder.records.log_pb2 import (
     Overlap as Overlap,
     Picture as Picture,
     Query as Query,
+    Refusal as Refusal,
     RemoveBody as RemoveBody,
     Reset as Reset,
     Run as Run,
@@ -36,6 +37,7 @@ from recorder.records.log_pb2 import (
     SetRobot as SetRobot,
     Simulate as Simulate,
     SourceLine as SourceLine,
+    Subscription as Subscription,
     Task as Task,
 )
 from recorder.records.values import (
@@ -49,15 +51,17 @@ from recorder.records.values import (
     to_json as to_json,
 )
 
-Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe
+Record: TypeAlias = Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe
 
 TOPICS: Mapping[type[Record], str] = {
     Run: "/run",
     Task: "/task",
     Mutation: "/mutation",
     Event: "/event",
+    Subscription: "/subscription",
     Fluent: "/fluent",
     Query: "/query",
+    Refusal: "/refusal",
     Keyframe: "/keyframe",
 }
 """The MCAP topic of each record type; one type each."""

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task, format_failure
+from recorder.records import (
+    Event,
+    Fluent,
+    Keyframe,
+    Mutation,
+    Query,
+    Refusal,
+    Run,
+    Subscription,
+    Task,
+    format_failure,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +30,8 @@ if TYPE_CHECKING:
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
-_ASKED, _STARTED, _SUCCEEDED, _CANCELLED = Task.ASKED, Task.STARTED, Task.SUCCEEDED, Task.CANCELLED  # looked up once
+_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # looked up once
+_SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
 
@@ -70,9 +82,11 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name, phase = f"{record.kind} {record.name}", record.phase
     if phase == _STARTED:
-        return f"{name}({values(record.parameters)})", _INFO
+        return f"{name}({values(record.parameters)}){', which runs already' if record.began_ns else ''}", _INFO
     if phase == _ASKED:
         return f"{name} asked for", _DEBUG
+    if phase == _LEFT:
+        return f"{name} goes on when the recording ends", _INFO
     took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}", _INFO
@@ -90,6 +104,16 @@ def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
 
 def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
     return f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO
+
+
+def _subscription(record: Subscription) -> tuple[str, Log.Level.ValueType]:
+    change = "removed from" if record.removed else "added to"
+    sender = f" of {record.sender}" if record.sender else ""
+    return f"handler {record.handler} {change} event {record.name}{sender}", _DEBUG
+
+
+def _refusal(record: Refusal) -> tuple[str, Log.Level.ValueType]:
+    return f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}", _WARNING
 
 
 def mutation_text(record: Mutation) -> str:
@@ -140,6 +164,8 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Mutation: lambda record: (mutation_text(record), _DEBUG),
     Query: _query,
     Event: _event,
+    Subscription: _subscription,
+    Refusal: _refusal,
     Fluent: _fluent,
     Run: _run,
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),

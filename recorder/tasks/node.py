@@ -61,7 +61,7 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
-    return Moment(record.wall_time_ns, record.sim_step, record.world)
+    return Moment(record.began_ns or record.wall_time_ns, record.sim_step, record.world)
 
 
 @dataclass(slots=True, eq=False)

@@ -8,10 +8,11 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from recorder.records import Keyframe, Run
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
-    from recorder.records import Mutation, Task
+    from recorder.records import Record
     from replay.file.record_reader import RecordReader
 
 
@@ -56,8 +57,10 @@ class Source:
             return Line(file, number)
         return Line(file, number, _function(text, number), lines[number - 1].strip())
 
-    def call_stack(self, record: Task | Mutation) -> tuple[Line, ...]:
-        """Return the plan's lines that led to a task or a change, outermost first; none if the record has none."""
+    def call_stack(self, record: Record) -> tuple[Line, ...]:
+        """Return the plan's lines that led to a task, a change or the like, outermost first; none if it has none."""
+        if isinstance(record, Run | Keyframe):
+            return ()
         line = self.line(record.source_file, record.source_line)
         if line is None:
             return ()

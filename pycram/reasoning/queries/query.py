@@ -1,7 +1,7 @@
 """What every reasoning query has in common: it leaves no trace, and its answer goes on record.
 
 While a query runs, the world's lock is held and the world refuses changes. Queries may ask each other; each call is one
-record, unless it was asked wrongly.
+record, and a refusal if it was asked wrongly.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UsageError
+from pycram.foundation.refusals import refusing
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -102,10 +103,11 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
     frame the camera is, by default the world's robot's. All parameters but ``world`` go on record, in order.
 
     Args:
-        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` makes no record.
+        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` is a refusal.
     """
     signature = inspect.signature(function)
 
+    @refusing()
     @functools.wraps(function)
     def ask(*args: P.args, **kwargs: P.kwargs) -> Answer:
         try:
@@ -168,7 +170,7 @@ def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapp
                     failure=records.failure(error) if error is not None else None,
                     picture=answer.picture if answer is not None else None,
                 )
-                journal.emit(record, world=world.name, sim_step=world.sim_step)
+                span.emit(record, world=world.name, sim_step=world.sim_step)
     return answer
 
 
