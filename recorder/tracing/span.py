@@ -16,7 +16,7 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
 from recorder.records import Task, arguments, failure, to_json
 from recorder.tasks import Tree
@@ -32,11 +32,15 @@ if TYPE_CHECKING:
     from typing import Self
 
     from recorder.records import Event, Fluent, Mutation, Query, Refusal, Subscription
+    from recorder.tracing.call_stack import CallSite
     from recorder.tracing.journal import Journal
+
+    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent  # with the plan's line
 
 #: A plan may run for days: its tree keeps the latest tasks, up to this number and these bytes of records.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
+_MAX_CACHED: Final = 4096  # call stacks as records hold them
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
@@ -245,18 +249,30 @@ def running() -> Iterator[list[Task]]:
         yield records
 
 
-def emit(
-    record: Mutation | Event | Subscription | Query | Refusal | Fluent, *, world: str = "", sim_step: int = 0
-) -> Mapping[Journal, int]:
+def emit(record: Located, *, world: str = "", sim_step: int = 0) -> Mapping[Journal, int]:
     """Records something with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
         if asked is None or call_site() not in (asked.line, ("", 0)):
-            stack = current_call_stack()
-            record.source_file, record.source_line = stack.line
-            record.callers.extend(stack.callers)
+            record.MergeFromString(_line_fields(type(record), current_call_stack()))
     return journal.emit(record, world=world, sim_step=sim_step)
+
+
+def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
+    """The fields of a record that hold a call stack, serialized: a plan's loop has the same ones again and again."""
+    key = kind, stack.lines
+    fields = _fields.get(key)
+    if fields is None:
+        file, line = stack.line
+        if len(_fields) >= _MAX_CACHED:
+            _fields.clear()
+        fields = kind(source_file=file, source_line=line, callers=stack.callers).SerializeToString()
+        _fields[key] = fields
+    return fields
+
+
+_fields: Final[dict[tuple[type[Located], tuple[CallSite, ...]], bytes]] = {}
 
 
 def current_call_stack() -> CallStack:
