@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import pytest
@@ -18,6 +19,7 @@ from recorder.records import Event as EventRecord, Fluent as FluentRecord, Mutat
 from recorder.tracing import journal
 from recorder.tracing.span import span
 from replay.cli.main import main
+from replay.explain.compare_runs import differing
 from tests.conftest import MemorySink
 
 if TYPE_CHECKING:
@@ -166,6 +168,25 @@ def test_lines_are_left_out_where_the_task_has_the_same(two: tuple[Object, Objec
     assert not [record for record in (*sink.of(Query), *sink.of(EventRecord), *sink.of(FluentRecord)) if record.callers]
     assert {record.source_file for record in sink.of(Query) + sink.of(EventRecord) + sink.of(FluentRecord)} == {""}
     assert sink.of(Task)[0].source_file == __file__
+
+
+def test_what_handlers_did_is_compared_without_its_steps(tmp_path: Path) -> None:
+    caused: list[list[Record]] = []
+    for number in range(2):
+        with recorder.record(tmp_path / "plan.mcap"), BulletWorld(name="w"):
+            for _ in range(number):
+                Event("more").fire()
+            event, cup = Event("x"), Object("cup", "cup", "cup.stl")
+            event += cup.set_position
+            with suppress(ValueError):
+                event.fire([0])
+            event.fire([1, 0, 0])
+        with replay.open(tmp_path / "plan.mcap") as log:
+            caused.append([record for record in log if record.cause])
+    assert {type(record) for record in caused[0]} == {Task, Mutation, Refusal}
+    for one, other in zip(*caused, strict=True):
+        assert one.cause != other.cause
+        assert not differing(one, other)
 
 
 def test_blame_tree_and_log_name_the_handler(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
