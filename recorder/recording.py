@@ -19,9 +19,9 @@ from recorder.errors import RecordingError
 from recorder.mcap.output_file import free_path
 from recorder.mcap.sink import McapSink
 from recorder.packages import hint
-from recorder.records import Run
+from recorder.records import Run, Task
 from recorder.records.asset import AssetFile
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
@@ -67,7 +67,8 @@ def record(
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
-    Worlds that exist already are recorded from a keyframe on.
+    Worlds that exist already are recorded from a keyframe on. Tasks that run already, such as the motion in which
+    the recording begins, come first in it; those that still run when it ends come last.
 
     Args:
         path: the MCAP file to write. Where there is a recording, it stays: RUN.mcap is followed by RUN.2.mcap, a line
@@ -146,7 +147,7 @@ def _begin(file: Path, live: str | None, began: Run, program: Path | None, *, lo
         log.append(began)
         if program is not None and program.is_file():
             log.attach([AssetFile(program.name, program.read_bytes(), "text/x-python")])
-        journal.open_journal(log)
+        journal.open_journal(log, span.running())
         undoing.pop_all()
     return Recording(file, log, viewer)
 
@@ -188,9 +189,21 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure_with_frames(error))
     try:
-        log.append(end)
+        with span.running() as tasks:
+            for began in reversed(tasks):
+                log.append(_left(began))
+            log.append(end)
+            journal.forget_journal(log)  # tasks that end now are in it no more
     finally:
         journal.close_journal(log)
+
+
+def _left(began: Task) -> Task:
+    """The last record of a task that still runs when its recording ends, by that of its beginning."""
+    left = Task(phase=Task.LEFT, status=began.status, duration_ns=time.time_ns() - began.began_ns)
+    for field in ("task", "parent", "world", "sim_step", "thread", "kind", "name", "attempt"):
+        setattr(left, field, getattr(began, field))
+    return left
 
 
 def _program() -> Path | None:

@@ -35,6 +35,7 @@ from pycram.fluents.whenever import whenever
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.names import export, qualified_name
+from pycram.foundation.refusals import refusing
 from pycram.language.body import await_turn
 from pycram.scheduling.future import unwrap
 from recorder.tracing.span import span
@@ -157,6 +158,7 @@ class Fluent:
         """
         return self.expression.value(self.expression.state())
 
+    @refusing("fluent")
     def set_value(self, value: Value) -> None:
         """Give it a value (of a branch's future its result), pulse it, and notify all who wait for it.
 

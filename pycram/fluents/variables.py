@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from pycram.fluents.expressions import Ended, Leaf, lock, notify
 from pycram.fluents.pulses import counters_on, pulse
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
         old = []  # freed after the lock is released
         with lock:
             for variable, json in serialized.items():
-                journal.emit(variable.record(json), world=world, sim_step=sim_step)
+                span.emit(variable.record(json), world=world, sim_step=sim_step)
             for variable, value in values.items():
                 old.append(variable.held)
                 variable.held, variable.json = value, serialized.get(variable)
@@ -103,7 +103,7 @@ def pulse_unchanged(expression: Expression) -> None:
     with Uninterrupted(), lock:
         if record is not None:
             record.before_json = record.after_json
-            journal.emit(record)
+            span.emit(record)
         pulse((expression,))
 
 

@@ -23,6 +23,7 @@ from pycram.fluents.expressions import Ended
 from pycram.fluents.fluent import Derived
 from pycram.fluents.variables import Variable, assign, end
 from pycram.foundation.failures import BadArgument
+from pycram.foundation.refusals import refusing
 from pycram.reasoning.queries.contact import touches
 from pycram.reasoning.queries.query import world_of
 from pycram.scheduling.future import unwrap
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["contact", "holding", "joint", "pose", "position"]
 
 
+@refusing(name="fluents.pose")
 def pose(body: Object, link: str | None = None) -> Fluent:
     """Follow the pose of an object's base link, or of another link: ((x, y, z), (x, y, z, w)) in the world frame.
 
@@ -51,6 +53,7 @@ def pose(body: Object, link: str | None = None) -> Fluent:
     return _follow("pose", name, lambda: _pose(owner, link), owner)
 
 
+@refusing(name="fluents.position")
 def position(body: Object, link: str | None = None) -> Fluent:
     """Follow the position of an object's base link, or of another link: (x, y, z) in m in the world frame.
 
@@ -63,6 +66,7 @@ def position(body: Object, link: str | None = None) -> Fluent:
     return _follow("position", name, lambda: _pose(owner, link)[0], owner)
 
 
+@refusing(name="fluents.joint")
 def joint(body: Object, name: str) -> Fluent:
     """Follow the position of an object's joint, in rad or m.
 
@@ -76,6 +80,7 @@ def joint(body: Object, name: str) -> Fluent:
     return _follow("joint", f"{name} of {owner.name}", lambda: owner.get_joint_position(name), owner)
 
 
+@refusing(name="fluents.holding")
 def holding(robot: Object, arm: str | None = None) -> Fluent:
     """Follow what a robot holds: the name of the object, None if there is none; the first of several.
 
@@ -97,6 +102,7 @@ def holding(robot: Object, arm: str | None = None) -> Fluent:
     return _follow("holding", carrier.name if arm is None else f"{arm} arm of {carrier.name}", held, carrier)
 
 
+@refusing(name="fluents.contact")
 def contact(object1: Object, object2: Object) -> Fluent:
     """Follow whether two objects of the same world touch: True or None.
 

@@ -43,6 +43,7 @@ __all__ = [
     "PlanFailure",
     "PostureInCollision",
     "PycramError",
+    "ReadOnly",
     "ReasoningError",
     "UnknownName",
     "Unreachable",
@@ -139,6 +140,22 @@ class AttachmentError(UsageError):
         self.carrier = carrier
         self.body = body
         self.reason = reason
+
+
+class ReadOnly(UsageError, AttributeError):
+    """An attribute was assigned that only methods change, as each change is a record.
+
+    Attributes:
+        owner: the world or object.
+        attribute: name of the attribute.
+        instead: what to do instead.
+    """
+
+    def __init__(self, owner: str, attribute: str, instead: str) -> None:
+        super().__init__(f"{attribute} of {owner} can't be assigned: {instead}")
+        self.owner = owner
+        self.attribute = attribute
+        self.instead = instead
 
 
 class WorldClosed(UsageError):

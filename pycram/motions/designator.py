@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeAlias
 from pycram.foundation.error_chain import chained
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.names import qualified_name
+from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
 from pycram.motions.equated import Equated
 from pycram.motions.requests import recorded
@@ -52,6 +53,7 @@ class Designator(Equated, ABC):
         DesignatorError: The description isn't a list of pairs.
     """
 
+    @refusing("designator", name="Designator")
     def __init__(self, description: Description, parent: Designator | None = None) -> None:
         super().__init__()
         self._slots = pairs(description)
@@ -119,6 +121,7 @@ class Designator(Equated, ABC):
             DesignatorError: There is none.
         """
 
+    @refusing("designator", Exception)
     def reference(self) -> Solution:
         """Return its solution, found at the first call; or the data that it was made effective with.
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 from pycram.foundation.failures import BadArgument, NoWorld
 from pycram.foundation.names import qualified_name
+from pycram.foundation.refusals import refusing
 from pycram.language.actions import run
 from pycram.language.body import current_block
 from pycram.motions.designator import Designator, DesignatorError, unfinished
@@ -102,9 +103,7 @@ class ProcessModule(ABC):
             NoProcessModule: No process module takes it.
             PlanFailure: The world said no.
         """
-        if not isinstance(designator, Designator):
-            raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
-        motion = Motion(designator, _world(), choose)
+        motion = _motion(designator)
         block = current_block()
         if block is None:
             with motion.span:
@@ -119,6 +118,13 @@ class ProcessModule(ABC):
         except BaseException:
             motion.leave()
             raise
+
+
+@refusing(name="perform")
+def _motion(designator: Designator) -> Motion:
+    if not isinstance(designator, Designator):
+        raise DesignatorError(f"perform takes a designator, not {designator!r}", value=designator)
+    return Motion(designator, _world(), choose)
 
 
 def choose(designator: Designator) -> Chosen:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -71,7 +71,7 @@ class Question:
                 if journal.recording() and not isinstance(error, UsageError):  # what can't be asked wasn't asked
                     record = self._record(error, trace=trace)
                     record.duration_ns = time.perf_counter_ns() - start
-                    journal.emit(record, world=world.name, sim_step=world.sim_step)
+                    span.emit(record, world=world.name, sim_step=world.sim_step)
 
     def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
         return records.Query(

@@ -6,6 +6,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_families import UsageError
+from pycram.foundation.refusals import refused
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -49,4 +50,4 @@ class Lock:
 def refuse_held() -> None:
     """Raise LockHeld if the thread holds a lock; called wherever a branch may yield to others."""
     if held.count:
-        raise LockHeld
+        raise refused(LockHeld(), "wait", {})

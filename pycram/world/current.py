@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, WorldClosed
+from pycram.foundation.refusals import refusing
 from pycram.world.object import Object
 from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_ident
@@ -95,6 +96,7 @@ class CurrentWorld(type):
         return current()
 
     @current_bullet_world.setter
+    @refusing(name="current_bullet_world = ...")
     def current_bullet_world(cls, world: BulletWorld) -> None:
         if not isinstance(world, cls):
             raise BadArgument("current_bullet_world", world, "a world")
@@ -107,6 +109,7 @@ class CurrentWorld(type):
         return world.robot if world is not None else None
 
     @robot.setter
+    @refusing(name="robot = ...")
     def robot(cls, robot: Object | None) -> None:
         if robot is not None and not isinstance(robot, Object):
             raise BadArgument("robot", robot, 'an object of type "robot"')

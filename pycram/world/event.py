@@ -14,12 +14,16 @@ from typing import TYPE_CHECKING, TypeAlias
 from pycram.foundation.error_chain import call_all, chained
 from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.names import qualified_name
+from pycram.foundation.refusals import mark_recorded, refusing
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import journal, span
+from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from typing import Self
+
+    from recorder.tracing.journal import Journal
 
     Handler: TypeAlias = Callable[..., object]
     Envelope: TypeAlias = Callable[[], tuple[str, int]]
@@ -51,7 +55,7 @@ class Event:
         """
         self.name = name
         self.sender = sender
-        self._envelope = envelope
+        self._where = envelope
         self._parameters = tuple(parameters)
         self._lock = threading.Lock()
         self._handlers: tuple[Handler, ...] = ()
@@ -61,31 +65,48 @@ class Event:
         """The registered handlers, in order."""
         return self._handlers
 
+    def _envelope(self) -> tuple[str, int]:
+        return self._where() if self._where is not None else ("", 0)
+
+    @refusing("event", name="+=")
     def __iadd__(self, handler: Handler) -> Self:
         """Register a handler, once; it is called with the event's arguments.
 
         Raises:
             BadArgument: It isn't callable.
+            RecordingError: It can't be recorded; it isn't registered then.
         """
         if not callable(handler):
             raise BadArgument(f"handler of {self}", handler, "something that can be called")
-        with self._lock:
+        name = qualified_name(handler)
+        with Uninterrupted(), self._lock:
             if handler not in self._handlers:
+                self._record_subscription(name)
                 self._handlers = (*self._handlers, handler)
         return self
 
+    @refusing("event", name="-=")
     def __isub__(self, handler: Handler) -> Self:
         """Remove a registered handler.
 
         Raises:
             UnknownName: It isn't registered.
+            RecordingError: It can't be recorded; it stays registered then.
         """
-        with self._lock:
+        name = qualified_name(handler)
+        with Uninterrupted(), self._lock:
             kept = tuple(known for known in self._handlers if known != handler)
             if len(kept) == len(self._handlers):
-                raise UnknownName("handler", qualified_name(handler), str(self), map(qualified_name, kept))
+                raise UnknownName("handler", name, str(self), map(qualified_name, kept))
+            self._record_subscription(name, removed=True)
             self._handlers = kept
         return self
+
+    def _record_subscription(self, handler: str, *, removed: bool = False) -> None:
+        if journal.recording():
+            world, sim_step = self._envelope()
+            record = records.Subscription(name=self.name, sender=self.sender, handler=handler, removed=removed)
+            span.emit(record, world=world, sim_step=sim_step)
 
     def prepare(self, *args: object, **kwargs: object) -> Callable[[], None]:
         """Record the event, and return the call of the present handlers with these arguments.
@@ -94,8 +115,9 @@ class Event:
             RecordingError: It can't be recorded.
         """
         handlers = self._handlers
+        steps: Mapping[Journal, int] = {}
         if journal.recording():
-            world, sim_step = self._envelope() if self._envelope is not None else ("", 0)
+            world, sim_step = self._envelope()
             names = [*self._parameters[: len(args)], *map(str, range(len(self._parameters), len(args)))]
             record = records.Event(
                 name=self.name,
@@ -103,14 +125,24 @@ class Event:
                 arguments=records.arguments([*zip(names, args, strict=True), *kwargs.items()]),
                 handlers=[records.HandlerCall(handler=qualified_name(handler)) for handler in handlers],
             )
-            journal.emit(record, world=world, sim_step=sim_step)
+            steps = span.emit(record, world=world, sim_step=sim_step)
 
         def call() -> None:
-            errors = call_all(partial(handler, *args, **kwargs) for handler in handlers)
+            with journal.caused_by(steps):
+                errors = call_all(partial(self._call, handler, args, kwargs) for handler in handlers)
             if errors:
                 raise chained(errors[0], errors[1:])
 
-        return call
+        return call if handlers else _nothing
+
+    def _call(self, handler: Handler, args: tuple[object, ...], kwargs: Mapping[str, object]) -> None:
+        """Call a handler, as a task."""
+        with span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}):
+            try:
+                handler(*args, **kwargs)
+            except Exception as error:
+                mark_recorded(error)  # its task has it; what fired the event was not refused
+                raise
 
     def fire(self, *args: object, **kwargs: object) -> None:
         """Record the event, then call the handlers with these arguments.
@@ -125,6 +157,14 @@ class Event:
         """Do the same as :meth:`fire`."""
         self.fire(*args, **kwargs)
 
+    def __record__(self) -> object:
+        """Return its reference in records."""
+        return {"event": f"{self.name} of {self.sender}" if self.sender else self.name}
+
     def __repr__(self) -> str:
         text = f"event {self.name or 'without name'}"
         return f"{text} of {self.sender}" if self.sender else text
+
+
+def _nothing() -> None:
+    """Call no handler."""

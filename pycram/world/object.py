@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
+from pycram.foundation.refusals import refusing_methods
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, carried, joints, overlaps
+from pycram.world.read_only import ReadOnlyAttributes, update
 from recorder import records
 from recorder.tracing.call_stack import call_site
 
@@ -30,7 +32,8 @@ ENVIRONMENT = "environment"
 ROBOT = "robot"
 
 
-class Object:
+@refusing_methods("object")
+class Object(ReadOnlyAttributes):
     """A thing in a world.
 
     Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame,
@@ -56,11 +59,27 @@ class Object:
     Attributes:
         overlaps: With what it overlapped when it was loaded; a warning said so (:mod:`pycram.world.overlaps`).
 
+    Its attributes are read-only: methods change them, each with a record.
+
     Raises:
         NoWorld: No world is given and none is current.
         BadArgument: An impossible value, or a name that another object has.
         AssetError: The file is missing or broken.
     """
+
+    _SUBJECT = "object"
+    _CHANGED_BY = MappingProxyType(
+        {
+            "": "it is as the object was loaded; only its methods change it",
+            "color": "use set_color(color)",
+            "attachments": "use attach(other, link) and detach(other)",
+            "carried": "use attach(other, link) and detach(other)",
+            "carrier": "use attach(other, link) of the carrier, and detach(other)",
+            "alive": "use remove()",
+            "original_pose": "it is the pose in which it was loaded; use set_position_and_orientation() to move it",
+            "original_joints": "they are as they were loaded; use set_joint_positions() to move them",
+        }
+    )
 
     def __init__(
         self,
@@ -99,16 +118,20 @@ class Object:
                 description.check(self.urdf)
             self.description = description or find_description(self.urdf)
         self.original_pose: Pose = pose
-        self.original_joints: dict[str, float] = {}
+        self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, Attachment] = {}
         self._handle: Body | None = None
         self.overlaps: Sequence[records.Overlap] = ()
+        self._seal(Object)
         self.world.add(self)
         if self.overlaps and model is None:  # a recorded one has been warned of
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
 
     def __repr__(self) -> str:
         return f"Object({self.name!r}, {self.type!r})"
+
+    def _envelope(self) -> tuple[str, int]:
+        return self.world._envelope()  # noqa: SLF001  for the same records
 
     def __record__(self) -> object:
         """Return its reference in records."""
@@ -138,10 +161,6 @@ class Object:
             gone = "the world" if self.world.closed else f"object {self.name}"
             raise WorldClosed(self.world.name, f"use {self.name}", gone)
         return self._handle
-
-    @handle.setter
-    def handle(self, handle: Body | None) -> None:
-        self._handle = handle
 
     @property
     def alive(self) -> bool:
@@ -368,7 +387,7 @@ class Object:
         command = records.SetColor(body=self.name, color=rgba)
         with self.world.transactions.begin(records.Mutation(set_color=command)):
             self.world.engine.set_color(self.handle, rgba)
-            self.color = rgba
+            update(self, color=rgba)
 
 
 def _object(argument: str, value: object) -> Object:

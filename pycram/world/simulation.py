@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.world import carried
+from pycram.world.read_only import update
 from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
 from recorder import records
 from recorder.tracing import journal
@@ -63,7 +64,7 @@ def _step(
         for body in world.objects:
             if body.fixed:  # solvers let what is attached to it in chains give way a little
                 carried.move_attached(body, transaction)
-        world.sim_step += chunk
+        update(world, sim_step=world.sim_step + chunk)
         done += chunk
         ended = until is not None and until()
         if ended or done == steps:  # the effect itself has the last state

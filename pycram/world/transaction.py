@@ -23,7 +23,6 @@ from pycram.world.lock import WorldLock
 from pycram.world.snapshot import Snapshot, state_delta, take_snapshot
 from recorder import records
 from recorder.tracing import journal, span, stack_room
-from recorder.tracing.call_stack import call_site
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
@@ -167,8 +166,7 @@ class TransactionManager:
         effect.attached.extend(attachment.record() for attachment in transaction.attached.values())
         effect.detached.extend(attachment.record() for attachment in transaction.detached)
         effect.samples.extend(transaction.samples)
-        _add_call_site(record)
-        journal.emit(record, world=world.name, sim_step=world.sim_step)
+        span.emit(record, world=world.name, sim_step=world.sim_step)
         self._since_keyframe += 1
         if self._since_keyframe >= TRANSACTIONS_PER_KEYFRAME and not world.closed:
             journal.emit(self.keyframe(), world=world.name, sim_step=world.sim_step)
@@ -192,16 +190,3 @@ class TransactionManager:
             frame.attachments.extend(attachment.record() for attachment in body.carried)
         self._since_keyframe = 0
         return frame
-
-
-def _add_call_site(record: records.Mutation) -> None:
-    """Record where in the plan a change is made, unless the record of its task has the same line."""
-    if journal.is_unrecorded():
-        return
-    task = span.current()
-    asked = task.source if task is not None else None
-    if asked is not None and call_site() in (asked.line, ("", 0)):
-        return
-    stack = span.current_call_stack()
-    record.source_file, record.source_line = stack.line
-    record.callers.extend(stack.callers)

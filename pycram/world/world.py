@@ -8,10 +8,12 @@ second.
 from __future__ import annotations
 
 from contextlib import ExitStack
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
+from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.physics.engine import Engine
 from pycram.physics.window import check_display
 from pycram.scheduling.cancellation import uninterruptible
@@ -21,6 +23,7 @@ from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
 from pycram.world.object import Object
 from pycram.world.overlaps import overlaps
+from pycram.world.read_only import ReadOnlyAttributes, update
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
 from recorder import records
@@ -40,7 +43,8 @@ __all__ = ["BulletWorld", "Object"]
 _MAX_SECONDS: Final = 366 * 86400.0  # of one simulation; longer ones are mistakes
 
 
-class BulletWorld(metaclass=CurrentWorld):
+@refusing_methods("world")
+class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     """A world, as a context manager that exits it.
 
     All methods raise BadArgument for impossible values; those that change it raise WorldClosed when it has ended, and
@@ -56,6 +60,19 @@ class BulletWorld(metaclass=CurrentWorld):
 
     mode: str
     name: str
+    _SUBJECT = "world"
+    _CHANGED_BY = MappingProxyType(
+        {
+            "": "it is as the world was opened; only its methods and those of its objects change it",
+            "gravity": "use set_gravity(gravity)",
+            "sim_step": "use simulate(seconds)",
+            "realtime": "use set_realtime(real_time)",
+            "mode": 'a world is opened in its mode, as in BulletWorld("GUI")',
+            "objects": "use Object(...) to load one, and remove()",
+            "closed": "use exit()",
+            "exiting": "use exit()",
+        }
+    )
 
     def __init__(self, type: str = "DIRECT", name: str | None = None) -> None:  # noqa: A002  the original's name
         if type not in ("DIRECT", "GUI"):
@@ -85,6 +102,7 @@ class BulletWorld(metaclass=CurrentWorld):
             with self.transactions.begin(records.Mutation(open_world=records.OpenWorld(mode=type))):
                 journal.register(self)
             undo.pop_all()
+        self._seal(BulletWorld)
         current.make_current(self)
 
     def __repr__(self) -> str:
@@ -137,6 +155,7 @@ class BulletWorld(metaclass=CurrentWorld):
         return self._robot
 
     @robot.setter
+    @refusing("world", name="robot = ...")
     def robot(self, robot: Object | None) -> None:
         self.set_robot(robot)
 
@@ -192,16 +211,17 @@ class BulletWorld(metaclass=CurrentWorld):
                 loading=loading,
                 start=loading.start(body.urdf),
             )
-            body.handle = handle
+            update(body, _handle=handle)
             torso = body.description.torso if body.description else None
             if torso is not None:
                 raised = {torso.joint: torso.default}
                 self.engine.set_joints(handle, raised | (body.urdf.followers(raised) if loading.mimic else {}))
-            body.original_joints = dict(zip(body.joints, self.engine.joints(handle)[0], strict=True))
+            start = dict(zip(body.joints, self.engine.joints(handle)[0], strict=True))
+            update(body, original_joints=MappingProxyType(start))
             if body.color is not None:
                 self.engine.set_color(handle, body.color)
             self._objects[body.name] = body
-            body.overlaps = overlaps(body)
+            update(body, overlaps=tuple(overlaps(body)))
             if journal.recording():
                 journal.attach(body.model.files)
                 command.load_body.CopyFrom(body.load_record)
@@ -219,7 +239,7 @@ class BulletWorld(metaclass=CurrentWorld):
             for attachment in list(body.attachments.values()):
                 end(attachment, transaction)
             self.engine.remove(handle)
-            body.handle = None
+            update(body, _handle=None)
             del self._objects[body.name]
             if self._robot is body:
                 self._robot = None
@@ -251,7 +271,7 @@ class BulletWorld(metaclass=CurrentWorld):
         vector = checks.vector("gravity", gravity)
         with self.transactions.begin(records.Mutation(set_gravity=records.SetGravity(gravity=vector))):
             self.engine.set_gravity(vector)
-            self.gravity = vector
+            update(self, gravity=vector)
 
     def set_realtime(self, real_time: bool) -> None:
         """Start or stop simulating at the pace of the clock, in a thread of its own.
@@ -358,7 +378,7 @@ class BulletWorld(metaclass=CurrentWorld):
         Raises:
             Exception: The first error of :meth:`at_exit`'s functions or of handlers in real time; all has ended then.
         """
-        self.exiting = True  # a simulation in another thread ends early
+        update(self, exiting=True)  # a simulation in another thread ends early
         with self.lock:
             if self.closed:
                 return
@@ -381,10 +401,10 @@ class BulletWorld(metaclass=CurrentWorld):
         """End everything but the record of it, once."""
         if self.closed:
             return
-        self.closed = True
+        update(self, closed=True)
         journal.unregister(self)
         for body in self.objects:
-            body.handle = None
+            update(body, _handle=None)
         self._robot = None
         self.engine.close()
         current.remove(self.name)

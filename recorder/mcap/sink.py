@@ -243,7 +243,12 @@ class McapSink:
 
 
 def _descriptors(message: type[Message]) -> bytes:
-    """A message's definition with all that it imports, which comes first."""
+    """A message's definition, with all that it consists of and nothing else; files that are imported come first."""
+    needed = [message.DESCRIPTOR]
+    for descriptor in needed:  # which grows
+        parts = (field.message_type for field in descriptor.fields)
+        needed += [part for part in parts if part is not None and part not in needed]
+    names = {descriptor.full_name for descriptor in needed}
     descriptors = FileDescriptorSet()
     added: set[str] = set()
 
@@ -252,7 +257,11 @@ def _descriptors(message: type[Message]) -> bytes:
             added.add(file.name)
             for dependency in file.dependencies:
                 add(dependency)
-            file.CopyToProto(descriptors.file.add())
+            definition = descriptors.file.add()
+            file.CopyToProto(definition)
+            messages = [each for each in definition.message_type if f"{file.package}.{each.name}" in names]
+            del definition.message_type[:]
+            definition.message_type.extend(messages)
 
     add(message.DESCRIPTOR.file)
     return descriptors.SerializeToString()

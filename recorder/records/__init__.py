@@ -30,6 +30,7 @@ from recorder.records.log_pb2 import (
     Overlap as Overlap,
     Picture as Picture,
     Query as Query,
+    Refusal as Refusal,
     RemoveBody as RemoveBody,
     Reset as Reset,
     Revision as Revision,
@@ -42,6 +43,7 @@ from recorder.records.log_pb2 import (
     Simulate as Simulate,
     SourceLine as SourceLine,
     StackFrame as StackFrame,
+    Subscription as Subscription,
     Task as Task,
     Variable as Variable,
 )
@@ -57,15 +59,17 @@ from recorder.records.values import (
     to_json as to_json,
 )
 
-Record: TypeAlias = Run | Task | Mutation | Event | Fluent | Query | Keyframe | Output
+Record: TypeAlias = Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output
 
 TOPICS: Mapping[type[Record], str] = {
     Run: "/run",
     Task: "/task",
     Mutation: "/mutation",
     Event: "/event",
+    Subscription: "/subscription",
     Fluent: "/fluent",
     Query: "/query",
+    Refusal: "/refusal",
     Keyframe: "/keyframe",
     Output: "/output",
 }

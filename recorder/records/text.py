@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Any, Final
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Run, Task, format_failure
+from recorder.records import (
+    Event,
+    Fluent,
+    Keyframe,
+    Mutation,
+    Output,
+    Query,
+    Refusal,
+    Run,
+    Subscription,
+    Task,
+    format_failure,
+)
 from recorder.records.choices import decision_text, rejections
 
 if TYPE_CHECKING:
@@ -20,7 +32,8 @@ if TYPE_CHECKING:
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
-_ASKED, _STARTED, _SUCCEEDED, _CANCELLED = Task.ASKED, Task.STARTED, Task.SUCCEEDED, Task.CANCELLED  # looked up once
+_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # looked up once
+_SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
 _LEVELS: Final = {
@@ -79,9 +92,11 @@ def _run(record: Run) -> tuple[str, Log.Level.ValueType]:
 def _task(record: Task) -> tuple[str, Log.Level.ValueType]:
     name, phase = f"{record.kind} {record.name}", record.phase
     if phase == _STARTED:
-        return f"{name}({values(record.parameters)})", _INFO
+        return f"{name}({values(record.parameters)}){', which runs already' if record.began_ns else ''}", _INFO
     if phase == _ASKED:
         return f"{name} asked for", _DEBUG
+    if phase == _LEFT:
+        return f"{name} goes on when the recording ends", _INFO
     took, status = f"{record.duration_ns / _MS:.1f} ms", record.status
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}{_decided(record)}", _INFO
@@ -113,6 +128,16 @@ def _output(record: Output) -> tuple[str, Log.Level.ValueType]:
     if record.stream == "logging":
         return f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO)
     return f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO
+
+
+def _subscription(record: Subscription) -> tuple[str, Log.Level.ValueType]:
+    change = "removed from" if record.removed else "added to"
+    sender = f" of {record.sender}" if record.sender else ""
+    return f"handler {record.handler} {change} event {record.name}{sender}", _DEBUG
+
+
+def _refusal(record: Refusal) -> tuple[str, Log.Level.ValueType]:
+    return f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}", _WARNING
 
 
 def mutation_text(record: Mutation) -> str:
@@ -165,6 +190,8 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Mutation: lambda record: (mutation_text(record), _DEBUG),
     Query: _query,
     Event: _event,
+    Subscription: _subscription,
+    Refusal: _refusal,
     Fluent: _fluent,
     Run: _run,
     Output: _output,

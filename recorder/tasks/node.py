@@ -63,6 +63,8 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
+    if record.began_ns:  # before the recording, whose clock it doesn't have
+        return Moment(record.began_ns, record.sim_step, record.world)
     return Moment(record.wall_time_ns, record.sim_step, record.world, record.monotonic_ns)
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _MARKS: Final = {State.SUCCEEDED: "+", State.FAILED: "X", State.CANCELLED: "-", State.RUNNING: "?", State.CREATED: "."}
 _MAX_ALIKE: Final = 6  # siblings that are shown one by one
 _MAX_WIDTH: Final = 100  # characters of parameters
-_WITH_PARAMETERS: Final = ("motion", "attempt", "failure-handling")  # whose parameters aren't shown elsewhere
+_WITH_PARAMETERS: Final = ("motion", "attempt", "failure-handling", "handler")  # whose parameters nothing else shows
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")  # whose names imply it
 
 
@@ -152,6 +152,8 @@ def _extent(node: Node) -> str:
         took = "not finished" if node.start is not None else "not begun"
     else:
         took = f"{(node.seconds or 0.0) * 1e3:.1f} ms" if node.start is not None else "never begun"
+    if node.started.began_ns:
+        took += ", began before the recording"
     if not node.started.seq:  # not recorded
         return took
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"

@@ -20,7 +20,7 @@ from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_ident
 
 if TYPE_CHECKING:
-    from types import FrameType
+    from types import CodeType, FrameType
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 
@@ -34,7 +34,7 @@ _RUNNERS: Final = frozenset({"pycram.cli", "replay.restore.session"})
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
-_MAX_CACHED: Final = 4096  # call stacks
+_MAX_CACHED: Final = 4096  # call stacks, and lines
 _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
@@ -115,19 +115,44 @@ def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | No
     """The plan's innermost frame and its line; without any, None and the line of the innermost foreign frame."""
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
-    return frame, (innermost.f_code.co_filename, innermost.f_lineno) if innermost is not None else None
+    return frame, _site(innermost)[1] if innermost is not None else None
+
+
+def is_of_plan(frame: FrameType) -> bool:
+    """Whether a frame runs the plan's own code."""
+    return _site(frame)[0] is _Origin.PLAN
 
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
     """The plan's lines up to a frame, outermost first."""
     lines: list[CallSite] = []
-    while (frame := plan_frame(frame)[0]) is not None:
-        line = frame.f_code.co_filename, frame.f_lineno
-        if not lines or line != lines[-1]:
-            lines.append(line)
+    known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # for speed
+    last = None
+    while frame is not None:
+        origin, line, _ = known((id(frame.f_code), frame.f_lasti)) or _site(frame)
+        if origin is plan:
+            if line != last:
+                lines.append(line)
+                last = line
+        elif origin is runner:
+            break
         frame = frame.f_back
     lines.reverse()
     return tuple(lines)
+
+
+def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
+    """Whose code a frame runs, at which line: cached, as frames decode lines from their whole tables."""
+    code = frame.f_code
+    key = id(code), frame.f_lasti  # its hash would be that of all its instructions; it is kept, and so its id
+    site = _sites.get(key)
+    if site is None:
+        file = code.co_filename
+        origin = _origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
+        if len(_sites) >= _MAX_CACHED:
+            _sites.clear()
+        site = _sites[key] = origin, (file, frame.f_lineno), code
+    return site
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
@@ -163,6 +188,7 @@ class _Origin(Enum):
 
 
 _origins: Final[dict[str, _Origin]] = {}  # by file
+_sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}  # by a code's id and its instruction
 
 
 def _origin(file: str, module: str) -> _Origin:

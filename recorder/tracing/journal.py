@@ -11,8 +11,9 @@ import threading
 import time
 import weakref
 from collections import deque
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Output, Record
@@ -22,7 +23,7 @@ from recorder.tracing.branch_identity import current_ident, current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 
 class Sink(Protocol):
@@ -116,6 +117,7 @@ class Journal:
         Raises:
             RecordingError: a sink can't keep it.
         """
+        record.cause = _cause.get().get(self, 0)
         return self._take(record)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
@@ -228,14 +230,31 @@ def unrecorded(*journals: Journal) -> Iterator[None]:
         _isolated.reset(token)
 
 
-def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> None:
-    """Completes a record's envelope and publishes it.
+#: The event whose handler runs in this context, by the step that it is in each journal.
+_cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=MappingProxyType({}))
+
+
+@contextmanager
+def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
+    """Records all that its block does as caused by an event, given as :func:`emit` returned it."""
+    token = _cause.set(event)
+    try:
+        yield
+    finally:
+        _cause.reset(token)
+
+
+def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None = None) -> Mapping[Journal, int]:
+    """Completes a record's envelope and appends it to every open journal.
 
     Args:
         record: without its envelope.
         world: name of the world that it is about.
         sim_step: simulated steps of that world.
         task: id of its task; by default the current one.
+
+    Returns:
+        Its step in each journal.
 
     Raises:
         RecordingError: a sink can't keep it.
@@ -246,7 +265,11 @@ def emit(record: Record, *, world: str = "", sim_step: int = 0, task: int | None
     record.sim_step = sim_step
     record.task = task_id() if task is None else task
     record.thread = current_name()
-    publish(record)
+    steps = {}
+    for journal in _listening():
+        journal.append(record)
+        steps[journal] = record.seq
+    return steps
 
 
 def publish(record: Record) -> int:
@@ -344,8 +367,12 @@ def recording_number() -> int:
     return _opened
 
 
-def open_journal(journal: Journal) -> None:
+def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
     """Begins recording to a journal; worlds that exist already give a keyframe first.
+
+    Args:
+        journal: the journal.
+        running: gives the records of the tasks that run already, which come first; none of them ends meanwhile.
 
     Raises:
         RecordingError: a sink can't keep it; nothing is appended to the journal any more then.
@@ -353,9 +380,11 @@ def open_journal(journal: Journal) -> None:
     """
     global _open, _opened  # noqa: PLW0603  the set of open journals is the process's, as its worlds are
     stack_room.require(stack_room.FOR_TASK)
-    with _registry:
+    with _registry, running or nullcontext(()) as tasks:
         _opened += 1
         sources = [source for reference in _sources if (source := reference()) is not None]
+        for record in tasks:
+            journal.append(record)
         journal.expect_keyframes(source.name for source in sources)
         _open = (*_open, journal)
     try:

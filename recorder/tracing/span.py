@@ -12,16 +12,17 @@ from __future__ import annotations
 
 import itertools
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
 from recorder.records import Decision, Task, arguments, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_name
-from recorder.tracing.call_stack import CallStack, plan_frame, walk
+from recorder.tracing.call_stack import CallStack, call_site, plan_frame, walk
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.local_variables import failure_with_frames
 
@@ -31,15 +32,24 @@ if TYPE_CHECKING:
     from types import FrameType, TracebackType
     from typing import Self
 
+    from recorder.records import Event, Fluent, Mutation, Query, Refusal, Subscription
+    from recorder.tracing.call_stack import CallSite
+    from recorder.tracing.journal import Journal
+
+    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent  # with the plan's line
+
 #: A plan may run for days: its tree keeps the latest tasks, up to this number and these bytes of records.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
+_MAX_CACHED: Final = 4096  # call stacks as records hold them
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
 _tree_of = 0  # number of the recording whose tasks the tree has; 0 before the first
+_running: Final[dict[int, Task]] = {}  # how the tasks began that recordings may have and that have not ended
+_emitting: Final = threading.RLock()  # held from the record of a task's beginning or end to the change of these two
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
@@ -206,17 +216,67 @@ class Span:
             _tree_of = journal.recording_number()
             _tree.forget()
         size = 0
-        try:
-            size = journal.publish(record)
-        finally:
-            if not size and not record.wall_time_ns:  # no journal numbered it
-                record.wall_time_ns = time.time_ns()
-            _tree.apply(record, size)
+        with _emitting:
+            try:
+                size = journal.publish(record)
+            finally:
+                if not size and not record.wall_time_ns:  # no journal numbered it
+                    record.wall_time_ns = time.time_ns()
+                _tree.apply(record, size)
+                if record.phase == _FINISHED:
+                    _running.pop(self.id, None)
+                elif not journal.is_unrecorded():
+                    _running[self.id] = record
 
 
 def current() -> Span | None:
     """The innermost running task of this context."""
     return _current.get()
+
+
+@contextmanager
+def running() -> Iterator[list[Task]]:
+    """Keeps tasks from beginning and ending while its block runs, and gives those that run.
+
+    Yields:
+        The records of their beginnings as another recording has them that begins now, outer tasks before inner ones.
+    """
+    with _emitting:
+        records = []
+        for _, began in sorted(_running.items()):
+            record = Task()
+            record.CopyFrom(began)
+            record.began_ns = began.wall_time_ns
+            if began.parent not in _running:  # a thread of its own can outlive what it is part of
+                record.parent = 0
+            records.append(record)
+        yield records
+
+
+def emit(record: Located, *, world: str = "", sim_step: int = 0) -> Mapping[Journal, int]:
+    """Records something with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
+    if not journal.is_unrecorded():
+        task = _current.get()
+        asked = task.source if task is not None else None
+        if asked is None or call_site() not in (asked.line, ("", 0)):
+            record.MergeFromString(_line_fields(type(record), current_call_stack()))
+    return journal.emit(record, world=world, sim_step=sim_step)
+
+
+def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
+    """The fields of a record that hold a call stack, serialized: a plan's loop has the same ones again and again."""
+    key = kind, stack.lines
+    fields = _fields.get(key)
+    if fields is None:
+        file, line = stack.line
+        if len(_fields) >= _MAX_CACHED:
+            _fields.clear()
+        fields = kind(source_file=file, source_line=line, callers=stack.callers).SerializeToString()
+        _fields[key] = fields
+    return fields
+
+
+_fields: Final[dict[tuple[type[Located], tuple[CallSite, ...]], bytes]] = {}
 
 
 def current_call_stack() -> CallStack:

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, get_args
 
 import pyarrow as pa
 import rerun as rr
 
-from recorder.records import TOPICS, Event, Fluent, Mutation, Output, Query, Run, Task, format_failure
+from recorder.records import (
+    TOPICS,
+    Event,
+    Fluent,
+    Mutation,
+    Output,
+    Query,
+    Refusal,
+    Run,
+    Subscription,
+    Task,
+    format_failure,
+)
 from recorder.records.text import by_name, values
 
 if TYPE_CHECKING:
@@ -23,7 +35,7 @@ if TYPE_CHECKING:
 RECORDS: Final = "records"
 
 
-def _failure(record: Task | Query | Run) -> str:
+def _failure(record: Task | Query | Refusal | Run) -> str:
     return format_failure(record.failure) if record.HasField("failure") else ""
 
 
@@ -31,11 +43,11 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
     return enum.Name(number).lower() if number in enum.values() else str(number)
 
 
-def _source(record: Task | Mutation | Output) -> str:
+def _source(record: _Sourced | Output) -> str:
     return _line(record.source_file, record.source_line) if record.source_file else ""
 
 
-def _callers(record: Task | Mutation) -> str:
+def _callers(record: _Sourced) -> str:
     callers = record.callers[:]
     return ", ".join([_line(caller.file or record.source_file, caller.line) for caller in callers]) if callers else ""
 
@@ -48,9 +60,11 @@ def _line(file: str, line: int) -> str:
 _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
     Task: ("kind", "name", "status", "parent", "parameters", "failure", "duration_ms", "callers"),
     Mutation: ("command", "bodies", "callers"),
-    Event: ("name", "sender", "arguments", "handlers"),
-    Fluent: ("name", "before", "after"),
-    Query: ("name", "arguments", "answer", "evidence", "failure", "duration_ms"),
+    Event: ("name", "sender", "arguments", "handlers", "callers"),
+    Subscription: ("name", "sender", "handler", "removed", "callers"),
+    Fluent: ("name", "before", "after", "callers"),
+    Query: ("name", "arguments", "answer", "evidence", "failure", "duration_ms", "callers"),
+    Refusal: ("name", "arguments", "failure", "callers"),
     Run: ("phase", "name", "succeeded", "failure"),
     Output: ("stream", "level", "logger"),
 }
@@ -74,9 +88,10 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
 }
 """Values of columns, where they aren't the record's field of that name."""
 
-_COMMON: Final = ("world", "task", "thread", "text")
-_SOURCED: Final = (Mutation, Task, Output)
-"""Types of records with the plan's line that made them: mutations have it only where it isn't their task's."""
+_COMMON: Final = ("world", "task", "thread", "cause", "text")
+_Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal
+_SOURCED: Final = (*get_args(_Sourced), Output)
+"""Types of records with the plan's line that made them: all but tasks have it only where it isn't their task's."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
@@ -101,10 +116,10 @@ class RecordTables:
         if table is None:
             return
         series, cells = table
-        row = (record.world, record.task, record.thread, text, *[cell(record) for cell in cells])
+        row = (record.world, record.task, record.thread, record.cause, text, *[cell(record) for cell in cells])
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
-    def _source(self, record: Mutation | Task | Output) -> str:
+    def _source(self, record: _Sourced | Output) -> str:
         """Call site of a record, or of its task."""
         source = _source(record) or self._sources.get(record.task, "")
         if type(record) is Task:

@@ -81,6 +81,7 @@ def _causes(causes: Causes) -> dict[str, object]:
                 "name": task.started.name,
                 "parameters": argument_values(task.started.parameters),
                 "step": task.started.seq,
+                "cause": task.started.cause,
             }
             | call_stack_facts(task.call_stack)
             for task in causes.tasks
@@ -158,7 +159,8 @@ def _size(change: Blame) -> str:
 def _because(causes: Causes, indent: str, printed: list[_CallStack]) -> Iterator[str]:
     for started in (task.started for task in causes.tasks):
         called = formatting.task(started.kind, started.name, argument_values(started.parameters))
-        yield f"{indent}in {called}  [step {started.seq}]"
+        by, event = ("by", f", step {started.cause}") if started.kind == "handler" else ("in", "")
+        yield f"{indent}{by} {called}{event}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"
     yield from (f"{indent}{line}" for line in _call_stack(causes.call_stack, printed))

@@ -83,6 +83,8 @@ def call(name: str, parameters: Mapping[str, Plain]) -> str:
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     """Return a task, with its kind if the name doesn't imply it; a process module's parameters are its motion's."""
+    if kind == "handler":
+        return f"handler {name} of event {parameters.get('event', '')}"
     called = name if kind == "process-module" else call(name, parameters)
     return called if kind in _PLAIN_KINDS else f"{called} {kind}"
 

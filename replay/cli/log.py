@@ -45,8 +45,10 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             print_json(record_data(record) | {"text": line}, flush=options.follow)
         else:
             clock = f"{record.sim_step / STEPS_PER_SECOND:.3f}s" if record.world else ""
+            cause = f"  (by a handler of step {record.cause})" if record.cause else ""
             print_text(
-                f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}", flush=options.follow
+                f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}{cause}",
+                flush=options.follow,
             )
     return 0
 

@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from recorder.collision_pairs import pair_text
-from recorder.records import STEPS_PER_SECOND, Event, Query, Task, argument_values, format_failure, from_json
+from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
 from recorder.records.choices import rejections
 from recorder.records.text import text_of
 from replay.cli import formatting
@@ -20,13 +20,17 @@ if TYPE_CHECKING:
 def line(record: Record) -> str:
     """Return a record as one line."""
     if isinstance(record, Task) and record.phase == Task.STARTED:
-        return f"{record.kind} {formatting.call(record.name, argument_values(record.parameters))}"
+        earlier = ", which runs already" if record.began_ns else ""
+        return f"{record.kind} {formatting.call(record.name, argument_values(record.parameters))}{earlier}"
     if isinstance(record, Query):
         text = reasons(record)
         return f"{question(record)}: {answer(record)}" + (f"; {text}" if text else "")
     if isinstance(record, Event):
         text = f"event {formatting.call(record.name, argument_values(record.arguments))}"
         return f"{text}, {len(record.handlers)} handlers" if record.handlers else text
+    if isinstance(record, Refusal):
+        asked = formatting.call(record.name, argument_values(record.arguments))
+        return f"refused: {asked}: {formatting.one_line(format_failure(record.failure))}"
     return "; ".join(text_of(record)[0].splitlines())
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Mutation, Task
+from recorder.records import Task
 from replay.explain.plan_source import Source
 
 if TYPE_CHECKING:
@@ -52,5 +52,5 @@ def causes(log: RecordReader, record: Record) -> Causes:
             number = started.parent
             if not number:
                 break
-    stacks = [source.call_stack(record) if isinstance(record, Mutation) else (), *(task.call_stack for task in tasks)]
+    stacks = [source.call_stack(record), *(task.call_stack for task in tasks)]
     return Causes(tuple(tasks), next(filter(None, stacks), ()))

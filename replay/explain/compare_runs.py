@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Query, Run, Task
+from recorder.records import Query, Refusal, Run, Task
 from replay.explain.causing_tasks import causes
 from replay.explain.run_summary import Summary, summary
 from replay.state.difference import Difference, difference
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
-    "seq", "wall_time_ns", "monotonic_ns", "task", "parent", "thread", "duration_ns", "source_file", "source_line",
-    "callers",
+    "seq", "wall_time_ns", "monotonic_ns", "task", "parent", "thread", "cause", "duration_ns", "began_ns",
+    "source_file", "source_line", "callers",
 )  # fmt: skip
 
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
@@ -196,7 +196,7 @@ def _bare(record: Record) -> Record:
     for field in _INCIDENTAL:
         if field in bare.DESCRIPTOR.fields_by_name:
             bare.ClearField(field)
-    if isinstance(bare, Run | Task | Query) and bare.HasField("failure"):
+    if isinstance(bare, Run | Task | Query | Refusal) and bare.HasField("failure"):
         bare.failure.ClearField("traceback")
         del bare.failure.frames[:]
     if isinstance(bare, Run):

@@ -8,10 +8,11 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
+from recorder.records import Keyframe, Output, Run
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
-    from recorder.records import Mutation, Task
+    from recorder.records import Record
     from replay.file.record_reader import RecordReader
 
 
@@ -56,13 +57,16 @@ class Source:
             return Line(file, number)
         return Line(file, number, _function(text, number), lines[number - 1].strip())
 
-    def call_stack(self, record: Task | Mutation) -> tuple[Line, ...]:
-        """Return the plan's lines that led to a task or a change, outermost first; none if the record has none."""
+    def call_stack(self, record: Record) -> tuple[Line, ...]:
+        """Return the plan's lines that led to a task, a change or the like, outermost first; none if it has none."""
+        if isinstance(record, Run | Keyframe):
+            return ()
         line = self.line(record.source_file, record.source_line)
         if line is None:
             return ()
-        callers = (self.line(caller.file or record.source_file, caller.line) for caller in record.callers)
-        return (*(caller for caller in callers if caller is not None), line)
+        callers = () if isinstance(record, Output) else record.callers
+        above = (self.line(caller.file or record.source_file, caller.line) for caller in callers)
+        return (*(caller for caller in above if caller is not None), line)
 
     def text(self, file: str) -> str:
         """Return the text of a file; "" if it is not attached, or damaged."""

@@ -88,7 +88,7 @@ def _tasks(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
             if names == searched or path == str(record.task):
                 running[record.task] = [record.seq, None]
                 executions.append(running[record.task])
-        else:
+        elif record.phase == Task.FINISHED:
             paths.pop(record.task, None)
             ended = running.pop(record.task, None)
             if ended is not None:

@@ -108,7 +108,7 @@ class Reexecution:
         if repeated is not None:
             repeated.seq, repeated.wall_time_ns, repeated.thread = record.seq, record.wall_time_ns, record.thread
             repeated.monotonic_ns = record.monotonic_ns
-            repeated.world, repeated.task = record.world, record.task
+            repeated.world, repeated.task, repeated.cause = record.world, record.task, record.cause
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
             _keep_what_follows(record, repeated)

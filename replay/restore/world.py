@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 from pycram.foundation.failures import DisplayError, PycramError
 from pycram.world import attachment
 from pycram.world.current import open_worlds
+from pycram.world.read_only import update
 from pycram.world.snapshot import Snapshot, restore_snapshot
 from pycram.world.world import BulletWorld, Object
 from recorder.tracing import journal
@@ -93,7 +94,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
     """Return a new world ``NAME@SUFFIX`` with a recorded state; to be called unrecorded."""
     world = open_world(f"{state.name}@{suffix}", mode)
     try:
-        world.sim_step = state.sim_step
+        update(world, sim_step=state.sim_step)
         world.set_gravity(state.gravity)
         for body in state.bodies.values():
             restore_snapshot(load_body(log, body.loaded, world, body.color), reading(body))

@@ -28,8 +28,8 @@ _MAIN_THREAD: Final = "MainThread"  # which ends the run, in recordings of relea
 #: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     None: (Task.ASKED, Task.STARTED),
-    Task.ASKED: (Task.STARTED, Task.FINISHED),
-    Task.STARTED: (Task.FINISHED,),
+    Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
+    Task.STARTED: (Task.FINISHED, Task.LEFT),
 }
 
 
@@ -62,7 +62,7 @@ class Integrity:
     @property
     def unfinished(self) -> int:
         """Number of tasks that have not ended."""
-        return len(self._running)
+        return len(self._running) + self._left
 
     def __init__(self) -> None:
         self.steps = 0
@@ -74,6 +74,7 @@ class Integrity:
         self._running: dict[int, Task] = {}
         self._threads: dict[int, str] = {}
         self._worlds: dict[str, WorldBuilder] = {}
+        self._left = 0  # number of tasks that run on when the recording ends
 
     def world(self, name: str) -> World:
         """Return the state of a known world after the records so far."""
@@ -128,8 +129,9 @@ class Integrity:
             self.tasks += 1
             self._names[number] = record.name, record.parent
         self._phases[number] = record.phase
-        if record.phase == Task.FINISHED:
+        if record.phase in (Task.FINISHED, Task.LEFT):
             del self._running[number]
+            self._left += record.phase == Task.LEFT
         else:
             self._running[number] = record
             self._threads[number] = record.thread

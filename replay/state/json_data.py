@@ -20,7 +20,7 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 
 def kind_of(record: Record) -> str:
-    """Return what kind of record it is: run, task, mutation, event, fluent, query, keyframe or output."""
+    """Return what kind of record it is: task, mutation, refusal and so on, as topics are called."""
     return TOPICS[type(record)].removeprefix("/")
 
 

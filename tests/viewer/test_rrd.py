@@ -173,7 +173,7 @@ def test_a_truncated_recording_is_shown_as_far_as_it_goes(tmp_path: Path, capsys
         cup = Object("cup", "cup", "cup.stl", [0, 0, 1])
         for x in range(200):
             cup.set_position([x, 0, 1])
-    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 4])
+    log.write_bytes(log.read_bytes()[: -log.stat().st_size // 8])
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd"), "--json"]) == 3
     output = capsys.readouterr()
     assert json.loads(output.out) == {"file": str(tmp_path / "log.rrd")}

@@ -1,7 +1,7 @@
 """What every reasoning query has in common: it leaves no trace, and its answer goes on record.
 
 While a query runs, the world's lock is held and the world refuses changes. Queries may ask each other; each call is one
-record, unless it was asked wrongly.
+record, and a refusal if it was asked wrongly.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
+from pycram.foundation.refusals import refusing
 from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
@@ -102,10 +103,11 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
     frame the camera is, by default the world's robot's. All parameters but ``world`` go on record, in order.
 
     Args:
-        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` makes no record.
+        function: what the query answers; what it raises as a :class:`~pycram.failures.UsageError` is a refusal.
     """
     signature = inspect.signature(function)
 
+    @refusing()
     @functools.wraps(function)
     def ask(*args: P.args, **kwargs: P.kwargs) -> Answer:
         try:

@@ -12,6 +12,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import AssetError, BadArgument, JointLimitError, UnknownName, UsageError
 from pycram.process_module import ProcessModule
+from recorder.records import Refusal, Task
 from tests.conftest import furnish
 
 if TYPE_CHECKING:
@@ -162,3 +163,12 @@ def test_invalid_arguments_change_nothing(scene: BulletWorld, sink: MemorySink, 
     after = [(b.get_position_and_orientation(), b.get_joint_positions(), b.get_AABB()) for b in scene.objects]
     assert after == before
     assert not [record for record in sink.records if type(record).__name__ in ("Mutation", "Query")]
+    (refusal,) = sink.of(Refusal)
+    assert (refusal.failure.type, refusal.failure.message) == (kind.__qualname__, str(raised.value))
+    assert refusal.world == scene.name
+    source = (refusal.source_file, refusal.source_line) if refusal.source_file else _line_of_task(sink, refusal.task)
+    assert source == (call.__code__.co_filename, call.__code__.co_firstlineno) or source[0] == __file__
+
+
+def _line_of_task(sink: MemorySink, number: int) -> tuple[str, int]:
+    return next((task.source_file, task.source_line) for task in sink.of(Task) if task.task == number)

@@ -33,7 +33,6 @@ def _without_version(text: str) -> list[str]:
 @pytest.mark.parametrize("record", TOPICS, ids=lambda record: record.__name__)
 def test_every_record_has_the_envelope(record: type) -> None:
     fields = {field.number: field.name for field in record.DESCRIPTOR.fields}
-    envelope = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread")
-    assert tuple(fields[number] for number in range(1, 7)) == envelope
-    assert fields[8] == "monotonic_ns"
+    envelope = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns")
+    assert tuple(fields[number] for number in range(1, 9)) == envelope
     assert not [number for number in fields if 9 <= number <= 15], "reserved for the envelope"
