@@ -64,15 +64,20 @@ class Recording(RecordReader):
         step: int | str,
         *,
         camera: str | None = None,
-        eye: Sequence[float] | None = None,
-        target: Sequence[float] | None = None,
+        eye: Sequence[float] | str | None = None,
+        target: Sequence[float] | str | Sequence[str] | None = None,
         size: tuple[int, int] = (640, 480),
         world: str | None = None,
     ) -> Image.Image:
-        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`."""
+        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`.
+
+        Where no world is open any more, it is one of the last step at which there was one: ``picture.info["step"]``.
+        """
+        from replay.restore.recorded_world import last_open_step  # noqa: PLC0415
         from replay.restore.render import Scene  # noqa: PLC0415
 
-        return Scene(self, self.step(step), world).picture(camera=camera, eye=eye, target=target, size=size)
+        shown = last_open_step(self, self.step(step), world)
+        return Scene(self, shown, world).picture(camera=camera, eye=eye, target=target, size=size)
 
     def ask(
         self,
