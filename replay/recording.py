@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
-from replay.explain.step_names import step_of
+from replay.explain.step_names import moment_of, step_of
 from replay.explain.task_tree import tree
 from replay.explain.why import why
 from replay.file.record_reader import RecordReader
@@ -42,8 +42,12 @@ class Recording(RecordReader):
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
-        """Return what is true after a step; see :func:`replay.state.fold.state_at`."""
-        return state_at(self, self.step(step))
+        """Return what is true after a step; see :func:`replay.state.fold.state_at`.
+
+        Of a time that lies within a stretch of simulation, as "0.25s", it is what was true then by its samples:
+        ``state.sampled`` tells how near they come.
+        """
+        return state_at(self, self.step(step), moment_of(step))
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
