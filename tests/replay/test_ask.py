@@ -149,6 +149,7 @@ def test_every_query_can_be_asked() -> None:
         "reachable_object",
         "reachable_pose",
         "reachable_poses",
+        "reachable_position",
         "stable",
         "supporting",
         "visible",
