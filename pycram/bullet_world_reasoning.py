@@ -12,6 +12,8 @@ from pycram.reasoning.queries.reachability import reachable, reachable_object, r
 from pycram.reasoning.queries.stability import stable
 from pycram.reasoning.queries.visibility import occluding, visible
 
+reachable_position = reachable  # its name in table 4.3
+
 __all__ = [
     "ReasoningError",
     "blocking",
@@ -21,6 +23,7 @@ __all__ = [
     "reachable_object",
     "reachable_pose",
     "reachable_poses",
+    "reachable_position",
     "stable",
     "supporting",
     "visible",

@@ -9,12 +9,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 10
+_MAX_LISTED: Final = 25  # the joints of a kitchen
 
 
 def nearest(name: object, known: Iterable[str]) -> list[str]:
-    """Return up to 3 known names that are similar to a given one, the most similar first."""
-    return difflib.get_close_matches(str(name), list(known), _MAX_SUGGESTED)
+    """Return up to 3 known names that are similar to a given one, the most similar first; else such that contain it."""
+    names, given = list(known), str(name)
+    close = difflib.get_close_matches(given, names, _MAX_SUGGESTED)
+    return close or [each for each in names if given and given.casefold() in each.casefold()][:_MAX_SUGGESTED]
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
-from replay.explain.step_names import step_of
+from replay.explain.step_names import moment_of, step_of
 from replay.explain.task_tree import tree
 from replay.explain.why import why
 from replay.file.record_reader import RecordReader
@@ -42,8 +42,12 @@ class Recording(RecordReader):
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
-        """Return what is true after a step; see :func:`replay.state.fold.state_at`."""
-        return state_at(self, self.step(step))
+        """Return what is true after a step; see :func:`replay.state.fold.state_at`.
+
+        Of a time that lies within a stretch of simulation, as "0.25s", it is what was true then by its samples:
+        ``state.sampled`` tells how near they come.
+        """
+        return state_at(self, self.step(step), moment_of(step))
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
@@ -64,15 +68,20 @@ class Recording(RecordReader):
         step: int | str,
         *,
         camera: str | None = None,
-        eye: Sequence[float] | None = None,
-        target: Sequence[float] | None = None,
+        eye: Sequence[float] | str | None = None,
+        target: Sequence[float] | str | Sequence[str] | None = None,
         size: tuple[int, int] = (640, 480),
         world: str | None = None,
     ) -> Image.Image:
-        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`."""
+        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.Scene.picture`.
+
+        Where no world is open any more, it is one of the last step at which there was one: ``picture.info["step"]``.
+        """
+        from replay.restore.recorded_world import last_open_step  # noqa: PLC0415
         from replay.restore.render import Scene  # noqa: PLC0415
 
-        return Scene(self, self.step(step), world).picture(camera=camera, eye=eye, target=target, size=size)
+        shown = last_open_step(self, self.step(step), world)
+        return Scene(self, shown, world).picture(camera=camera, eye=eye, target=target, size=size)
 
     def ask(
         self,

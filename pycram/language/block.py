@@ -42,10 +42,11 @@ from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.branch_identity import current_branch, enter_branch
+from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from types import TracebackType
     from typing import Self
 
@@ -62,6 +63,30 @@ class BlockClosed(UsageError):
         super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
         self.block = block
         self.branch = branch
+
+
+class RunsEarly(UsageError):
+    """Plain Python in the body of a sequence that is read would act before actions that stand above it.
+
+    Attributes:
+        what: What it would do.
+        block: Kind of the sequence.
+        pending: Names of the actions above it that have not ended.
+        file: The plan's file.
+        line: Its line, from 1.
+    """
+
+    def __init__(self, what: str, block: str, pending: Sequence[str]) -> None:
+        self.what = what
+        self.block = block
+        self.pending = tuple(pending)
+        self.file, self.line = call_site()
+        have = "have" if len(self.pending) > 1 else "has"
+        super().__init__(
+            f"{self.file}:{self.line} would {what} before what stands above it in this {block} block: "
+            f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
+            f"plain Python between its actions runs at once; make it an action: `with {block} as s: ...; s(function)`"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +147,7 @@ class Block:
         self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
         self._closing = threading.Lock()  # a plan's own threads may add branches while it ends
         self._scheduler = scheduler()
+        self._own: Branch | None = None  # of its host, if a branch of that runs it
         self._taken = 0  # number of branches so far, for their names
         self._joined = 0  # number of leading branches known to have ended
         self._decided = False  # by its decider, or by a failure of the body
@@ -140,6 +166,12 @@ class Block:
     def await_turn(self) -> None:
         """Wait until its body itself may act; where it runs as it stands, that is always so."""
 
+    def before_change(self, change: str) -> None:
+        """Refuse a change of a world by its body that would come too early; where it runs as it stands, none does."""
+
+    def _refuse_early(self, what: str, outer: Block | None) -> None:
+        """Refuse what its body would do in a block around it while actions that stand above that are pending."""
+
     # --- branches ---------------------------------------------------------------------------------------------------
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Future:
@@ -148,6 +180,7 @@ class Block:
         Raises:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
+            RunsEarly: Actions that stand above this one, in a sequence that is read, have not ended.
             PlanFailure: The function failed, in a ``seq`` block.
         """
         if not callable(action):
@@ -169,6 +202,9 @@ class Block:
         span: Span | None = None,
     ) -> Future:
         """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
+        host = current_block()
+        if host is not None and host is not self:
+            host._refuse_early(f"add {name} to the {self.name} block around it", self)  # noqa: SLF001  same class
         branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
         branch.span.source = current_call_stack()
         self._add(branch)

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pycram.language.nesting import nothing_open
-from pycram.scheduling.cancellation import Binding, raise_if_cancelled
+from pycram.scheduling.cancellation import Binding, body as _host, raise_if_cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from pycram.language.block import Block
-
-_host: ContextVar[Block | None] = ContextVar("pycram_block", default=None)
+    from pycram.scheduling.cancellation import Body
 
 
 def current_block() -> Block | None:
     """Return the block that actions become branches of here; None where they run in order and raise."""
-    return _host.get()
+    return cast("Block | None", _host.get())
 
 
-def in_block(host: Block | None) -> Binding[Block | None]:
+def in_block(host: Block | None) -> Binding[Body | None]:
     """Make actions in the ``with`` block branches of a block; with None, run them in order."""
     return Binding(_host, host)
 

@@ -3,18 +3,20 @@
 Such a block runs beside its siblings, but a ``with`` statement runs where it stands. So its body is only *read* there,
 and a branch of its host runs the actions while the statements after it are read. Using a future in that body waits for
 its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs where it stands, after the
-actions before it in a sequence.
+actions before it in a sequence. A change of a world there, or a branch that is added to a block around it, would come
+before the actions above it that have not ended, and is refused then (RunsEarly).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pycram.foundation.error_chain import raise_unchanged
 from pycram.foundation.failures import PlanFailure
-from pycram.language.block import Block
+from pycram.language.block import Block, RunsEarly
 from pycram.scheduling.cancellation import enter, join, wait
+from pycram.scheduling.future import branch_of
 from recorder.tasks import State
 from recorder.tracing.span import Cancelled
 
@@ -56,11 +58,27 @@ class ReadBlock(Block):
             for branch in self.branches:
                 branch.wait()
 
+    def before_change(self, change: str) -> None:
+        """Refuse a change of a world by the body itself while actions that stand above it have not ended."""
+        self._refuse_early(f"{change} in the world", None)
+
+    def _refuse_early(self, what: str, outer: Block | None) -> None:
+        block: Block = self
+        above: Branch | None = None  # of which those before are meant; None for all
+        while isinstance(block, ReadBlock) and block is not outer:
+            if not block.policy.concurrent:
+                earlier = block.branches if above is None else block.branches[: block.branches.index(above)]
+                pending = [branch.name for branch in earlier if not branch.done]
+                if pending:
+                    raise RunsEarly(what, block.name, pending)
+            block, above = block._run_by, block._own  # noqa: SLF001  same class
+
     # --- reading ------------------------------------------------------------------------------------------------------
 
     def _begin(self, entering: ExitStack) -> None:
         entering.callback(self._stop_reading)
-        self._run_by.start(self.name, self._work, dropped=self._drop, span=self._span)
+        started = self._run_by.start(self.name, self._work, dropped=self._drop, span=self._span)
+        self._own = cast("Branch", branch_of(started))
         entering.enter_context(self._span.entered())
 
     def _add(self, branch: Branch) -> None:

@@ -9,6 +9,7 @@ import ctypes
 import os
 import socket
 import sys
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from pycram.foundation.failures import DisplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,8 +25,14 @@ _CONNECT_TIMEOUT: Final = 2.0  # s
 _FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
 
 
-def check_display(open_windows: Sequence[str]) -> None:
-    """Check that a window can open; ``open_windows`` names the worlds that have one already.
+@contextmanager
+def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
+    """Check that a window can open, which is to be done in the ``with`` block.
+
+    The display stays open in the block: many servers reset when their last client leaves, and refuse others meanwhile.
+
+    Args:
+        open_windows: Names of the worlds that have one already.
 
     Raises:
         DisplayError: There is no display, it doesn't answer, or PyBullet's one window is taken.
@@ -33,6 +40,7 @@ def check_display(open_windows: Sequence[str]) -> None:
     if open_windows:
         raise DisplayError(f"PyBullet has one window, and {open_windows[0]} has it; end that world first")
     if sys.platform in ("darwin", "win32"):
+        yield
         return
     display = os.environ.get("DISPLAY", "")
     if not display:
@@ -41,12 +49,10 @@ def check_display(open_windows: Sequence[str]) -> None:
     screen = number.partition(".")[0]
     if not screen.isdigit():
         raise DisplayError(f"DISPLAY={display} is not a display's address")
-    if host in ("", "unix"):
-        answers, why = _answers(display)
-    else:
-        answers, why = _listens(host, 6000 + int(screen))
-    if not answers:
-        raise DisplayError(f"no X server answers at DISPLAY={display}{why}")
+    with _opened(display) if host in ("", "unix") else _connected(host, 6000 + int(screen)) as problem:
+        if problem is not None:
+            raise DisplayError(f"no X server answers at DISPLAY={display}{problem}")
+        yield
 
 
 def pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -64,24 +70,31 @@ def pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.floa
     return eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical
 
 
-def _answers(display: str) -> tuple[bool, str]:
-    """Open a display of this machine with the library that PyBullet uses; return whether it answers, else why not."""
+@contextmanager
+def _opened(display: str) -> Iterator[str | None]:
+    """Open a display of this machine with the library that PyBullet uses; yield None, or why it doesn't answer."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
-        return False, f" ({error})"
+        yield f" ({error})"
+        return
     x11.XOpenDisplay.restype = ctypes.c_void_p
     x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
     opened = x11.XOpenDisplay(display.encode())
-    if opened:
-        x11.XCloseDisplay(opened)
-    return bool(opened), ""
+    try:
+        yield None if opened else ""
+    finally:
+        if opened:
+            x11.XCloseDisplay(opened)
 
 
-def _listens(host: str, port: int) -> tuple[bool, str]:
+@contextmanager
+def _connected(host: str, port: int) -> Iterator[str | None]:
     """Connect to another machine's display; the library would wait for ever for one that doesn't answer."""
     try:
-        socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT).close()
+        connection = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT)
     except OSError as error:
-        return False, f" ({error.strerror})"
-    return True, ""
+        yield f" ({error.strerror})"
+        return
+    with connection:
+        yield None

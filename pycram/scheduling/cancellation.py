@@ -12,7 +12,7 @@ import threading
 import time
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from pycram.scheduling.locks import held
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
@@ -128,8 +128,30 @@ def uninterruptible() -> Iterator[None]:
         yield
 
 
-def before_change() -> None:
-    """Checkpoint before a world is changed, except in an :func:`uninterruptible` block or while a lock is held."""
+class Body(Protocol):
+    """The body of a block of the plan, as far as changes of worlds in it are concerned."""
+
+    def before_change(self, change: str) -> None:
+        """Refuse a change of a world that plain Python in the body makes, if it would come too early."""
+
+
+#: The block whose body this code is in; None outside of all, in branches, and where actions run in order.
+body: Final[ContextVar[Body | None]] = ContextVar("pycram_block", default=None)
+
+
+def before_change(change: str) -> None:
+    """Checkpoint before a world is changed, except in an :func:`uninterruptible` block or while a lock is held.
+
+    Args:
+        change: What is going to be done, for messages.
+
+    Raises:
+        RunsEarly: Actions of the plan that come before it have not run.
+        Cancelled: The branch is cancelled.
+    """
+    around = body.get()
+    if around is not None:
+        around.before_change(change)
     if not _uninterruptible.get() and not held.count:  # what is made of several changes is done as a whole
         checkpoint()
 

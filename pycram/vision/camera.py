@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.visual import shapes_of
+from pycram.models.visual import Each, Shapes, shapes_of
 from pycram.vision.rasterizer import Window, rasterize
 from recorder import geometry
 
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.visual import Shapes
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
@@ -68,6 +67,17 @@ class Rendering:
         rows[shown] = lit[np.searchsorted(numbers, self.seen[shown])]
         return np.asarray(rows * 255, dtype=np.uint8)
 
+    def before(self, other: Rendering) -> Rendering:
+        """Return this picture with another one of the same camera and size: the nearer is seen at each pixel."""
+        nearer = other.depth < self.depth
+        return Rendering(
+            np.where(nearer, other.depth, self.depth),
+            np.where(nearer, other.bodies, self.bodies),
+            np.concatenate([self.triangles, other.triangles]),
+            np.concatenate([self.colors, other.colors]),
+            np.where(nearer, other.seen + len(self.triangles), self.seen),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Drawable:
@@ -86,6 +96,20 @@ class Drawable:
     orientations: NDArray[np.float64]
     color: Sequence[float] | None
     is_robot: bool
+
+
+def drawable_link(
+    shapes: Shapes, at: int, pose: Pose, color: Sequence[float] | None, *, is_robot: bool = False
+) -> Drawable:
+    """Return the n-th link with shapes of a model, alone, at a pose in the world; its mesh is read when it is seen."""
+    one = Shapes(
+        (shapes.links[at],),
+        Each([lambda: shapes.triangles[at]]),
+        Each([lambda: shapes.colors[at]]),
+        shapes.low[at : at + 1],
+        shapes.high[at : at + 1],
+    )
+    return Drawable(one, np.array([pose[0]]), np.array([pose[1]]), color, is_robot)
 
 
 def drawable(body: Object) -> Drawable:

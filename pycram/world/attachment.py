@@ -1,8 +1,8 @@
 """Attachments: which object carries which, and with what relative pose.
 
-The carrier is the object whose ``attach`` was called. The attached body keeps its full pose relative to the carrier's
-link whenever the carrier, its joints or the carrier's own carrier move; no simulation is needed. In simulation a fixed
-constraint of the engine keeps it there.
+The carrier is the object whose ``attach`` was called; of a thing and a robot or furniture, the latter. The attached
+body keeps its full pose relative to the carrier's link whenever the carrier, its joints or the carrier's own carrier
+move; no simulation is needed. In simulation a fixed constraint of the engine keeps it there.
 
 :func:`attach` and :func:`detach` are transactions; :func:`renew` and :func:`end` are parts of other transactions.
 """
@@ -60,6 +60,8 @@ class Attachment:
 def attach(carrier: Object, body: Object, link: str | None, body_link: str | None, pose: Pose | None = None) -> None:
     """Make an object carry another; an existing attachment stays as it is.
 
+    What can move the other carries: a thing that is to carry a robot or furniture is carried by that instead.
+
     Args:
         carrier: The object that carries.
         body: The object to carry; it keeps its full relative pose.
@@ -69,11 +71,13 @@ def attach(carrier: Object, body: Object, link: str | None, body_link: str | Non
 
     Raises:
         UnknownName: There is no such link.
-        AttachmentError: The two are the same or in different worlds, the body is fixed or carried by another, or the
-            carrier is itself carried by the body.
+        AttachmentError: The two are the same or in different worlds, both are fixed, the body is carried by another, or
+            the carrier is itself carried by the body.
     """
     if body in carrier.attachments:
         return
+    if body.fixed and not carrier.fixed and pose is None:
+        carrier, body, link, body_link = body, carrier, body_link, link
     world, carrier_link, held_link = carrier.world, carrier.check_link(link), body.check_link(body_link)
     command = records.AttachBody(carrier=carrier.name, carrier_link=carrier_link, body=body.name, body_link=held_link)
     with world.transactions.begin(records.Mutation(attach_body=command)) as transaction:

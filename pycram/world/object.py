@@ -358,13 +358,15 @@ class Object(ReadOnlyAttributes):
     def attach(self, other: Object, link: str | None = None, other_link: str | None = None) -> None:
         """Carry another object with one of its links from now on (thesis 4.3.1); an existing attachment stays.
 
+        A thing may be attached to a robot or furniture from either side: what can move the other carries it.
+
         Args:
             other: The object to carry; it keeps its full relative pose.
             link: The link that carries; the base link by default.
             other_link: The link of the other that is held; its base link by default.
 
         Raises:
-            AttachmentError: It is impossible (cycle, fixed base, carried by another, another world).
+            AttachmentError: It is impossible (cycle, two fixed bases, carried by another, another world).
         """
         attachment.attach(self, _object("other", other), link, other_link)
 

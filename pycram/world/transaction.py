@@ -122,12 +122,14 @@ class TransactionManager:
             ChangeRefused: A reasoning query runs in this world.
             RecordingError: The record can't be written.
             Cancelled: The branch of the plan that asks for it is cancelled.
+            RunsEarly: Actions of the plan that come before it have not run.
             RecursionError: There is no room on the stack for making and recording it.
         """
         stack_room.require(stack_room.FOR_TASK)
-        before_change()
+        change = str(command.WhichOneof("command")).replace("_", " ")
+        before_change(change)
         with self.lock, Uninterrupted() as interrupts:
-            self.check(str(command.WhichOneof("command")).replace("_", " "))
+            self.check(change)
             transaction = Transaction(command, interrupts)
             yield transaction
             for name in transaction.removed:

@@ -7,7 +7,7 @@ second.
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +15,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.physics.engine import Engine
-from pycram.physics.window import check_display
+from pycram.physics.window import checked_display
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.world import current, settling, simulation
 from pycram.world.attachment import end
@@ -26,6 +26,7 @@ from pycram.world.overlaps import overlaps
 from pycram.world.read_only import ReadOnlyAttributes, update
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
+from pycram.world.window import outlives_script
 from recorder import records
 from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_name
@@ -77,8 +78,6 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     def __init__(self, type: str = "DIRECT", name: str | None = None) -> None:  # noqa: A002  the original's name
         if type not in ("DIRECT", "GUI"):
             raise BadArgument("type", type, '"DIRECT" or "GUI"')
-        if type == "GUI":
-            check_display(open_windows=[world.name for world in current.open_worlds() if world.mode == "GUI"])
         self.mode = type
         self.name = current.reserve_name(name)
         self.sim_step = 0
@@ -96,7 +95,9 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
         with ExitStack() as undo:
             undo.callback(current.remove, self.name)
-            self.engine = Engine(window=type == "GUI")
+            windows = [world.name for world in current.open_worlds() if world.mode == "GUI"]
+            with checked_display(windows) if type == "GUI" else nullcontext():
+                self.engine = Engine(window=type == "GUI")
             undo.callback(self.engine.close)
             undo.callback(journal.unregister, self)
             with self.transactions.begin(records.Mutation(open_world=records.OpenWorld(mode=type))):
@@ -104,6 +105,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             undo.pop_all()
         self._seal(BulletWorld)
         current.make_current(self)
+        if type == "GUI":
+            outlives_script(self)
 
     def __repr__(self) -> str:
         return f"BulletWorld({self.mode!r}, name={self.name!r})"

@@ -6,9 +6,11 @@ import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from recorder.records import STEPS_PER_SECOND, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from replay.cli import record_text
 from replay.cli.console import print_json, print_message, print_text
+from replay.errors import NoSuchName
+from replay.explain.plan_source import Source, is_file
 from replay.explain.step_names import HINT
 from replay.file.chunks import KINDS
 from replay.state.json_data import kind_of, mentions, record_data
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Collection, Iterator
 
-    from recorder.records import Record
+    from recorder.records import LoadBody, Record
     from replay.recording import Recording
 
 _POLL_PERIOD = 0.2  # s between reads of a recording that is being written
@@ -29,6 +31,11 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--task", metavar="ID|NAME", help="only what this task and those below it did")
     parser.add_argument("--object", metavar="NAME", help="only records about this object")
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
+    parser.add_argument(
+        "--where",
+        metavar="FILE[:LINE]",
+        help="only what this line of the plan, or file, led to, also by what it called",
+    )
     parser.add_argument("--text", metavar="TEXT", help="only lines that contain this")
     parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
@@ -37,10 +44,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the lines; with ``--json`` one object a line."""
-    wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text)
+    where = None if options.where is None else line_of(options.where)
+    wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text, where)
     start, stop = log.step(options.start), log.step(options.end) + 1
+    found = False
     matches = follow(log, wanted, start) if options.follow else wanted.matches(log, start, stop)
     for record, line in matches:
+        found = True
         if options.json:
             print_json(record_data(record) | {"text": line}, flush=options.follow)
         else:
@@ -50,7 +60,15 @@ def run(log: Recording, options: argparse.Namespace) -> int:
                 f"{record.seq:6} {clock:>10} {kind_of(record):8} {_world(log, record)}{line}{cause}",
                 flush=options.follow,
             )
+    if not found and not options.follow:
+        wanted.check(log)
     return 0
+
+
+def line_of(text: str) -> tuple[str, int | None]:
+    """Return file and line of ``FILE:LINE``, or of ``FILE`` alone."""
+    file, colon, number = text.rpartition(":")
+    return (file, int(number)) if colon and number.isdecimal() else (text, None)
 
 
 def _world(log: Recording, record: Record) -> str:
@@ -86,6 +104,7 @@ class RecordFilter:
         body: name of a body that records must be about.
         world: name of the world that they are about.
         text: what their line must contain, ignoring case.
+        where: a file of the plan, and one of its lines or None, that must have led to them.
     """
 
     kinds: Collection[str]
@@ -93,20 +112,56 @@ class RecordFilter:
     body: str | None
     world: str | None
     text: str | None
+    where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # that match
+    _led_to: set[int] = field(default_factory=set)  # tasks that the line led to
     _known: int = 0  # tasks are known up to this step
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""
-        if self.task is not None:
+        if self.task is not None or self.where is not None:
             for task in log.records(Task, self._known, stop):
-                if task.phase == Task.STARTED and self._is_of_task(task, self.task):
+                if task.phase == Task.STARTED and self.task is not None and self._is_of_task(task, self.task):
                     self._tasks.add(task.task)
+                if task.parent in self._led_to or self._passes(task):
+                    self._led_to.add(task.task)
             self._known = stop
         for record in log.records(start=start, stop=stop):
             line = self._line(record)
             if line is not None:
                 yield record, line
+
+    def _passes(self, record: Record) -> bool:
+        """Return whether the call stack of a record has the line."""
+        if self.where is None or not getattr(record, "source_file", ""):
+            return False
+        file, number = self.where
+        stack = [(record.source_file, record.source_line)]  # type: ignore[union-attr]
+        stack += [(caller.file or record.source_file, caller.line) for caller in record.callers]  # type: ignore[union-attr]
+        return any(is_file(path, file) and number in (None, line) for path, line in stack)
+
+    def check(self, log: Recording) -> None:
+        """Raise an error if the recording has nothing at all of a name that records had to match.
+
+        Raises:
+            NoSuchName: it has no such object, task, world or line.
+        """
+        if self.world is not None and all(lifetime.world != self.world for lifetime in log.lifetimes):
+            raise NoSuchName("world", self.world, (lifetime.world for lifetime in log.lifetimes))
+        if self.task is not None and not self._tasks:
+            raise NoSuchName("task", self.task, (task.name for task in log.records(Task)))
+        if self.body is not None:
+            bodies = {loaded.body for record in log.records((Mutation, Keyframe)) for loaded in _loaded(record)}
+            if self.body not in bodies:
+                raise NoSuchName("object", self.body, bodies)
+        if self.where is not None:
+            file, number = self.where
+            source = Source(log)
+            if not source.has(file):
+                raise NoSuchName("file of the plan", file, source.files)
+            lines = len(source.text(file).splitlines())
+            if number is not None and lines and not 1 <= number <= lines:
+                raise NoSuchName(f"line of {file}", str(number), (), f"it has lines 1 to {lines}")
 
     def _is_of_task(self, task: Task, pattern: str) -> bool:
         named = task.task == int(pattern) if pattern.isdecimal() else pattern.casefold() in task.name.casefold()
@@ -120,7 +175,15 @@ class RecordFilter:
             return None
         if self.task is not None and record.task not in self._tasks:
             return None
+        if self.where is not None and record.task not in self._led_to and not self._passes(record):
+            return None
         if self.body is not None and not mentions(record, self.body):
             return None
         line = record_text.line(record)
         return line if self.text is None or self.text.casefold() in line.casefold() else None
+
+
+def _loaded(record: Record) -> list[LoadBody]:
+    if isinstance(record, Keyframe):
+        return list(record.loaded)
+    return [record.load_body] if isinstance(record, Mutation) and record.HasField("load_body") else []

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.packages import NotInstalled, needed
+from recorder.suggestions import suggestion
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 VERBS: Final = {
     "info": "what ran, when, for how long, and how it ended",
     "log": "the records as lines",
+    "source": "the plan's source, listed or written out",
     "show": "one whole record",
     "tree": "the task tree, with the path to the failure",
     "state": "poses, joints and attachments after a step",
@@ -91,6 +93,10 @@ def _module(verb: str) -> ModuleType:
 
 
 def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.ArgumentParser:
+    for wrong in arguments:
+        if wrong not in VERBS and not wrong.startswith("-"):
+            _report(f"there is no verb {wrong!r}; {suggestion(wrong, VERBS)}", USAGE)
+            sys.exit(USAGE)
     parser = argparse.ArgumentParser(
         prog="pycram-replay",
         description="Reads recordings of robot plans, explains failures, and restores worlds.",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from replay.cli.arguments import add_step, numbers
-from replay.cli.console import print_result
+from replay.cli.console import print_message, print_result
+from replay.cli.formatting import names
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -14,14 +16,26 @@ if TYPE_CHECKING:
 
     from replay.recording import Recording
 
+_NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
+
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
     add_step(parser)
     parser.add_argument("-o", dest="file", metavar="FILE", help="the picture (default: LOG_STEP.png in this folder)")
     parser.add_argument("--camera", metavar="FRAME", help="a frame of the robot, as wide_stereo_optical_frame")
-    parser.add_argument("--from", dest="eye", metavar="X,Y,Z", help="viewpoint, m (default: from the side)")
-    parser.add_argument("--to", dest="target", metavar="X,Y,Z", help="point to look at, m (default: what can move)")
+    parser.add_argument(
+        "--from",
+        dest="eye",
+        metavar="X,Y,Z|SIDE",
+        help="viewpoint, m; or a side of the robot: behind, left, right, front, above (default: one with free sight)",
+    )
+    parser.add_argument(
+        "--to",
+        dest="target",
+        metavar="OBJECT[.LINK]|X,Y,Z",
+        help="what to look at; or a point, m (default: robot and all that can move)",
+    )
     parser.add_argument("--size", metavar="WxH", default="640x480", help="in pixels (default: 640x480)")
     parser.add_argument("--world", metavar="NAME", help="of this world (default: the one opened last)")
 
@@ -31,7 +45,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if options.camera and (options.eye or options.target):
         raise ReplayError("a picture is taken by a camera, or from a point to a point; give one of both")
     step = log.step(options.step)
-    file = Path(options.file or f"{log.path.stem}_{step}.png")
     size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, as 640x480", 2, separator="x", kind=int)
     picture = log.render(
         step,
@@ -41,14 +54,23 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         size=(int(size[0]), int(size[1])),
         world=options.world,
     )
+    shown, cut = picture.info["step"], picture.info["cut"]
+    if shown != step:
+        print_message(f"no world is open after step {step}; this is step {shown}, the last at which one was")
+    if cut:
+        print_message(f"{names(cut)} would hide it: cut away there")
+    file = Path(options.file or f"{log.path.stem}_{shown}.png")
     try:
         picture.save(file)
     except (OSError, ValueError) as error:
         raise ReplayError(f"{file}: can't be written: {error}") from error
-    data = {"step": step, "file": str(file), "width": picture.width, "height": picture.height}
+    data = {"step": shown, "file": str(file), "width": picture.width, "height": picture.height, "cut": list(cut)}
     print_result(lambda: data, [str(file)], as_json=options.json)
     return 0
 
 
-def _point(text: str | None) -> list[float] | None:
-    return None if text is None else numbers(text, "a point X,Y,Z in m", 3)
+def _point(text: str | None) -> list[float] | str | None:
+    """Return a point, or the name of an object or of a side."""
+    if text is None or not _NUMBERS.fullmatch(text):
+        return text
+    return numbers(text, "a point X,Y,Z in m, or the name of what is there", 3)

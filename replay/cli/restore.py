@@ -65,7 +65,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-    from replay.restore.session import run_script, shell, variables_of, watch  # noqa: PLC0415  see run
+    from replay.restore.session import run_script, shell, variables_of  # noqa: PLC0415  see run
 
     variables = variables_of(world, log, step)
     if script is not None:
@@ -74,6 +74,8 @@ def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, opti
     if options.json:
         print_json(_plain(step, world, exact=options.exact))
     elif options.gui and not options.shell:
+        from pycram.world.window import watch  # noqa: PLC0415  see run
+
         print_message(f"{world.name}: close the window, or press Ctrl-C, to end")
         watch(world)
     else:

@@ -13,8 +13,10 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from recorder.geometry import Pose
+    from recorder.records import Plain
     from replay.recording import Recording
-    from replay.state.state import Body, State, World
+    from replay.state.state import Body, Sampled, State, World
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -22,6 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_step(parser)
     parser.add_argument("object", metavar="OBJECT", nargs="?", help="only this one, with its joints")
     parser.add_argument("--world", metavar="NAME", help="only this world")
+    parser.add_argument("--links", action="store_true", help="also where each link is, in the world")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -34,21 +37,50 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if state.uncertainty:
         print_message(state.uncertainty)
     print_result(
-        lambda: state_data(state, options.object, options.world),
-        _lines(state, options.object, options.world),
+        lambda: _data(state, options.object, options.world, links=options.links),
+        _lines(state, options.object, options.world, links=options.links),
         as_json=options.json,
     )
     return 0
 
 
-def _lines(state: State, body: str | None, name: str | None) -> Iterator[str]:
-    yield f"after step {state.step}"
+def _data(state: State, only: str | None, name: str | None, *, links: bool) -> dict[str, Plain]:
+    data = state_data(state, only, name)
+    if links:
+        data["links"] = {
+            world.name: {body.name: _link_data(state, body) for body in bodies}
+            for world, bodies in _shown(state, only, name)
+        }
+    return data
+
+
+def _link_data(state: State, body: Body) -> dict[str, Plain]:
+    poses = state.link_poses(body).items()
+    return {link: {"position": list(position), "orientation": list(turn)} for link, (position, turn) in poses}
+
+
+def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[World, list[Body]]]:
+    """Yield the worlds that are asked for, with their bodies that are."""
     for world in state.worlds.values():
-        if name in (None, world.name) and (body is None or body in world.bodies):
-            yield from _world(world, body)
+        if name in (None, world.name) and (only is None or only in world.bodies):
+            yield world, [body for body in world.bodies.values() if only in (None, body.name)]
 
 
-def _world(world: World, only: str | None) -> Iterator[str]:
+def _lines(state: State, only: str | None, name: str | None, *, links: bool) -> Iterator[str]:
+    yield f"after step {state.step}" if state.sampled is None else _sampled(state.sampled)
+    for world, bodies in _shown(state, only, name):
+        yield from _world(state, world, bodies, details=only is not None, links=links)
+
+
+def _sampled(sampled: Sampled) -> str:
+    """Return how a moment within a stretch of simulation is known."""
+    stretch = f"step {sampled.step} ({sampled.world} simulated from {sampled.start:.3f} s to {sampled.end:.3f} s)"
+    if sampled.at == sampled.start:
+        return f"at {sampled.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
+    return f"at {sampled.asked:.3f} s, within {stretch}: as sampled at {sampled.at:.3f} s, to 0.01 mm"
+
+
+def _world(state: State, world: World, bodies: list[Body], *, details: bool, links: bool) -> Iterator[str]:
     if not world.open:
         yield f"{world.title}: closed"
         return
@@ -56,17 +88,22 @@ def _world(world: World, only: str | None) -> Iterator[str]:
     robot = f", robot {world.robot}" if world.robot else ""
     yield f"{world.title}: {world.seconds:.3f} s simulated, gravity [{gravity}]{robot}"
     width = max((len(name) for name in world.bodies), default=0)
-    for body in world.bodies.values():
-        if only in (None, body.name):
-            yield from _body(world, body, width, details=only is not None)
+    for body in bodies:
+        yield from _body(world, body, width, details=details)
+        if links:
+            yield from (f"    {_pose(link, 48, pose)}" for link, pose in state.link_poses(body).items())
+
+
+def _pose(name: str, width: int, pose: Pose) -> str:
+    position = ", ".join(f"{part:8.4f}" for part in pose[0])
+    turn = ", ".join(f"{part:7.4f}" for part in pose[1])
+    return f"{name:{width}}  [{position}]  [{turn}]"
 
 
 def _body(world: World, body: Body, width: int, *, details: bool) -> Iterator[str]:
-    position = ", ".join(f"{part:8.4f}" for part in body.position)
-    turn = ", ".join(f"{part:7.4f}" for part in body.orientation)
     held = world.carrier(body.name)
     by = f"  held by {formatting.carrier(held)}" if held else ""
-    yield f"  {body.name:{width}}  [{position}]  [{turn}]{by}"
+    yield f"  {_pose(body.name, width, body.pose)}{by}"
     if details:
         yield f"    type {body.type}{', fixed base' if body.fixed_base else ''}"
         if any(body.velocity):

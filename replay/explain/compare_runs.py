@@ -2,7 +2,8 @@
 
 Records are aligned by the path of their task and their index among that task's records, not by their numbers: branches
 of concurrent blocks may be scheduled differently in each run. What depends on the run only (clocks, durations, ids,
-threads) is not compared. Both recordings are streamed.
+threads) is not compared, and worlds are paired whose names differ (:mod:`replay.explain.paired_names`). Both recordings
+are streamed.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Refusal, Run, Task
 from replay.explain.causing_tasks import causes
+from replay.explain.paired_names import PairedNames
 from replay.explain.run_summary import Summary, summary
 from replay.state.difference import Difference, difference
 from replay.state.fold import state_at
@@ -76,17 +78,20 @@ class Comparison:
 
 def compare(first: RecordReader, second: RecordReader, tolerance: float = 0.0) -> Comparison:
     """Compare two recordings; numbers within the tolerance count as equal."""
-    equal, divergence = _divergence(first, second, tolerance)
+    names = PairedNames(first, second)
+    equal, divergence = _divergence(first, second, tolerance, names)
     ends = state_at(first, first.final_step()), state_at(second, second.final_step())
-    return Comparison(equal, divergence, difference(*ends), (summary(first), summary(second)))
+    return Comparison(equal, divergence, difference(*ends, names.worlds), (summary(first), summary(second)))
 
 
-def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> tuple[int, Divergence | None]:
+def _divergence(
+    first: RecordReader, second: RecordReader, tolerance: float, names: PairedNames
+) -> tuple[int, Divergence | None]:
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]] = {}, {}
     explaining = [False, False]
     equal = since = 0
     diverged: tuple[Record, Record, dict[str, tuple[Plain, Plain]]] | None = None
-    for pair in zip_longest(_keyed(first), _keyed(second)):
+    for pair in zip_longest(_keyed(first, names, 0), _keyed(second, names, 1)):
         for side, item in enumerate(pair):
             if item is None:
                 continue
@@ -97,7 +102,7 @@ def _divergence(first: RecordReader, second: RecordReader, tolerance: float) -> 
                 waiting[side][key] = record
             elif diverged is None:
                 a, b = (match, record) if side else (record, match)
-                fields = differing(a, b, tolerance)
+                fields = differing(a, b, tolerance, names)
                 if fields:
                     diverged = a, b, fields
                 else:
@@ -143,14 +148,16 @@ def _path(log: RecordReader, record: Record | None) -> str:
     return "/".join(task.started.name for task in reversed(causes(log, record).tasks)) if record is not None else ""
 
 
-def _keyed(log: RecordReader) -> Iterator[tuple[_Key, Record]]:
+def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
     """Yield the records with what they are aligned by; knows no more than the tasks that run."""
     paths: dict[int, int] = {}  # by id of the task
     counts: dict[int, int] = {}  # records by path
     parts: dict[int, dict[tuple[str, str], int]] = {}  # by path: how many tasks of each kind and name are in it
     for record in log:
+        names.note(run, record)
         if isinstance(record, Task) and record.phase == Task.STARTED:
-            outer, name = paths.get(record.parent, 0), (record.kind, record.name)
+            outer = paths.get(record.parent, 0)
+            name = record.kind, names.text(record.name) if run else record.name
             siblings = parts.setdefault(outer, {})
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
@@ -176,7 +183,9 @@ def _explains(record: Record) -> bool:
     return isinstance(record, Query) and (record.HasField("chosen") or record.name in _REQUESTS)
 
 
-def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str, tuple[Plain, Plain]]:
+def differing(
+    first: Record, second: Record, tolerance: float = 0.0, names: PairedNames | None = None
+) -> dict[str, tuple[Plain, Plain]]:
     """Return the different values of two records by the field's path; numbers within the tolerance are equal."""
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
@@ -186,7 +195,10 @@ def differing(first: Record, second: Record, tolerance: float = 0.0) -> dict[str
         b.ClearField("decision")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
         return {}  # the bytes distinguish -0.0 from 0.0
-    return dict(_leaves(record_data(a), record_data(b), "", tolerance))
+    after = record_data(b)
+    if names is not None and names.any:
+        after = {key: names.data(value, key) for key, value in after.items()}
+    return dict(_leaves(record_data(a), after, "", tolerance))
 
 
 def _bare(record: Record) -> Record:

@@ -80,6 +80,11 @@ class Source:
                 self._texts[key] = ""
         return self._texts[key]
 
+    @property
+    def files(self) -> dict[str, str]:
+        """The attachments' names by those of the files, of files that don't share a name."""
+        return dict(self._keys)
+
     def has(self, file: str) -> bool:
         """Return whether a file is attached."""
         return name_of(file) in self._keys
@@ -88,6 +93,12 @@ class Source:
 def name_of(path: str) -> str:
     """Return the file's own name, of a path of any system."""
     return PurePosixPath(path.replace("\\", "/")).name
+
+
+def is_file(path: str, name: str) -> bool:
+    """Return whether a path is what a name means: the file's own name, or the end of its path."""
+    searched = PurePosixPath(name.replace("\\", "/")).parts
+    return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
 
 
 @lru_cache(maxsize=8)

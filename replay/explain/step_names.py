@@ -53,6 +53,17 @@ def step_of(log: RecordReader, name: int | str) -> int:
     return step
 
 
+def moment_of(name: int | str) -> float | None:
+    """Return the simulated time, s, that a name of a step is; None if it is none."""
+    text = str(name).strip()
+    if not text.endswith("s"):
+        return None
+    try:
+        return float(text[:-1])
+    except ValueError:
+        return None
+
+
 def task_step(log: RecordReader, text: str) -> int:
     """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 

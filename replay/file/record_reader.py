@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
 from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Query, Run, Task
-from replay.errors import Damaged, LogClosed, NoSuchStep, Unreadable
+from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.file.file_checks import check_ours, is_locked, open_file
@@ -165,9 +165,22 @@ class RecordReader:
     @overload
     def records(self, kind: type[R], start: int = 0, stop: int | None = None) -> Iterator[R]: ...
     @overload
-    def records(self, kind: Kinds | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
+    def records(self, kind: Kinds | str | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded."""
+        """Stream the records of one or several types from ``start`` to before ``stop``; no others are decoded.
+
+        A type may be given by its name, as "query".
+
+        Raises:
+            NoSuchName: there is no such type.
+        """
+        if isinstance(kind, str):
+            if kind not in KINDS:
+                raise NoSuchName("kind of record", kind, KINDS)
+            kind = KINDS[kind]
+        return self._records(kind, start, stop)
+
+    def _records(self, kind: Kinds | None, start: int, stop: int | None) -> Iterator[Record]:
         end = self._steps if stop is None else min(stop, self._steps)
         if start >= end:
             return

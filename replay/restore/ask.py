@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import Verdict
-from recorder.records import Query, to_json
+from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
 from replay.restore.world import unrecorded
@@ -99,6 +99,8 @@ def ask(
         if record.name not in QUERIES:
             cause = f"its record is a {record.name}, which was no question of the plan's to a world; give a question"
             raise BadQuestion(f"step {step}", cause)
+        if world not in (None, record.world):
+            raise BadQuestion(f"step {step}", f"that query was asked in {record.world}, not in {world}")
         question, world = question_of(record), record.world
     call = parse(question) if isinstance(question, str) else question
     if call.query not in QUERIES:
@@ -114,6 +116,8 @@ def ask(
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # no check foresaw it
+            raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer = [_item(item) for item in result] if isinstance(result, list) else bool(result)
         evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import json
+import warnings
 from dataclasses import dataclass, field
 from keyword import iskeyword
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -89,7 +90,8 @@ def parse(text: str) -> Question:
         BadQuestion: it isn't one call with plain arguments.
     """
     try:
-        call = ast.parse(text.strip(), mode="eval").body
+        with warnings.catch_warnings(action="ignore"):  # of Python, about what looks like code to it
+            call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg if isinstance(error, SyntaxError) else str(error)
         raise BadQuestion(text, f"it can't be read: {cause}") from None
@@ -102,8 +104,10 @@ def parse(text: str) -> Question:
     except (_NotATerm, RecursionError) as error:
         cause = str(error) or "it is nested too deeply"
         raise BadQuestion(text, f"{cause}; arguments are names, strings, numbers and lists") from None
-    if len(keywords) < len(call.keywords):
+    if any(keyword.arg is None for keyword in call.keywords):
         raise BadQuestion(text, "** can't be used here")
+    if len(keywords) < len(call.keywords):
+        raise BadQuestion(text, "an argument is given twice")
     return Question(query, arguments, keywords)
 
 

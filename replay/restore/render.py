@@ -1,12 +1,13 @@
 """Pictures of any step, without a viewer and without the physics engine: the folded state, drawn by our rasterizer.
 
-A picture is taken by a camera of the robot, as it was directed then; from a point to a point; or, by default, from a
-viewpoint that shows the robot and the movable objects.
+A picture is taken by a camera of the robot, as it was directed then; from a point; or from a viewpoint with free sight
+of an object, of a link, or by default of the robot and the movable objects (:mod:`replay.restore.viewpoint`).
 """
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -32,35 +33,30 @@ with needed("render"):
     from PIL import Image
 
     from pycram.models.visual import shapes_of
-    from pycram.vision.camera import Camera, Drawable
+    from pycram.vision.camera import Camera, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
+    from replay.restore.viewpoint import SIDES, Part, Subject, View, free_view, viewpoints
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
-#: Default directions from the middle to the viewpoint, in the robot's frame: the first from which enough is seen.
-_SIDES: Final = (
-    (-0.55, -0.65, 0.55),
-    (-0.55, 0.65, 0.55),
-    (0.55, -0.65, 0.55),
-    (0.55, 0.65, 0.55),
-    (-0.4, 0.0, 0.9),
-)
-_ENOUGH: Final = 0.5  # of robots and movable objects that furniture and walls leave to be seen
-_GLANCE: Final = (80, 60)  # pixels of a picture that tells that
-_PADDING: Final = 0.004  # m around collision shapes, as the physics engine has it
 _OVERSAMPLING: Final = 2  # pixels a side that are averaged to one: edges are smooth then
 _MAX_SIDE: Final = 4096  # pixels
+_SURROUNDINGS: Final = 0.7  # m of what is around a small thing that its picture shows at least
 
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """A body with where its links are, in the world."""
+    """A body with where its links are, in the world.
+
+    Attributes:
+        body: its state.
+        frames: poses of all its links.
+        parts: numbers of its links that have shapes, in the scene, by name.
+    """
 
     body: Body
     frames: Mapping[str, Pose]
-    drawable: Drawable
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    parts: Mapping[str, int]
 
 
 class Scene:
@@ -73,11 +69,28 @@ class Scene:
 
     def __init__(self, log: RecordReader, step: int, world: str | None = None) -> None:
         state = world_state(log, step, world)
+        self._step = step
+        self._bodies: dict[str, _Drawn] = {}
+        self._parts: list[Part] = []
         try:
-            self._bodies = {name: _drawn(log, body) for name, body in state.bodies.items()}
+            for body in state.bodies.values():
+                self._add(log, body)
         except (PycramError, ValueError) as error:
             raise Damaged(log.path, f"the world after step {step}", str(error)) from error
         self._robot = self._bodies.get(state.robot)
+
+    def _add(self, log: RecordReader, body: Body) -> None:
+        model = model_of(log, body.loaded)
+        poses = model.urdf.link_poses(body.joints).items()
+        frames = {link: geometry.multiply(body.pose, pose) for link, pose in poses}
+        shapes = shapes_of(model.path)
+        first = len(self._parts)
+        self._parts += [
+            Part(drawable_link(shapes, at, frames[link], body.color or None, is_robot=body.type == "robot"), fixed)
+            for at, link in enumerate(shapes.links)
+            for fixed in [body.type == "environment"]
+        ]
+        self._bodies[body.name] = _Drawn(body, frames, {link: first + at for at, link in enumerate(shapes.links)})
 
     @property
     def camera(self) -> str:
@@ -89,39 +102,103 @@ class Scene:
         self,
         *,
         camera: str | None = None,
-        eye: Sequence[float] | None = None,
-        target: Sequence[float] | None = None,
+        eye: Sequence[float] | str | None = None,
+        target: Sequence[float] | str | Sequence[str] | None = None,
         size: tuple[int, int] = (640, 480),
     ) -> Image.Image:
         """Return a picture of it.
 
+        Where no viewpoint shows what the picture is of, furniture and walls before it are cut away. Its ``info`` has
+        the "step", and as "cut" the names of the links that are.
+
         Args:
             camera: a frame of the robot, as "wide_stereo_optical_frame"; with the field of view and the range of the
                 robot's camera if it is that one's.
-            eye: viewpoint, xyz in m; by default over the robot's shoulder.
-            target: point in the middle of the picture, xyz in m; by default the middle of robot and movable objects.
+            eye: viewpoint, xyz in m; or a side of the robot: one of :data:`SIDES`; by default one with free sight.
+            target: what is in the middle of the picture: a point, xyz in m; an object, or a link as
+                "kitchen.sink_area"; several of them; by default robot and movable objects.
             size: width and height in pixels, up to 4096 each.
 
         Raises:
-            NoSuchName: there is no such frame.
+            NoSuchName: there is no such frame, object, link or side.
             ReplayError: the size or a point is impossible.
         """
         if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
             raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; take 1 to {_MAX_SIDE} a side")
         if camera is not None:
-            return self._draw(self._robot_camera(camera, size), size)
-        low, high = self._bounds()
-        aim = _vector((low + high) / 2) if target is None else _point("target", target)
-        viewpoint = self._viewpoint(aim, low, high) if eye is None else _point("eye", eye)
-        if math.dist(viewpoint, aim) < 1e-6:
-            raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
-        return self._draw(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size), size)
+            return self._draw(View(self._robot_camera(camera, size)), size)
+        subject, point = self._subject(target)
+        low, high = self._bounds(subject)
+        aim = _vector((low + high) / 2) if point is None else point
+        if eye is not None and not isinstance(eye, str):
+            viewpoint = _point("eye", eye)
+            if math.dist(viewpoint, aim) < 1e-6:
+                raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
+            return self._draw(View(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)), size)
+        if eye is not None and eye not in SIDES:
+            raise NoSuchName("side of the robot", eye, SIDES)
+        heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
+        distance = 1.1 * max(_SURROUNDINGS if subject.every else 1.0, float(np.linalg.norm(high - low)))
+        cameras = [
+            _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)
+            for viewpoint in viewpoints(aim, distance, heading, eye)
+        ]
+        return self._draw(free_view(cameras, self._parts, subject), size)
 
-    def _draw(self, camera: Camera, size: tuple[int, int]) -> Image.Image:
-        up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
+    def subjects(self, why: Why) -> list[str] | None:
+        """Return the robot and what a failed task was about, as targets of a picture; None if there are none.
+
+        Of furniture it is the links that the task names, as a drawer's handle.
+        """
+        named = why.task.motion.parameters.values() if why.task is not None else ()
+        targets: list[str] = []
+        for involved in sorted(why.bodies, key=lambda involved: not involved.is_robot):
+            drawn = self._bodies.get(involved.body.name)
+            if drawn is None or not drawn.parts:
+                continue
+            if drawn.body.type != "environment":
+                targets.append(drawn.body.name)
+            else:
+                links = [link for link in named if isinstance(link, str) and link in drawn.frames]
+                targets += [f"{drawn.body.name}.{link}" for link in links]
+        return targets or None
+
+    def _draw(self, view: View, size: tuple[int, int]) -> Image.Image:
+        up = geometry.rotate(geometry.conjugate(view.camera.pose[1]), (0.0, 0.0, 1.0))
         finer = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
-        sight = camera.draw([drawn.drawable for drawn in self._bodies.values()], camera.window, finer)
-        return Image.fromarray(sight.picture(up)).resize(size, Image.Resampling.BOX)
+        sight = view.draw(self._parts, view.camera.window, finer)
+        picture = Image.fromarray(sight.picture(up)).resize(size, Image.Resampling.BOX)
+        names = (
+            f"{drawn.body.name}.{link}"
+            for drawn in self._bodies.values()
+            for link, number in drawn.parts.items()
+            if number in view.cut
+        )
+        picture.info |= {"step": self._step, "cut": tuple(names)}
+        return picture
+
+    def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[Subject, Vector | None]:
+        """Return what has to be seen, and the point to look at if one is given."""
+        names = [target] if isinstance(target, str) else list(target or ())
+        if names and all(isinstance(name, str) for name in names):
+            return Subject(tuple(self._parts_of(str(name)) for name in names), every=True), None
+        movable = [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
+        groups = (tuple(drawn.parts.values()) for drawn in movable or self._bodies.values())
+        point = _point("target", target) if target is not None else None  # type: ignore[arg-type]
+        return Subject(tuple(group for group in groups if group), every=False), point
+
+    def _parts_of(self, name: str) -> tuple[int, ...]:
+        """Return the numbers of what is drawn of a body, or of a link ``BODY.LINK``; of a bare link, of its body."""
+        drawn = self._bodies.get(name)
+        if drawn is not None:
+            return tuple(drawn.parts.values())
+        body = next((body for body in self._bodies if name.startswith(f"{body}.")), None)
+        if body is None:
+            raise NoSuchName("object", name, self._bodies)
+        drawn, link = self._bodies[body], name[len(body) + 1 :]
+        if link not in drawn.frames:
+            raise NoSuchName(f"link of {body}", link, drawn.frames)
+        return (drawn.parts[link],) if link in drawn.parts else tuple(drawn.parts.values())
 
     def _robot_camera(self, frame: str, size: tuple[int, int]) -> Camera:
         """Return the camera at a frame of the robot."""
@@ -135,36 +212,12 @@ class Scene:
             return _pinhole(self._robot.frames[frame], _FIELD_OF_VIEW, size)
         return _pinhole(own.pose(self._robot.frames[frame]), own.horizontal_fov, size, max(own.near, _NEAR), own.far)
 
-    def _bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return lowest and highest corner of robots and movable objects; of everything if there are none."""
-        movable = [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
-        chosen = movable or list(self._bodies.values())
-        if not chosen:
+    def _bounds(self, subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return lowest and highest corner of what has to be seen."""
+        corners = [self._parts[number].corners for group in subject.groups for number in group]
+        if not corners:  # of what has no shape
             return np.zeros(3), np.ones(3)
-        return np.min([drawn.low for drawn in chosen], axis=0), np.max([drawn.high for drawn in chosen], axis=0)
-
-    def _viewpoint(self, aim: Vector, low: NDArray[np.float64], high: NDArray[np.float64]) -> Vector:
-        """Return a viewpoint over the robot's shoulder from which a box is seen whole, and not behind a wall."""
-        distance = 1.1 * max(1.0, float(np.linalg.norm(high - low)))
-        heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
-        found: dict[Vector, float] = {}
-        for side in _SIDES:
-            direction = np.array(geometry.rotate(heading, side))
-            viewpoint = _vector(np.array(aim) + distance * direction / np.linalg.norm(direction))
-            found[viewpoint] = self._seen(viewpoint, aim)
-            if found[viewpoint] >= _ENOUGH:
-                return viewpoint
-        return max(found, key=lambda viewpoint: found[viewpoint])
-
-    def _seen(self, viewpoint: Vector, aim: Vector) -> float:
-        """Return which share of robots and movable objects is seen from a viewpoint, of what could be."""
-        camera = _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, _GLANCE)
-        bodies = sorted(self._bodies.values(), key=lambda drawn: drawn.body.type == "environment")
-        chosen = [drawn.drawable for drawn in bodies if drawn.body.type != "environment"]
-        alone = camera.draw(chosen, camera.window, _GLANCE).bodies >= 0
-        among = camera.draw([drawn.drawable for drawn in bodies], camera.window, _GLANCE).bodies
-        shown = (among >= 0) & (among < len(chosen))
-        return float(shown.sum() / alone.sum()) if alone.any() else float(not chosen)
+        return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
@@ -182,43 +235,21 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         if scene.camera:
             files.append(folder / f"step_{why.step}_robot.png")
             scene.picture(camera=scene.camera).save(files[-1])
+        about = scene.subjects(why)
         files.append(folder / f"step_{why.step}_side.png")
-        scene.picture(target=_middle(why)).save(files[-1])
+        scene.picture(target=about).save(files[-1])
+        if about and len(about) > 1:  # the robot is there too, and large: each thing comes nearer
+            for name in about[1:]:
+                files.append(folder / f"step_{why.step}_{_file_name(name)}.png")
+                scene.picture(target=name).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
 
 
-def _middle(why: Why) -> Vector:
-    """Return a point between robot and objects, at the height of the objects."""
-    positions = [involved.body.position for involved in why.bodies]
-    x, y = (sum(position[axis] for position in positions) / len(positions) for axis in (0, 1))
-    return x, y, max(position[2] for position in positions)
-
-
-def _drawn(log: RecordReader, body: Body) -> _Drawn:
-    model = model_of(log, body.loaded)
-    frames = {link: geometry.multiply(body.pose, pose) for link, pose in model.urdf.link_poses(body.joints).items()}
-    shapes = shapes_of(model.path)
-    drawable = Drawable(shapes, *_poses(frames, shapes.links), body.color or None, body.type == "robot")
-    return _Drawn(body, frames, drawable, *_box(model.path, frames))
-
-
-def _poses(frames: Mapping[str, Pose], links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return positions (n, 3) and orientations (n, 4) of links."""
-    positions = np.array([frames[link][0] for link in links]).reshape(-1, 3)
-    return positions, np.array([frames[link][1] for link in links]).reshape(-1, 4)
-
-
-def _box(path: Path, frames: Mapping[str, Pose]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the corners of a box around all link frames and the boxes of all collision shapes."""
-    shapes = shapes_of(path, "collision")
-    positions, orientations = _poses(frames, shapes.links)
-    turns = geometry.to_matrices(orientations)
-    middles = positions + np.einsum("kij,kj->ki", turns, (shapes.low + shapes.high) / 2)
-    reach = np.einsum("kij,kj->ki", np.abs(turns), (shapes.high - shapes.low) / 2) + _PADDING
-    origins = _poses(frames, list(frames))[0]
-    return np.vstack([origins, middles - reach]).min(axis=0), np.vstack([origins, middles + reach]).max(axis=0)
+def _file_name(name: str) -> str:
+    """Return a name as a part of a file's name on any system."""
+    return re.sub(r"[^\w.-]", "_", name)
 
 
 def _pinhole(pose: Pose, angle: float, size: tuple[int, int], near: float = _NEAR, far: float = _FAR) -> Camera:

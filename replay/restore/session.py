@@ -8,9 +8,8 @@ import keyword
 import re
 import runpy
 import sys
-import time
 import traceback
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram import bullet_world_reasoning as btr
 
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from replay.file.record_reader import RecordReader
 
-_POLL_PERIOD: Final = 1 / 30  # s
 _DONE, _FAILED = 0, 1
 
 
@@ -80,10 +78,3 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
                 delattr(sys, name)
             else:
                 setattr(sys, name, prompt)
-
-
-def watch(world: BulletWorld) -> None:
-    """Keep a world's window open until it is closed by hand, or by Ctrl-C."""
-    while world.engine.connected:
-        world.engine.pump()
-        time.sleep(_POLL_PERIOD)

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
+
+from replay.file.lifetimes import title
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -94,14 +97,23 @@ class Difference:
         return tuple(change for change in self.changed if change.notable)
 
 
-def difference(before: State, after: State) -> Difference:
-    """Compare two states, which may be of two recordings."""
+def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
+    """Compare two states, which may be of two recordings.
+
+    Args:
+        before: the first.
+        after: the second.
+        names: names of worlds in the first by those of the worlds in the second that are compared with them, where they
+            differ.
+    """
     first = {world.title: world for world in before.worlds.values() if world.open}
-    second = {world.title: world for world in after.worlds.values() if world.open}
-    both = [(world, second[title]) for title, world in first.items() if title in second]
+    second = {
+        title(names.get(world.name, world.name), world.lifetime): world for world in after.worlds.values() if world.open
+    }
+    both = [(world, second[name]) for name, world in first.items() if name in second]
     return Difference(
-        opened=tuple(title for title in second if title not in first),
-        closed=tuple(title for title in first if title not in second),
+        opened=tuple(world.title for name, world in second.items() if name not in first),
+        closed=tuple(name for name in first if name not in second),
         added=tuple((b.name, body) for a, b in both for body in b.bodies if body not in a.bodies),
         removed=tuple((a.name, body) for a, b in both for body in a.bodies if body not in b.bodies),
         changed=tuple(change for a, b in both for change in _changes(a, b)),

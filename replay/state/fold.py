@@ -9,9 +9,9 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Keyframe, Mutation
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
 from replay.errors import Damaged
-from replay.state.state import Attachment, Body, State, World
+from replay.state.state import Attachment, Body, Sampled, State, World
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -36,8 +36,11 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
     return State(step, {name: world.build() for name, world in worlds.items()})
 
 
-def state_at(log: RecordReader, step: int) -> State:
+def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
     """Return what is true after a step of a recording.
+
+    With a moment, in s of simulated time, that lies within a simulation that is the next record, return what was true
+    then by its samples.
 
     Raises:
         Damaged: a record makes no sense.
@@ -49,7 +52,25 @@ def state_at(log: RecordReader, step: int) -> State:
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(_range(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"what steps {lost} changed is lost" if lost else ""
-    return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets)
+    sampled = _apply_samples(log, step + 1, worlds, moment) if moment is not None else None
+    return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets, sampled)
+
+
+def _apply_samples(log: RecordReader, step: int, worlds: dict[str, WorldBuilder], moment: float) -> Sampled | None:
+    """Bring a world to a moment within a record's stretch of simulation; return how that is known, None if it isn't."""
+    record = next(iter(log.records(Mutation, step, step + 1)), None)
+    if record is None or not record.HasField("simulate") or record.world not in worlds:
+        return None
+    world, limit = worlds[record.world], moment * STEPS_PER_SECOND
+    start = at = world.sim_step
+    if not start < limit < record.sim_step:
+        return None
+    for sample in record.effect.samples:
+        if sample.sim_step <= limit:
+            world.apply_sample(sample)
+            at = sample.sim_step
+    begin, end, last = (steps / STEPS_PER_SECOND for steps in (start, record.sim_step, at))
+    return Sampled(step, record.world, begin, end, moment, last)
 
 
 def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dict[str, WorldBuilder]) -> int:
@@ -157,6 +178,16 @@ class WorldBuilder:
             self.attachments.clear()
             self.facts |= {"open": False, "realtime": False, "robot": ""}
         self._apply_effect(record.effect)
+
+    @property
+    def sim_step(self) -> int:
+        """Simulated steps."""
+        return int(str(self.facts.get("sim_step", 0)))
+
+    def apply_sample(self, sample: records.Sample) -> None:
+        """Apply a sample of a simulation."""
+        self.facts["sim_step"] = sample.sim_step
+        self._set_states(sample.bodies)
 
     def _apply_effect(self, effect: records.Effect) -> None:
         for ended in effect.detached:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from recorder.records import TOPICS, Argument, Keyframe, Mutation, argument_values, from_json
@@ -95,7 +96,8 @@ def state_data(state: State, body: str | None = None, world: str | None = None) 
         for each in state.worlds.values()
         if world in (None, each.name) and (body is None or body in each.bodies)
     }
-    return {"step": state.step, "doubt": state.uncertainty, "worlds": worlds}
+    data: dict[str, Plain] = {"step": state.step, "doubt": state.uncertainty, "worlds": worlds}
+    return data | {"sampled": dict(asdict(state.sampled))} if state.sampled is not None else data
 
 
 def world_data(world: World, only: str | None = None) -> dict[str, Plain]:

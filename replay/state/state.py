@@ -150,20 +150,43 @@ class World:
 
 
 @dataclass(frozen=True, slots=True)
+class Sampled:
+    """A moment within a stretch of simulation, of which there are samples, 30 a simulated second.
+
+    Attributes:
+        step: the record of the stretch.
+        world: name of its world.
+        start: the world's clock before the stretch, s of simulated time.
+        end: its clock after it, s.
+        asked: the moment that was asked for, s.
+        at: the last sample until then, s; ``start`` if there is none. Nothing moved visibly in those that are missing.
+    """
+
+    step: int
+    world: str
+    start: float
+    end: float
+    asked: float
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
 class State:
-    """Everything after a step.
+    """Everything after a step, or at a moment within the stretch of simulation that follows it.
 
     Attributes:
         step: the step.
         worlds: by name, in the order of their opening; those that were closed are empty.
         uncertainty: which lost records could have changed it, in words; else empty.
         assets: the files that are attached to the recording.
+        sampled: of a moment within a stretch of simulation: how it is known; None after a step.
     """
 
     step: int
     worlds: Mapping[str, World]
     uncertainty: str = ""
     assets: Assets | None = field(default=None, repr=False, compare=False)
+    sampled: Sampled | None = None
 
     def world(self, name: str | None = None) -> World:
         """Return a world by name; without one, the open one that was opened last.
@@ -234,3 +257,14 @@ class State:
             return geometry.multiply(body.pose, model.forward_kinematics(body.joints, link))
         except UrdfError:
             raise NoSuchName(f"link of {body.name}", link, model.links) from None
+
+    def link_poses(self, body: Body) -> dict[str, Pose]:
+        """Return the poses of all links of a body in the world, m and xyzw, by name.
+
+        Raises:
+            NoSuchName: there is no model of the body.
+        """
+        from recorder import geometry  # noqa: PLC0415  needs numpy, which reading mostly doesn't
+
+        poses = self.urdf(body).link_poses(body.joints).items()
+        return {link: geometry.multiply(body.pose, pose) for link, pose in poses}

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import random
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
 import replay
+from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
 from recorder.records import Query
 from replay.cli import record_text
@@ -145,6 +149,7 @@ def test_every_query_can_be_asked() -> None:
         "reachable_object",
         "reachable_pose",
         "reachable_poses",
+        "reachable_position",
         "stable",
         "supporting",
         "visible",
@@ -251,3 +256,42 @@ def test_wrong_usage_is_reported_on_stderr(
     output = capsys.readouterr()
     assert not output.out
     assert output.err.startswith("pycram-replay: ")
+
+
+def test_odd_arguments_are_answered_or_refused(tmp_path: Path) -> None:
+    """Never an error of another kind, whatever is asked."""
+    with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="w"):
+        for number, name in enumerate(("apple", "bowl")):
+            Object(name, name, f"{name}.stl", [number, 0, 0])
+    terms = (
+        "apple",
+        "nix",
+        "''",
+        "0",
+        "-1e400",
+        "[]",
+        "[1,2]",
+        "[[1,2,3],[0,0,0,0]]",
+        "null",
+        "[apple,[1]]",
+        "'\\x00'",
+    )
+    dice = random.Random(5)
+    asked = answered = 0
+    with replay.open(tmp_path / "x.mcap") as log:
+        for query in QUERIES * 12:
+            arguments = [dice.choice(terms) for _ in range(dice.randrange(5))]
+            arguments += [f"{dice.choice(('threshold', 'camera', 'poses', 'nix'))}={dice.choice(terms)}"]
+            asked += 1
+            with contextlib.suppress(replay.ReplayError):
+                log.ask(3, f"{query}({', '.join(arguments[dice.randrange(2) :])})")
+                answered += 1
+        assert asked > answered
+        for question in ("stable(a=1,a=2)", "stable(apple if 1 else 2)", "0x_", "stable(" + "[" * 3000, "5and 6"):
+            with pytest.raises(BadQuestion):
+                log.ask(3, question)
+
+
+def test_a_recorded_query_is_asked_again_in_its_own_world_only(scene_log: Path) -> None:
+    with replay.open(scene_log) as log, pytest.raises(BadQuestion, match="asked in kitchen"):
+        log.ask(first(log, "visible").seq, world="elsewhere")

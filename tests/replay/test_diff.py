@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from typing import TYPE_CHECKING
 
 import pytest
@@ -10,6 +11,8 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
+from pycram.fluent import Fluent
+from pycram.language import par
 from pycram.process_module import ProcessModule
 from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Query, Task
@@ -69,6 +72,51 @@ def drop(file: Path, heights: list[float], *, extra: bool = False) -> None:
             with span("motion", "look"):
                 ball.set_position([0, 0, 9])
         world.simulate(0.1)
+
+
+def fill(file: Path, height: float, *names: str) -> None:
+    """Two worlds with a ball each, and fluents that branches wait for."""
+    with recorder.record(file, name="fill"), contextlib.ExitStack() as open_worlds:
+        for name in names or ("", ""):
+            world = open_worlds.enter_context(BulletWorld(name=name or None))
+            Object("ball", "ball", "apple.stl", [0, 0, height], world=world)
+            height += 1
+        fluent = Fluent(0)
+        with par as block:
+            block((fluent > 2).wait_for)
+            block(fluent.set_value, 3)
+
+
+def test_runs_in_one_process_are_compared_whatever_their_worlds_and_fluents_are_called(tmp_path: Path) -> None:
+    fill(tmp_path / "first.mcap", 1)
+    fill(tmp_path / "second.mcap", 1)
+    fill(tmp_path / "third.mcap", 2)
+    with (
+        replay.open(tmp_path / "first.mcap") as first,
+        replay.open(tmp_path / "second.mcap") as second,
+        replay.open(tmp_path / "third.mcap") as third,
+    ):
+        assert first.lifetimes[0].world != second.lifetimes[0].world  # or nothing would be shown here
+        same = compare(first, second)
+        assert same.divergence is None
+        assert same.equal == len(first)
+        assert not same.difference
+        other = compare(first, third)
+        assert other.divergence is not None
+        assert set(other.divergence.fields) == {"load_body.position[2]", "effect.bodies[0].position[2]"}
+        assert [change.distance for change in other.difference.changed] == [1, 1]
+
+
+def test_worlds_of_other_names_are_compared_in_order(tmp_path: Path) -> None:
+    fill(tmp_path / "first.mcap", 1, "lab", "hall")
+    fill(tmp_path / "second.mcap", 1, "lab", "yard")
+    fill(tmp_path / "third.mcap", 1, "hall", "lab")
+    with replay.open(tmp_path / "first.mcap") as first, replay.open(tmp_path / "second.mcap") as second:
+        assert compare(first, second).divergence is None
+        with replay.open(tmp_path / "third.mcap") as third:
+            crossed = compare(first, third)  # names that both have are the same worlds
+            assert crossed.divergence is not None
+            assert [change.distance for change in crossed.difference.changed] == [1, 1]
 
 
 def test_runs_diverge_at_the_first_different_record(tmp_path: Path) -> None:

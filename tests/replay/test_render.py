@@ -15,6 +15,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.world import current
 from recorder.records import Query
 from replay.cli.main import main
+from tests.conftest import furnish
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -69,6 +70,80 @@ def test_a_picture_is_not_taken_from_behind_a_wall(tmp_path: Path, walls: int) -
         assert red(log.render(2 + walls, size=SMALL)).any()
 
 
+def slab(folder: Path, name: str, size: str) -> str:
+    shape = f'<geometry><box size="{size}"/></geometry>'
+    file = folder / f"{name}.urdf"
+    file.write_text(f'<robot name="{name}"><link name="{name}"><visual>{shape}</visual></link></robot>')
+    return str(file)
+
+
+@pytest.fixture
+def closed(tmp_path: Path) -> Path:
+    """A red bowl in a small cupboard, and a green one beside it, at step 9; then the world is closed."""
+    path = tmp_path / "closed.mcap"
+    with recorder.record(path), BulletWorld(name="kitchen"):
+        Object("bowl", "bowl", "bowl.stl", [0, 0, 0], color=[1, 0, 0, 1])
+        for axis, size in enumerate(("0.02 0.3 0.3", "0.3 0.02 0.3", "0.3 0.3 0.02")):
+            for side in (-0.15, 0.15):
+                position = [side if axis == each else 0.0 for each in range(3)]
+                Object(f"side_{axis}_{side}", "environment", slab(tmp_path, f"side_{axis}", size), position)
+        Object("other", "bowl", "bowl.stl", [-1, 0, 0], color=[0, 1, 0, 1])
+    return path
+
+
+def test_what_hides_a_thing_from_all_sides_is_cut_away(closed: Path) -> None:
+    with replay.open(closed) as log:
+        inside = log.render(9, target="bowl", size=SMALL)
+        assert red(inside).mean() > 0.005
+        assert inside.info["cut"]
+        assert not log.render(9, target="other", size=SMALL).info["cut"]  # free sight of it
+        assert not log.render(9, eye=(1, 1, 1), target="bowl", size=SMALL).info["cut"]  # a viewpoint that was asked for
+        both = log.render(9, target=["bowl", "other"], size=(160, 120))
+        greenish = np.asarray(both).astype(int)
+        assert red(both).any()
+        assert ((greenish[..., 1] > 80) & (greenish[..., 0] < 60)).any()
+
+
+def test_a_picture_from_a_side(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld():
+        Object("bowl", "bowl", "bowl.stl", [0, 0, 0], color=[1, 0, 0, 1])
+        Object("roof", "environment", slab(tmp_path, "roof", "2 2 0.02"), [0, 0, 0.3])
+    with replay.open(path) as log:
+        assert log.render(3, eye="above", target="bowl", size=SMALL).info["cut"] == ("roof.roof",)
+        for side in ("left", "right", "front", "behind"):
+            picture = log.render(3, eye=side, target="bowl", size=SMALL)
+            assert red(picture).any()
+            assert not picture.info["cut"]
+
+
+def test_after_the_end_of_its_worlds_a_plan_shows_its_last_step(
+    closed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "x.png"
+    assert main(["render", str(closed), "last", "--to", "bowl", "-o", str(target), "--size", "80x60"]) == 0
+    output = capsys.readouterr()
+    assert "this is step 9, the last at which one was" in output.err
+    assert "would hide it" in output.err
+    assert red(Image.open(target)).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target", ["spoon", "cup", "kitchen.sink_area_left_upper_drawer_handle"])
+def test_a_thing_is_seen_in_a_drawer_behind_the_robot_and_at_a_wall(tmp_path: Path, target: str) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld() as world:
+        furnish(world)
+        Object("cup", "cup", "cup.stl", [-0.05, 0.7, 0.06])  # behind the robot
+        Object("wall", "environment", slab(tmp_path, "wall", "0.1 4 2.5"), [-0.2, 0.7, 1.25])
+        world.get_object("spoon").set_color([1, 0, 0, 1])
+        world.get_object("cup").set_color([1, 0, 0, 1])
+    with replay.open(path) as log:
+        picture = log.render("last", target=target, size=(160, 120))
+        if "." not in target:
+            assert red(picture).mean() > 0.002
+
+
 @pytest.mark.slow
 def test_the_robots_camera_sees_what_the_plan_looked_at(scene_log: Path) -> None:
     with replay.open(scene_log) as log:
@@ -90,7 +165,11 @@ def test_impossible_pictures_are_refused(file: Path, scene_log: Path) -> None:
         with pytest.raises(replay.ReplayError, match="pixels"):
             log.render(2, size=(0, 10))
         with pytest.raises(replay.NotRestored):
-            log.render("last")
+            log.render(0)
+        with pytest.raises(replay.NoSuchName, match="did you mean bowl"):
+            log.render(2, target="bowll")
+        with pytest.raises(replay.NoSuchName, match="left"):
+            log.render(2, eye="lefft")
     with replay.open(scene_log) as log, pytest.raises(replay.NoSuchName, match="did you mean wide_stereo"):
         log.render(-3, camera="wide_stereo_optical")
 
@@ -102,7 +181,7 @@ def test_render_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().out == f"{target}\n"
     assert red(Image.open(target)).any()
     assert main([*asked, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"step": 2, "file": str(target), "width": 80, "height": 60}
+    assert json.loads(capsys.readouterr().out) == {"step": 2, "file": str(target), "width": 80, "height": 60, "cut": []}
     for wrong in (
         ["--size", "big"],
         ["--from", "1,2"],

@@ -57,7 +57,7 @@ class PickUp(SimulatedModule):
         if body.fixed:
             raise GraspFailed(arm.name, body.name, "it is fixed")
         if body.carrier is not None:
-            raise GraspFailed(arm.name, body.name, f"{body.carrier.name} holds it already")
+            raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         held = self.held(robot, arm)
         if held is not None:
             raise GraspFailed(arm.name, body.name, f"it holds {held.name}")
@@ -72,6 +72,24 @@ class PickUp(SimulatedModule):
                 if depth > overlaps.DEEP:
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
+
+    def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
+        """Return what holds an object already, and how to hand it over."""
+        holder = body.carrier
+        assert holder is not None  # noqa: S101  as was asked before
+        free = f"{holder.name}.detach({body.name}) lets go of it"
+        for other in self.description(robot).arms.values():
+            if self.held(robot, other) is body:
+                if other.name == arm.name:
+                    return f"{holder.name} holds it already, with this arm; place puts it down, {free}"
+                over = (
+                    f"{free}, and {holder.name}.attach({body.name}, {arm.tool_frame!r}) gives it to the {arm.name} arm"
+                )
+                return (
+                    f"{holder.name} holds it already, with the {other.name} arm; to hand it over, place it with that "
+                    f"one and pick it up with the {arm.name} one; without moving, {over}"
+                )
+        return f"{holder.name} holds it already; {free}"
 
 
 def _plan(

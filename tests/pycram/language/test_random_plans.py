@@ -23,7 +23,7 @@ from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
 from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.language.block import Block
+from pycram.language.block import Block, RunsEarly
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
 from pycram.scheduling.cancellation import wait
@@ -209,7 +209,10 @@ class Plan:
                         futures.append(s(part))
                     elif form == 1:
                         # a motion or a block in the body, or plain Python; a motion may wait for the one before
-                        given = part(given) if part.__name__ == "perform" else part()
+                        try:
+                            given = part(given) if part.__name__ == "perform" else part()
+                        except RunsEarly:  # a change that stands behind actions of a body that is read
+                            futures.append(s(part))
                     else:
                         with seq as t:
                             t(part)

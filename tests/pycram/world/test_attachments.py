@@ -78,7 +78,7 @@ def test_impossible_attachments_are_refused(scene: BulletWorld) -> None:
     for carrier, body, reason in (
         (bowl, bowl, "itself"),
         (robot, bowl, "milk carries it"),
-        (milk, scene.get_object("kitchen"), "fixed"),
+        (robot, scene.get_object("kitchen"), "fixed"),
     ):
         with pytest.raises(AttachmentError, match=reason):
             carrier.attach(body)
@@ -93,6 +93,21 @@ def test_impossible_attachments_are_refused(scene: BulletWorld) -> None:
         stranger = Object("cup", "cup", "cup.stl", world=other)
         with pytest.raises(AttachmentError, match="another world"):
             robot.attach(stranger)
+
+
+def test_a_thing_is_attached_to_a_robot_or_furniture_from_either_side(scene: BulletWorld) -> None:
+    robot, milk, kitchen = scene.robot, scene.get_object("milk"), scene.get_object("kitchen")
+    milk.attach(robot, None, "r_gripper_tool_frame")
+    assert milk.carrier is robot
+    assert robot.attachments[milk].carrier_link == "r_gripper_tool_frame"
+    before = relative(robot, "r_gripper_tool_frame", milk)
+    robot.set_position([0, 0, 0])
+    assert_kept(before, relative(robot, "r_gripper_tool_frame", milk))
+    milk.detach(robot)
+    milk.attach(kitchen, None, "sink_area_left_upper_drawer_main")
+    there = milk.get_position()
+    kitchen.set_joint_position(DRAWER, 0.2)
+    assert math.dist(milk.get_position(), there) == pytest.approx(0.2, abs=1e-6)
 
 
 def test_a_drawer_moves_the_bodies_that_it_supports(scene: BulletWorld) -> None:

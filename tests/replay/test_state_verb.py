@@ -1,0 +1,70 @@
+"""``state``: moments within a stretch of simulation, and where links are."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from replay.cli.main import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def falling(tmp_path: Path) -> Path:
+    """An apple falls from 1 m for half a second."""
+    path = tmp_path / "falling.mcap"
+    with recorder.record(path), BulletWorld(name="kitchen") as world:
+        Object("apple", "apple", "apple.stl", [0, 0, 1])
+        world.simulate(0.5)  # nothing moves without gravity
+        world.set_gravity([0, 0, -10])
+        world.simulate(0.5)
+    return path
+
+
+def test_a_moment_within_a_simulation_is_known_by_its_samples(
+    falling: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with replay.open(falling) as log:
+        state = log.state_at("0.71s")
+        assert state.sampled is not None
+        assert state.sampled.at == pytest.approx(0.7)
+        assert state.world().seconds == pytest.approx(0.7)
+        assert state.body("apple").position[2] == pytest.approx(1 - 5 * 0.2**2, abs=0.01)
+        assert state.body("apple").velocity[2] == pytest.approx(-2, abs=0.05)
+        assert state.step == log.step("0.71s")
+        assert log.state_at(state.step).body("apple").position[2] == 1  # the step itself is before the stretch
+        still = log.state_at("0.2s")
+        assert still.sampled is not None
+        assert still.sampled.at == still.sampled.start == 0
+        for whole in ("0.5s", "1s", "last", 3):
+            assert log.state_at(whole).sampled is None
+    assert main(["state", str(falling), "0.71s", "apple"]) == 0
+    assert "as sampled at 0.700 s" in capsys.readouterr().out
+    assert main(["state", str(falling), "0.71s", "--json"]) == 0
+    sampled = json.loads(capsys.readouterr().out)["sampled"]
+    assert (sampled["start"], sampled["asked"], sampled["end"]) == (0.5, 0.71, 1.0)
+    assert main(["state", str(falling), "0.2s"]) == 0
+    assert "no sample until then has a movement" in capsys.readouterr().out
+
+
+def test_where_links_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld() as world:
+        kitchen = Object("kitchen", "environment", "kitchen.urdf", [0, 1, 0])
+        kitchen.set_joint_position("sink_area_left_upper_drawer_main_joint", 0.2)
+        there = kitchen.get_link_position("sink_area_left_upper_drawer_handle")
+        Object("apple", "apple", "apple.stl", [0, 0, 1], world=world)
+    assert main(["state", str(path), "4", "kitchen", "--links", "--json"]) == 0
+    ((_, bodies),) = json.loads(capsys.readouterr().out)["links"].items()
+    assert set(bodies) == {"kitchen"}
+    assert bodies["kitchen"]["sink_area_left_upper_drawer_handle"]["position"] == pytest.approx(there)
+    assert main(["state", str(path), "4", "--links"]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "sink_area_left_upper_drawer_handle " in line]
+    assert f"{there[0]:.4f}" in line
