@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from pycram.scheduling.locks import held
+from pycram.scheduling.locks import is_held
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from recorder.tracing.span import Cancelled
 
@@ -130,7 +130,7 @@ def uninterruptible() -> Iterator[None]:
 
 def before_change() -> None:
     """Checkpoint before a world is changed, except in an :func:`uninterruptible` block or while a lock is held."""
-    if not _uninterruptible.get() and not held.count:  # what is made of several changes is done as a whole
+    if not _uninterruptible.get() and not is_held():  # what is made of several changes is done as a whole
         checkpoint()
 
 
