@@ -14,7 +14,7 @@ from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handle_path import DeadEnd, plan
 from pycram.reasoning.grasping.handles import Handle
-from pycram.reasoning.grasping.remedies import remedies
+from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
 from pycram.world import carried
 
 if TYPE_CHECKING:
@@ -82,7 +82,11 @@ class Accessing(SimulatedModule):
             raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
         if not isinstance(found, DeadEnd):
             return found
-        hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values)]
+        found_remedies = [
+            *arms_in_the_way(robot, arm, handle, values, found.pairs),
+            *remedies(robot, arm, handle, values),
+        ]
+        hints = [remedy.phrase() for remedy in found_remedies]
         if found.reached is not None and found.reached != values[0]:
             hints.insert(0, f"from here it would get to {found.reached:.3f}")
         raise _failure(arm, handle, values[-1], found, hints or ["no arm or place nearby that was tried would do"])

@@ -97,6 +97,7 @@ def plan(
     values: Sequence[float],
     base: Pose | None = None,
     *,
+    others: Mapping[str, float] | None = None,
     quick: bool = False,
 ) -> HandlePath | DeadEnd:
     """Return the way of an arm that holds a handle while its joint goes through values.
@@ -107,16 +108,18 @@ def plan(
         handle: the handle.
         values: of its joint, rad or m, from the present one on.
         base: where the robot's base is taken to stand; where it does by default.
+        others: values at which joints of other arms are taken to be, rad or m; they are where they are by default.
         quick: don't look long; a dead end then proves nothing.
     """
     moved = carried.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
-    joints = [*arm.joints, *arm.gripper.positions("open")]
+    kept = arm.gripper.positions("open") | dict(others or {})
+    joints = [*arm.joints, *kept]
     grips = handle.grips(robot, arm.gripper)
     ends: list[DeadEnd] = []
     try:
         with CollisionChecker(robot, joints, ignored_links=ignored) as checker:
-            search = _Search(robot, arm, handle, values, base, checker)
+            search = _Search(robot, arm, handle, values, base, kept, checker)
             ways = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in ways:
                 found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
@@ -129,7 +132,7 @@ def plan(
 
 
 class _Search:
-    """The search for a path; see :func:`plan` for the arguments."""
+    """The search for a path; see :func:`plan` for the arguments, of which those kept are joints but the arm's."""
 
     def __init__(
         self,
@@ -138,6 +141,7 @@ class _Search:
         handle: Handle,
         values: Sequence[float],
         base: Pose | None,
+        kept: dict[str, float],
         checker: CollisionChecker,
     ) -> None:
         self._robot, self._arm, self._handle = robot, arm, handle
@@ -148,7 +152,8 @@ class _Search:
         now = robot.get_joint_positions()
         self._now = np.array([now[name] for name in arm.joints])
         self._endless = np.array([not math.isfinite(robot.joint_limits(name)[1]) for name in arm.joints])
-        self._opened = arm.gripper.positions("open")
+        self._kept = kept
+        self._links = set(carried.moved_links(robot.urdf, arm.joints))
         self._hand = checker.links_beyond(arm.joints)
         solid = shapes_of(handle.container.model.path, "collision").links
         self._moved = [link for link in carried.moved_links(handle.container.urdf, [handle.joint]) if link in solid]
@@ -181,7 +186,7 @@ class _Search:
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
         """Return the nodes for which the same links are at the same place: all of a robot's body, many of a hand."""
-        if any(pair.link not in self._checker.moving for pair in pairs):
+        if any(self._links.isdisjoint(self._own_links(pair)) for pair in pairs):
             alike: Sequence[int] = range(len(layer.angles))
         elif any(pair.link in self._hand for pair in pairs):
             alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
@@ -189,8 +194,11 @@ class _Search:
             alike = [node]
         return alike
 
+    def _own_links(self, pair: CollisionPair) -> list[str]:
+        return [pair.link, pair.body_link] if pair.body == self._robot.name else [pair.link]
+
     def _posture(self, joints: Array) -> dict[str, float]:
-        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._opened
+        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._kept
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
         """Return postures in which the gripper comes from the front, each looked for from the one before."""
