@@ -12,7 +12,7 @@ from pycram.models.visual import shapes_of
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan, torso_heights
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
 from pycram.world import carried
@@ -66,7 +66,7 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -> HandlePath:
-        """Return the arm's way.
+        """Return the arm's way; with the torso at another height if there is none at the present one.
 
         Raises:
             HandleUnreachable: the arm doesn't get there.
@@ -82,6 +82,10 @@ class Accessing(SimulatedModule):
             raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
         if not isinstance(found, DeadEnd):
             return found
+        for height in torso_heights(robot):
+            lifted = plan(robot, arm, handle, values, others=height)
+            if not isinstance(lifted, DeadEnd):
+                return lifted
         found_remedies = [
             *arms_in_the_way(robot, arm, handle, values, found.pairs),
             *remedies(robot, arm, handle, values),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.reasoning.collision import checker
-from pycram.reasoning.grasping.handle_path import HandlePath, plan
+from pycram.reasoning.grasping.handle_path import HandlePath, plan, torso_heights
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.world import carried
@@ -117,7 +117,11 @@ def remedies(robot: Object, arm: Arm, handle: Handle, values: Sequence[float]) -
     found = [
         Remedy(other.name)
         for other in free
-        if other is not arm and isinstance(plan(robot, other, handle, values), HandlePath)
+        if other is not arm
+        and any(
+            isinstance(plan(robot, other, handle, values, others=height), HandlePath)
+            for height in ({}, *torso_heights(robot))
+        )
     ]
     places = (
         _from_elsewhere(robot, other, handle, values) for other in sorted(free, key=lambda other: other is not arm)
