@@ -21,10 +21,11 @@ from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias
 
 from pycram.foundation.failures import WorldClosed
-from pycram.scheduling.locks import Lock
+from pycram.scheduling.locks import shared_lock
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
+    from weakref import WeakValueDictionary
 
     from pycram.fluents.pulses import PulseCounter
 
@@ -33,7 +34,7 @@ Value: TypeAlias = Any
 #: Values of leaves at one moment; operations add theirs, so that each is computed once.
 State: TypeAlias = dict["Expression", Value]
 
-lock: Final = Lock()
+lock: Final = shared_lock()
 _MAX_NAME_DEPTH: Final = 4  # nested operations that a name spells out
 _MAX_RECURSION: Final = 100  # nested operations that are computed by recursive calls
 
@@ -62,7 +63,7 @@ class Expression(ABC):
 
     Attributes:
         operands: Expressions from which its value is computed.
-        counters: Counters of its pulses.
+        counters: Counters of its pulses by their ids; None before the first.
         waiters: Notified of its changes; only leaves have any.
     """
 
@@ -72,7 +73,7 @@ class Expression(ABC):
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands
-        self.counters: Collection[PulseCounter] = ()
+        self.counters: WeakValueDictionary[int, PulseCounter] | None = None
 
     @property
     @abstractmethod
@@ -214,5 +215,5 @@ def _computed(operand: Expression, state: State) -> Value:
 
 def notify(changed: Iterable[Expression]) -> None:
     """Notify the waiters of these expressions, each once; the lock is held."""
-    for waiter in dict.fromkeys(waiter for expression in changed for waiter in expression.waiters):
+    for waiter in dict.fromkeys([waiter for expression in changed for waiter in expression.waiters]):
         waiter.state_changed()

@@ -45,9 +45,9 @@ class PulseCounter(Leaf):
             for expression in _reachable(
                 (of,), lambda below: () if isinstance(below, PulseCounter) else below.operands
             ):
-                known = expression.counters if isinstance(expression.counters, weakref.WeakSet) else weakref.WeakSet()
-                known.add(self)
-                expression.counters = known
+                if expression.counters is None:
+                    expression.counters = weakref.WeakValueDictionary()
+                expression.counters[id(self)] = self
 
     def value(self, state: State) -> Value:
         """Return True if there are pulses to handle, else None."""
@@ -75,19 +75,27 @@ class PulseCounter(Leaf):
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
-    """Return the given expressions and all that are next to them, or to those, each once."""
-    queue = list(dict.fromkeys(given))
+    """Return the given expressions, which are different ones, and all that are next to them, or to those, each once."""
+    queue = list(given)
     reached = set(queue)
     for expression in queue:
-        new = [each for each in dict.fromkeys(next_to(expression)) if each not in reached]
-        reached.update(new)
-        queue += new
+        for each in next_to(expression):
+            if each not in reached:
+                reached.add(each)
+                queue.append(each)
     return queue
+
+
+def _counters(expression: Expression) -> Collection[PulseCounter]:
+    counters = expression.counters
+    if counters is None:
+        return ()
+    return [counter for reference in counters.valuerefs() if (counter := reference()) is not None]
 
 
 def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
     """Return the counters of pulses of these expressions, and those of pulses of these counters, each once."""
-    return cast("list[PulseCounter]", _reachable(pulsed, lambda expression: expression.counters)[len(pulsed) :])
+    return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
 
 
 def pulse(pulsed: Collection[Expression]) -> None:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
-from pycram.scheduling.locks import held
+from pycram.scheduling.locks import is_held
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from recorder.tracing.span import Cancelled
 
@@ -152,7 +152,7 @@ def before_change(change: str) -> None:
     around = body.get()
     if around is not None:
         around.before_change(change)
-    if not _uninterruptible.get() and not held.count:  # what is made of several changes is done as a whole
+    if not _uninterruptible.get() and not is_held():  # what is made of several changes is done as a whole
         checkpoint()
 
 

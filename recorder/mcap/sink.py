@@ -38,12 +38,11 @@ _MAX_RECORDS: Final = 50  # of a chunk
 _MAX_BYTES: Final = 1 << 20  # of a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
 _Key: TypeAlias = tuple[str, str, int]  # of a channel: topic, world and its lifetime; "" and 0 where shared
-#: A buffered message: its channel, the record's number and time, its bytes; and a task's record, whose line is made
-#: later with all others.
-_Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Task | None]"
+#: A buffered message: its channel, the record's number and time, its bytes; and the record, if its line is made later
+#: with all others.
+_Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
-_TASKS: Final = (TOPICS[Task], "", 0)
 _FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
 _MAX_CHANNELS: Final = 1000  # from then on worlds share channels; MCAP has room for 65,535
@@ -119,15 +118,14 @@ class McapSink:
             self._check()
             self._now = now
             self._size += len(payload)
-            if isinstance(record, Task):
-                self._buffer.append((_TASKS, seq, now, payload, record))
-                at_once = record.status in _FAILURES
-            else:
-                per_world = topic in _PER_WORLD
-                key = (topic, record.world, self._lifetime(record)) if per_world else (topic, "", 0)
-                self._buffer.append((key, seq, now, payload, None))
+            if topic in _PER_WORLD:
+                self._buffer.append(((topic, record.world, self._lifetime(record)), seq, now, payload, None))
                 self._add_foxglove(record)
-                at_once = isinstance(record, Run)  # no file opens without the start of the run
+                at_once = False
+            else:
+                self._buffer.append(((topic, "", 0), seq, now, payload, record))
+                # no file opens without the start of the run
+                at_once = record.status in _FAILURES if isinstance(record, Task) else isinstance(record, Run)
             self._count += 1
             self._pending += 1
             if at_once or self._pending >= _MAX_RECORDS or self._size > _MAX_BYTES:
@@ -144,7 +142,7 @@ class McapSink:
         return lifetime
 
     def _add_foxglove(self, record: Record) -> None:
-        """Buffers a record's messages for other tools."""
+        """Buffers the messages for other tools of a record of a world's state."""
         for message in self._frames.transforms(record):
             payload = message.SerializeToString()
             self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
@@ -161,11 +159,11 @@ class McapSink:
         self._writer.flush()
 
     def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
-        """Buffered messages as the file has them, each line after its task."""
+        """Buffered messages as the file has them, each line after its record."""
         lines, channels, log = Lines(), self._channels, self._channels[_LINES]
-        for key, seq, time_ns, payload, task in buffered:
+        for key, seq, time_ns, payload, record in buffered:
             yield channels.get(key) or self._channel(key), seq, time_ns, payload
-            if task is not None and (line := lines.of(task, time_ns)) is not None:
+            if record is not None and (line := lines.of(record, time_ns)) is not None:
                 yield log, seq, time_ns, line
 
     def _channel(self, key: _Key) -> int:

@@ -124,8 +124,12 @@ class Uninterrupted:
     __slots__ = ("_held",)
 
     def __enter__(self) -> Self:
-        global _sections  # noqa: PLW0603  as above
-        self._held = enter()
+        global _open, _sections  # noqa: PLW0603  as above
+        if _open and threading.get_ident() == _holder:  # as in enter(), whose call takes as long
+            _open += 1
+            self._held = True
+        else:
+            self._held = enter()
         _sections += self._held
         return self
 
@@ -135,9 +139,12 @@ class Uninterrupted:
         return self._held and _pending and not _defers(sys._getframe(1))  # noqa: SLF001  as above
 
     def __exit__(self, *_: object) -> None:
-        global _sections  # noqa: PLW0603  as above
+        global _open, _sections  # noqa: PLW0603  as above
         if self._held:
             _sections -= 1
-            leave()
+            if _open > 1:
+                _open -= 1  # as in leave()
+            else:
+                leave()
             if _pending and not _defers(sys._getframe(1)):  # noqa: SLF001  as above
                 raise_pending()

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """Where records go. Called under the journal's lock, in order; must not call back or keep the record object.
+    """Where records go. Called under the journal's lock, in order; must not call back, or keep mutations and keyframes.
 
-    A task's record may be kept: nothing changes in it any more but the number and time that another journal gives.
+    Others may be kept: nothing changes in them any more but the number and time that another journal gives.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:

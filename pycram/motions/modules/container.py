@@ -13,9 +13,9 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan, torso_heights
 from pycram.reasoning.grasping.handles import Handle
-from pycram.reasoning.grasping.remedies import remedies
+from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
 from pycram.reasoning.rejections import Touching
 from pycram.world import carried
 
@@ -72,7 +72,7 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
-        """Return the arm's way.
+        """Return the arm's way; with the torso at another height if there is none at the present one.
 
         Raises:
             HandleUnreachable: the arm doesn't get there.
@@ -89,8 +89,13 @@ class Accessing(SimulatedModule):
             raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
         if not isinstance(found, DeadEnd):
             return found
+        for height in torso_heights(robot):
+            lifted = plan(robot, arm, handle, values, others=height, choice=choice)
+            if not isinstance(lifted, DeadEnd):
+                return lifted
         with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:
-            hints = [remedy.phrase() for remedy in remedies(robot, arm, handle, values, other)]
+            parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
+            hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]
         if found.reached is not None and found.reached != values[0]:
             hints.insert(0, f"from here it would get to {found.reached:.3f}")
         raise _failure(arm, handle, values[-1], found, hints or ["no arm or place nearby that was tried would do"])

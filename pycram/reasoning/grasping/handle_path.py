@@ -48,11 +48,12 @@ _TURNING: Final = 1.0  # of a square rad about the bar from one value to the nex
 _APPROACH: Final = 0.01  # of a square rad of a joint from the present posture to the first
 _MAX_PATHS: Final = 40  # that are checked
 _MAX_QUICK_PATHS: Final = 8
+_SAME_HEIGHT: Final = 0.02  # m
 
 
 @dataclass(frozen=True, slots=True)
 class HandlePath:
-    """Postures of an arm, one a value of the joint."""
+    """Postures of an arm, one a value of the joint; with the torso's height, if that is another one."""
 
     values: Sequence[float]
     postures: Sequence[Mapping[str, float]]
@@ -107,6 +108,7 @@ def plan(
     values: Sequence[float],
     base: Pose | None = None,
     *,
+    others: Mapping[str, float] | None = None,
     quick: bool = False,
     choice: Choice = UNHEARD,
 ) -> HandlePath | DeadEnd:
@@ -118,17 +120,20 @@ def plan(
         handle: the handle.
         values: of its joint, rad or m, from the present one on.
         base: where the robot's base is taken to stand; where it does by default.
+        others: values at which other joints are taken to be, of other arms or of the torso, rad or m; they are where
+            they are by default.
         quick: don't look long; a dead end then proves nothing.
         choice: is told which ways to hold the handle end where, and which it is.
     """
     moved = carried.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
-    joints = [*arm.joints, *arm.gripper.positions("open")]
+    kept = arm.gripper.positions("open") | dict(others or {})
+    joints = [*arm.joints, *kept]
     grips = handle.grips(robot, arm.gripper)
     ends: list[DeadEnd] = []
     try:
         with CollisionChecker(robot, joints, ignored_links=ignored) as checker:
-            search = _Search(robot, arm, handle, values, base, checker)
+            search = _Search(robot, arm, handle, values, base, kept, checker)
             ways = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in ways:
                 found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
@@ -143,8 +148,19 @@ def plan(
     return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
 
 
+def torso_heights(robot: Object) -> list[dict[str, float]]:
+    """Return heights of the torso, if it has one, but for the present one, nearest first: m by its joint."""
+    torso = robot.description.torso if robot.description else None
+    if torso is None:
+        return []
+    lower, upper = robot.joint_limits(torso.joint)
+    now = robot.get_joint_position(torso.joint)
+    heights = sorted((lower, (lower + upper) / 2, upper), key=lambda height: abs(height - now))
+    return [{torso.joint: height} for height in heights if abs(height - now) > _SAME_HEIGHT]
+
+
 class _Search:
-    """The search for a path; see :func:`plan` for the arguments."""
+    """The search for a path; see :func:`plan` for the arguments, of which those kept are joints but the arm's."""
 
     def __init__(
         self,
@@ -153,20 +169,34 @@ class _Search:
         handle: Handle,
         values: Sequence[float],
         base: Pose | None,
+        kept: dict[str, float],
         checker: CollisionChecker,
     ) -> None:
         self._robot, self._arm, self._handle = robot, arm, handle
         self._values, self._base, self._checker = values, base, checker
         self._clone = clone_of(robot.world, "reach")
         self._solver = Solver(robot, arm.tool_frame)
+        torso = robot.description.torso if robot.description else None
+        self._torso = torso.joint if torso is not None and torso.joint in kept else None
+        self._lifted = base if self._torso is None else self._base_lifted(self._torso, kept[self._torso])
         self._poses = [handle.pose(value) for value in values]
         now = robot.get_joint_positions()
         self._now = np.array([now[name] for name in arm.joints])
         self._endless = np.array([not math.isfinite(robot.joint_limits(name)[1]) for name in arm.joints])
-        self._opened = arm.gripper.positions("open")
+        self._kept = kept
+        self._links = set(carried.moved_links(robot.urdf, arm.joints))
         self._hand = checker.links_beyond(arm.joints)
         solid = shapes_of(handle.container.model.path, "collision").links
         self._moved = [link for link in carried.moved_links(handle.container.urdf, [handle.joint]) if link in solid]
+
+    def _base_lifted(self, torso: str, height: float) -> Pose:
+        """Return where the base would stand if the arm came there by the base, with the torso as it is."""
+        robot, joint = self._robot, self._robot.urdf.joint(torso)
+        base = robot.get_position_and_orientation()
+        below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
+        lift = geometry.multiply(joint.pose(height), geometry.invert(joint.pose(robot.get_joint_position(torso))))
+        lift = geometry.multiply(geometry.multiply(below, lift), geometry.invert(below))
+        return geometry.multiply(self._base or base, lift)
 
     def path(self, grip: Grip, angles: Sequence[float], tries: int) -> HandlePath | DeadEnd:
         """Return a path for one place of the gripper on the bar, or the end of the longest; so many are checked."""
@@ -186,8 +216,8 @@ class _Search:
                     obstacles.setdefault(step, pairs)
                     free[step][self._alike(layers[step], nodes[step], pairs)] = np.inf
             if not touching and len(nodes) == len(layers):
-                arm = [{name: posture[name] for name in self._arm.joints} for posture in postures]
-                return HandlePath(self._values, arm)
+                moved = [*self._arm.joints, *([self._torso] if self._torso else [])]
+                return HandlePath(self._values, [{name: posture[name] for name in moved} for posture in postures])
             if not touching:
                 break
         else:
@@ -196,7 +226,7 @@ class _Search:
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
         """Return the nodes for which the same links are at the same place: all of a robot's body, many of a hand."""
-        if any(pair.link not in self._checker.moving for pair in pairs):
+        if any(self._links.isdisjoint(self._own_links(pair)) for pair in pairs):
             alike: Sequence[int] = range(len(layer.angles))
         elif any(pair.link in self._hand for pair in pairs):
             alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
@@ -204,8 +234,11 @@ class _Search:
             alike = [node]
         return alike
 
+    def _own_links(self, pair: CollisionPair) -> list[str]:
+        return [pair.link, pair.body_link] if pair.body == self._robot.name else [pair.link]
+
     def _posture(self, joints: Array) -> dict[str, float]:
-        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._opened
+        return dict(zip(self._arm.joints, joints.tolist(), strict=True)) | self._kept
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
         """Return postures in which the gripper comes from the front, each looked for from the one before."""
@@ -213,7 +246,7 @@ class _Search:
         seed = None
         for pose in self._poses:
             position, orientation = geometry.multiply(pose, grip.tool(0.0))
-            (found,) = self._solver.search([(position, orientation, self._base)], seed=seed)
+            (found,) = self._solver.search([(position, orientation, self._lifted)], seed=seed)
             rows = [posture.positions for posture in found if posture.reaches()]
             layers.append(self._layer([(row, 0.0) for row in rows]))
             if not rows:
@@ -224,7 +257,7 @@ class _Search:
     def _turning(self, grip: Grip, angles: Sequence[float]) -> list[_Layer]:
         """Return postures in which the gripper is turned about the bar."""
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
-        targets = [(*tool, self._base) for tool in tools]
+        targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
         if not any(found):  # an arm that has none, or can't get there anyway
             found = self._solver.search(targets, quick=True)
@@ -303,7 +336,7 @@ class _Search:
         position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
         reached = self._values[step - 1] if step else None
         if not len(layers[step].angles):
-            nearest = self._solver.search([(position, orientation, self._base)])[0][0]
+            nearest = self._solver.search([(position, orientation, self._lifted)])[0][0]
             miss = nearest.position_error, nearest.turn_error
             return DeadEnd(self._values[step], reached, position, orientation, *miss)
         return DeadEnd(self._values[step], reached, position, orientation, pairs=obstacles.get(step, ()))

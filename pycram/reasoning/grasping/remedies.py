@@ -11,15 +11,17 @@ import numpy as np
 
 from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision import checker
-from pycram.reasoning.grasping.handle_path import HandlePath, plan
+from pycram.reasoning.grasping.handle_path import DeadEnd, HandlePath, plan, torso_heights
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.rejections import Touching
+from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
     from pycram.reasoning.choosing import Choice
     from pycram.reasoning.grasping.handles import Handle
@@ -37,6 +39,7 @@ class Remedy:
 
     Attributes:
         arm: its name.
+        parked: name of another arm that would have to be parked first; "" for none.
         base: where the robot would have to stand, m, with its present heading; None where it does.
         distance: m from where it stands.
     """
@@ -44,6 +47,7 @@ class Remedy:
     arm: str
     base: Vector | None = None
     distance: float = 0.0
+    parked: str = ""
 
     def __str__(self) -> str:
         place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
@@ -51,10 +55,55 @@ class Remedy:
 
     def phrase(self) -> str:
         """Return it in words."""
+        if self.parked:
+            return f"the {self.arm} arm could from here with the {self.parked} arm parked"
         if self.base is None:
             return f"the {self.arm} arm could from here"
         place = ", ".join(f"{part:.2f}" for part in self.base)
         return f"the {self.arm} arm could with the robot at [{place}], {self.distance:.2f} m from here"
+
+
+@dataclass(frozen=True, slots=True)
+class InTheWay:
+    """An arm that is in the way even where it is parked.
+
+    Attributes:
+        arm: its name.
+    """
+
+    arm: str
+
+    def phrase(self) -> str:
+        """Return it in words."""
+        return f"the {self.arm} arm is in the way, also when it is parked"
+
+
+def arms_in_the_way(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
+) -> list[Remedy | InTheWay]:
+    """Return for the other arms that are in an arm's way whether parking them would do.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm that can't.
+        handle: of what should be moved.
+        values: of its joint, rad or m, from the present one on.
+        pairs: what would touch what.
+    """
+    found: list[Remedy | InTheWay] = []
+    for other in robot.description.arms.values() if robot.description else ():
+        if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
+            way = plan(robot, arm, handle, values, others=other.posture("park"))
+            found.append(Remedy(arm.name, parked=other.name) if isinstance(way, HandlePath) else InTheWay(other.name))
+    return found
+
+
+def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
+    """Whether a link of an arm, or what it holds, is one of a pair."""
+    links = carried.moved_links(robot.urdf, arm.joints)
+    own = {pair.link} if pair.mover == robot.name else set()
+    own |= {pair.body_link} if pair.body == robot.name else set()
+    return pair.gripper == arm.name or not own.isdisjoint(links)
 
 
 def remedies(
@@ -79,9 +128,14 @@ def remedies(
     for other in free:
         if other is not arm:
             way = plan(robot, other, handle, values)
-            if isinstance(way, HandlePath):
+            lifted = way
+            for height in torso_heights(robot) if isinstance(way, DeadEnd) else ():
+                lifted = plan(robot, other, handle, values, others=height)
+                if isinstance(lifted, HandlePath):
+                    break
+            if isinstance(lifted, HandlePath):
                 found.append(Remedy(other.name))
-            else:
+            elif isinstance(way, DeadEnd):
                 choice.reject(str(Remedy(other.name)), way.rejection())
     places = (
         _from_elsewhere(robot, other, handle, values, choice)

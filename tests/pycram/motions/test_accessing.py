@@ -173,6 +173,47 @@ def test_links_that_touch_with_several_shapes_are_named_once(scene: BulletWorld)
     assert depths == sorted(depths, reverse=True)
 
 
+@pytest.mark.parametrize("arm", ["left", "right"])
+def test_a_drawer_near_the_floor_is_opened_and_closed_with_the_torso_down(scene: BulletWorld, arm: str) -> None:
+    joint, handle = "sink_area_left_bottom_drawer_main_joint", "sink_area_left_bottom_drawer_handle"
+    kitchen, robot = scene.get_object("kitchen"), scene.robot
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    height = robot.get_joint_position("torso_lift_joint")
+    for place in places(kitchen, joint, handle):
+        with suppress(PlanFailure):
+            go(*place)
+            access(scene, joint, handle, arm, 0.3)
+            break
+    assert kitchen.get_joint_position(joint) == pytest.approx(0.3)
+    assert robot.get_joint_position("torso_lift_joint") < height - 0.02
+    x, _, z = robot.get_link_position(robot.description.arm(arm).tool_frame)
+    bar_x, _, bar_z = kitchen.get_link_position(handle)  # it runs along y
+    assert math.hypot(x - bar_x, z - bar_z) < 0.02, "the hand is at the bar"
+    access(scene, joint, handle, arm, 0.0)
+    assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_arm_in_the_way_is_named_and_parking_it_helps_where_the_failure_says_so(scene: BulletWorld) -> None:
+    joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    go(0.49, 0.89, 0.0)
+    perform(type="move-tcp", arm="left", target=[1.166, 0.87, 0.915])  # its forearm is above the bar
+    with pytest.raises(HandleBlocked, match="l_forearm_link would touch") as raised:
+        access(scene, joint, handle, "right", 0.3)
+    assert "the right arm could from here with the left arm parked" in raised.value.remedies
+    perform(type="move-arm-joints", left_arm="park")
+    access(scene, joint, handle, "right", 0.3)
+    assert scene.get_object("kitchen").get_joint_position(joint) == pytest.approx(0.3)
+
+
+def test_an_arm_that_is_in_the_way_where_it_is_parked_is_named(scene: BulletWorld) -> None:
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    go(0.58, -0.37, 0.0)
+    with pytest.raises(HandleBlocked, match="r_gripper_r_finger_link would touch") as raised:
+        access(scene, *FRIDGE, "left", 1.0)
+    assert "the right arm is in the way, also when it is parked" in raised.value.remedies
+
+
 def test_a_door_doesnt_open_through_the_robot(scene: BulletWorld) -> None:
     kitchen, robot, (joint, handle) = scene.get_object("kitchen"), scene.robot, FRIDGE
     x, y, _ = kitchen.get_link_position(handle)
