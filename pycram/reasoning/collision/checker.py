@@ -162,8 +162,8 @@ class CollisionChecker:
     def _pairs(self, candidate: Candidate) -> Sequence[Pair]:
         """Return the links in overlapping boxes, each pair once.
 
-        First comes the first pair of each object, furniture before other things, then the second, and so on: who is hit
-        counts before how.
+        First comes the first pair of each object, then the second, and so on: who is hit counts before how. Furniture
+        comes after other things, as its boxes are wide and mostly overlap for nothing.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps
@@ -173,13 +173,13 @@ class CollisionChecker:
             )
             order: dict[Pair, tuple[int, bool]] = {}
             counts: dict[Object, int] = {}
-            movable: dict[Object, bool] = {}
+            fixed: dict[Object, bool] = {}
             for pair in pairs:
                 body = pair[2]
                 if body not in counts:
-                    counts[body], movable[body] = 0, not body.fixed
+                    counts[body], fixed[body] = 0, body.fixed
                 counts[body] += 1
-                order[pair] = counts[body], movable[body]
+                order[pair] = counts[body], fixed[body]
             candidate.pairs.extend(sorted(order, key=order.__getitem__))
         return candidate.pairs
 
