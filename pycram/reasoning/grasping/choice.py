@@ -155,9 +155,9 @@ class _Choice:
             heappush(queue, (_FREE, option, _HAND, {}, self._checker.collisions(first, self._hand)))
         contorted: dict[tuple[int, int], GraspPlan] = {}  # postures in which the robot touches itself
         while queue:
-            _, option, number, depths, touches = heappop(queue)
+            cost, option, number, depths, touches = heappop(queue)
             bound = queue[0][:3] if queue else (_INFINITE, 0, 0)
-            cost = self._check(touches, depths, min(bound[0], limit))
+            cost = self._check(touches, depths, cost, min(bound[0], limit))
             grasp, postures = self._options[option]
             if cost > limit:
                 continue
@@ -175,15 +175,15 @@ class _Choice:
                 return GraspPlan(grasp, postures[number], obstacles, penetrating=within["pair"] if within else None)
         return contorted[max(contorted)] if contorted else GraspPlan(None, None)
 
-    def _check(self, touches: Iterator[Touch], depths: dict[Object, float], enough: Cost) -> Cost:
+    def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
         """Check what a posture touches, and return what that costs.
 
         Args:
             touches: what is found by and by; it goes on where it was left.
             depths: of what is touched, m; what is found is added.
+            cost: of what is touched so far.
             enough: as soon as it costs more, the rest doesn't matter yet.
         """
-        cost = self._cost(depths)
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
             if depth > depths.get(body, 0.0):
