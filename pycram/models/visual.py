@@ -165,7 +165,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
         yield _triangles(shape, folder)
         return
     corners: list[list[float]] = []
-    groups: list[set[int]] = [set()]
+    groups: list[set[str]] = [set()]  # numbers as they are written: each stands there some six times
     for line in (folder / shape.mesh).read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split() or [""]
         if key == "v":
@@ -173,11 +173,13 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
         elif key in {"o", "g"}:
             groups.append(set())
         elif key == "f":  # counted from 1, or backwards from the last
-            numbers = (int(word.split("/")[0]) for word in words)
-            groups[-1].update(number - 1 if number > 0 else len(corners) + number for number in numbers)
+            numbers = [word.split("/")[0] for word in words] if "/" in line else words
+            if "-" in line:
+                numbers = [str(len(corners) + 1 + int(word)) if word.startswith("-") else word for word in numbers]
+            groups[-1].update(numbers)
     for group in groups:
         if group:
-            yield np.array([corners[number] for number in sorted(group)]) * np.array(shape.size)
+            yield np.array([corners[number - 1] for number in sorted(set(map(int, group)))]) * np.array(shape.size)
 
 
 def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:

@@ -127,6 +127,7 @@ class CollisionChecker:
         counted = [owner not in ignored_links for owner in owners]
         self._other_boxes = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
         self._other_owners = list(itertools.compress(owners, counted))
+        self._copies: dict[tuple[Object, str], Body] = {}  # of what was checked, by object and link
         self._base = links.base_pose  # of the clone's robot, as the candidate below
         self._placed: Candidate | None = None
 
@@ -161,18 +162,24 @@ class CollisionChecker:
     def _pairs(self, candidate: Candidate) -> Sequence[Pair]:
         """Return the links in overlapping boxes, each pair once.
 
-        First comes the first pair of each object, furniture before other things, then the second, and so on: who is hit
-        counts before how.
+        First comes the first pair of each object, then the second, and so on: who is hit counts before how. Furniture
+        comes after other things, as its boxes are wide and mostly overlap for nothing.
         """
         if not candidate.pairs:
+            boxes, others = candidate.overlaps
+            pairs = dict.fromkeys(
+                (*self._owners[box], *self._other_owners[other])
+                for box, other in zip(boxes.tolist(), others.tolist(), strict=True)
+            )
             order: dict[Pair, tuple[int, bool]] = {}
             counts: dict[Object, int] = {}
-            for box, other in np.transpose(candidate.overlaps).tolist():
-                pair = *self._owners[box], *self._other_owners[other]
-                if pair not in order:
-                    body = pair[2]
-                    counts[body] = count = counts.get(body, 0) + 1
-                    order[pair] = count, not body.fixed
+            fixed: dict[Object, bool] = {}
+            for pair in pairs:
+                body = pair[2]
+                if body not in counts:
+                    counts[body], fixed[body] = 0, body.fixed
+                counts[body] += 1
+                order[pair] = counts[body], fixed[body]
             candidate.pairs.extend(sorted(order, key=order.__getitem__))
         return candidate.pairs
 
@@ -193,12 +200,9 @@ class CollisionChecker:
             mover, link, body, _ = pair
             if links is not None and self._link_of.get(mover, link) not in links:
                 continue
-            standing = mover.is_robot and body.is_environment
-            touches = [
-                touch
-                for touch in self._touches(candidate, pair)
-                if touch.distance <= -DEPTH and not (standing and _carries_wheels(touch))
-            ]
+            touches = [touch for touch in self._touches(candidate, pair) if touch.distance <= -DEPTH]
+            if touches and mover.is_robot and body.is_environment:
+                touches = [touch for touch in touches if not _carries_wheels(touch)]
             if touches:
                 yield pair, touches
 
@@ -249,13 +253,21 @@ class CollisionChecker:
 
     def _touches(self, candidate: Candidate, pair: Pair) -> list[ClosestPoint]:
         """Return where two links touch; only for this the clone's robot is moved."""
-        if pair not in candidate.touches:
+        touches = candidate.touches.get(pair)
+        if touches is None:
             self._place(candidate)
             mover, link, body, other = pair
-            a = self._bodies[mover.name]
-            b = self._clone.link(body, other) if body.is_environment else self._bodies[body.name]
-            candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
-        return candidate.touches[pair]
+            a, b = self._copy(mover, link), self._copy(body, other)
+            touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
+        return touches
+
+    def _copy(self, body: Object, link: str) -> Body:
+        """Return the body of the clone that has a link of an object: furniture is there link by link."""
+        copy = self._copies.get((body, link))
+        if copy is None:
+            copy = self._clone.link(body, link) if body.is_environment else self._bodies[body.name]
+            self._copies[body, link] = copy
+        return copy
 
     def closest_points(self, candidate: Candidate, other: Body) -> list[ClosestPoint]:
         """Return where the whole robot, as in a candidate, overlaps a body of the clone."""

@@ -112,7 +112,7 @@ class SimulationClone:
             key: identifies the value.
             compute: makes it.
         """
-        now = take_snapshot(body)
+        now = self._state(body)
         values = self._values.setdefault(body, {})
         state, value = values.get(key, (None, None))
         if state != now:
@@ -121,6 +121,10 @@ class SimulationClone:
             value = compute()
             values[key] = now, value
         return cast("T", value)
+
+    def _state(self, body: Object) -> Snapshot:
+        """Return the state of an object in the world."""
+        return take_snapshot(body)
 
     def close(self) -> None:
         """End its physics client."""
@@ -161,6 +165,9 @@ class PosingClone(SimulationClone):
             self.engine.pose_joints(copy.body, dict(zip(body.joints, now.positions, strict=True)))
         copy.state = now
         return copy.body
+
+    def _state(self, body: Object) -> Snapshot:
+        return self._states[body.name]
 
     def link(self, body: Object, link: str) -> Body:
         """Return a copy of one link of an object that has collision shapes, as it was synced: furniture has many."""

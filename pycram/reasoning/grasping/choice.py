@@ -17,15 +17,18 @@ from pycram.reasoning.rejections import OutOfReach, Touching, Untried
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from pycram.foundation.collision_pair import CollisionPair
     from pycram.models.robots.description import Arm
+    from pycram.physics.contacts import ClosestPoint
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import Candidate, Collision
+    from pycram.reasoning.collision.checker import Collision, Pair
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
 
+    #: Two links that touch, and where.
+    Touch = tuple[Pair, list[ClosestPoint]]
     #: Whether something is in the target, numbers of fixed objects and of others, the sum of the depths in m.
     Cost = tuple[bool, float, float, float]
 
@@ -83,24 +86,33 @@ def best(
         choice: is told why the others aren't taken.
     """
     arm = robot.description.arm_of(link) if robot.description else None
+    solver = Solver(robot, link)
     if arm is None or arm.hand is None:  # it takes nothing, and gets to places as any link does
-        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, link, None, choice)
+        return _best_of([Grasp("any", center(body), IDENTITY[1], 0.0)], body, robot, solver, None, choice)
     central = candidates(body, robot, arm, names, choice=choice)
-    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, link, arm, choice)
+    plan = _best_of([grasp for grasp in central if grasp not in refused], body, robot, solver, arm, choice)
     if plan.grasp is None or plan.obstacles:
         every = candidates(body, robot, arm, names, off_center=True, choice=choice)
         beside = [grasp for grasp in every if grasp not in refused]
-        other = _best_of(beside, body, robot, link, arm, choice) if beside else plan
-        if other.grasp is not None and not other.obstacles:
-            return other
+        free = _best_of(beside, body, robot, solver, arm, choice, limit=_FREE)
+        if free.grasp is not None:
+            return free
     return plan
 
 
 def _best_of(
-    grasps: Sequence[Grasp], body: Object, robot: Object, link: str, arm: Arm | None, choice: Choice
+    grasps: Sequence[Grasp],
+    body: Object,
+    robot: Object,
+    solver: Solver,
+    arm: Arm | None,
+    choice: Choice,
+    *,
+    limit: Cost = _INFINITE,
 ) -> GraspPlan:
-    """Return the one of some grasps that touches least."""
-    solver = Solver(robot, link)
+    """Return the one of some grasps that touches least, and costs no more than ``limit``."""
+    if not grasps:
+        return GraspPlan(None, None)
     if arm is None:
         solved = solver.search([(grasp.position, None, None) for grasp in grasps])
     else:
@@ -122,7 +134,7 @@ def _best_of(
         return GraspPlan(None, min(missed, key=lambda posture: posture.position_error, default=None))
     opened = arm.gripper.positions("open") if arm else {}
     with CollisionChecker(robot, [*solver.joints, *opened], [] if arm else [body]) as checker:
-        return _Choice(body, checker, options, opened, checker.links_beyond(solver.joints), choice).best()
+        return _Choice(body, checker, options, opened, checker.links_beyond(solver.joints), choice).best(limit)
 
 
 class _Choice:
@@ -160,9 +172,9 @@ class _Choice:
         self._hand = hand
         self._arm = checker.moving - set(hand)
 
-    def best(self) -> GraspPlan:
-        """Return the grasp, its posture, and what is touched there."""
-        plan = self._least()
+    def best(self, limit: Cost) -> GraspPlan:
+        """Return the grasp, its posture, and what is touched there; none of those that cost more than ``limit``."""
+        plan = self._least(limit)
         if self._choice.wanted:
             self._tell(plan)
         return plan
@@ -179,42 +191,44 @@ class _Choice:
                 pairs = by_hand or min(known, key=len)
             self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
 
-    def _least(self) -> GraspPlan:
+    def _least(self, limit: Cost) -> GraspPlan:
         """Return the plan that touches least."""
-        queue: list[tuple[Cost, int, int, dict[Object, float]]] = []
-        queue.extend((_FREE, option, _HAND, {}) for option in range(len(self._options)))
+        queue: list[tuple[Cost, int, int, dict[Object, float], Iterator[Touch]]] = []
+        for option, (first, *_) in enumerate(self._candidates):
+            heappush(queue, (_FREE, option, _HAND, {}, self._checker.collisions(first, self._hand)))
         contorted: dict[tuple[int, int], GraspPlan] = {}  # postures in which the robot touches itself
         while queue:
-            _, option, number, depths = heappop(queue)
+            cost, option, number, depths, touches = heappop(queue)
             bound = queue[0][:3] if queue else (_INFINITE, 0, 0)
-            candidate = self._candidates[option][max(number, 0)]
-            cost = self._check(candidate, depths, self._hand if number == _HAND else self._arm, bound[0])
+            cost = self._check(touches, depths, cost, min(bound[0], limit))
             grasp, postures = self._options[option]
+            if cost > limit:
+                continue
             if (cost, option, number) > bound:
-                heappush(queue, (cost, option, number, depths))
+                heappush(queue, (cost, option, number, depths, touches))
             elif number == _HAND:
-                for each in range(len(postures)):
-                    heappush(queue, (cost, option, each, dict(depths)))
-            elif pairs := self._checker.self_collisions(candidate):
+                for each, candidate in enumerate(self._candidates[option]):
+                    rest = self._checker.collisions(candidate, self._arm)
+                    heappush(queue, (cost, option, each, dict(depths), rest))
+            elif pairs := self._checker.self_collisions(self._candidates[option][number]):
                 contorted[option, number] = GraspPlan(None, postures[number], self_collisions=pairs)
             else:
-                obstacles = self._checker.touched(candidate)
+                obstacles = self._checker.touched(self._candidates[option][number])
                 within = obstacles.pop(self._target, None)
                 return GraspPlan(grasp, postures[number], obstacles, penetrating=within["pair"] if within else None)
-        return contorted[max(contorted)]
+        return contorted[max(contorted)] if contorted else GraspPlan(None, None)
 
-    def _check(self, candidate: Candidate, depths: dict[Object, float], links: Collection[str], enough: Cost) -> Cost:
-        """Check what some links touch, and return what that costs.
+    def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
+        """Check what a posture touches, and return what that costs.
 
         Args:
-            candidate: the posture.
-            depths: of what is touched, m; what these links touch is added.
-            links: the robot's links that are checked.
+            touches: what is found by and by; it goes on where it was left.
+            depths: of what is touched, m; what is found is added.
+            cost: of what is touched so far.
             enough: as soon as it costs more, the rest doesn't matter yet.
         """
-        cost = self._cost(depths)
-        for (_, _, body, _), touches in self._checker.collisions(candidate, links):
-            depth = max(-touch.distance for touch in touches)
+        for (_, _, body, _), points in touches:
+            depth = max(-point.distance for point in points)
             if depth > depths.get(body, 0.0):
                 depths[body] = depth
                 cost = self._cost(depths)

@@ -42,6 +42,7 @@ _UPRIGHT: Final = 0.7  # of a unit axis along the vertical: an axis that stands
 _FLAT: Final = 0.002  # m that a surface may be uneven below a suction cup
 _SKEW: Final = math.radians(2)  # that an object may be turned from the gripper as if it weren't
 _LONG: Final = 2.0  # times as long as it is wide
+_BESIDE: Final = 0.01  # m from the middle of something long, seen from the top, that are another place
 _LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
@@ -87,24 +88,28 @@ def candidates(
         off_center: something long from the top, between its middle and its ends; else everything in the middle.
         choice: is told from which sides it doesn't fit, and why.
     """
-    lean = leaning(body)
-    lying = body.get_orientation()
-    offsets = _along_length(body) if off_center else ((0.0, 0.0, 0.0),)
+    offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     if off_center:
-        names = ("top",) if names is None or "top" in names else ()
+        offsets = _along_length(body) if names is None or "top" in names else ()
+        names = ("top",)
+    lying = body.get_orientation()
+    lean = _lean(lying)
+    stood = geometry.product(geometry.conjugate(lean), lying)
     found: list[Grasp] = []
-    if geometry.angle(lean, IDENTITY[1]) >= _LEANING:
+    shifts = _shifts(offsets, stood) if geometry.angle(lean, IDENTITY[1]) >= _LEANING else []
+    if shifts:
         caster = RayCaster(body, lean)
-        stood = geometry.product(geometry.conjugate(lean), lying)
-        for offset in offsets:
-            for grasp in _upright(caster, stood, robot, arm, names, offset, choice):
+        for shift in shifts:
+            for grasp in _upright(caster, stood, robot, arm, names, shift, choice):
                 away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
                 x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
                 turn = geometry.product(lean, grasp.orientation)
                 found.append(replace(grasp, position=(x, y, z), orientation=turn, label=f"{grasp} leaning"))
-    caster = RayCaster(body)
-    for offset in offsets:
-        found.extend(_upright(caster, lying, robot, arm, names, offset, choice))
+    shifts = _shifts(offsets, lying)
+    if shifts:
+        caster = RayCaster(body)
+        for shift in shifts:
+            found.extend(_upright(caster, lying, robot, arm, names, shift, choice))
     return _distinguished(found)
 
 
@@ -116,6 +121,16 @@ def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
         seen[grasp.label] = count = seen.get(grasp.label, 0) + 1
         found.append(replace(grasp, label=f"{grasp.label} {count}") if count > 1 else grasp)
     return found
+
+
+def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> list[Vector]:
+    """Return how offsets in an object's frame move a grasp from the top, m: of what stands, its ends are no places."""
+    turned = (geometry.rotate(lying, offset) for offset in offsets)
+    return [
+        (x, y, 0.0)
+        for offset, (x, y, _) in zip(offsets, turned, strict=True)
+        if not any(offset) or math.hypot(x, y) >= _BESIDE
+    ]
 
 
 def _along_length(body: Object) -> Sequence[Vector]:
@@ -132,9 +147,11 @@ def _along_length(body: Object) -> Sequence[Vector]:
 
 def leaning(body: Object) -> Quaternion:
     """Return the rotation by which an object leans: from the vertical to the nearest of its axes."""
-    axes = [
-        geometry.rotate(body.get_orientation(), axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    ]
+    return _lean(body.get_orientation())
+
+
+def _lean(lying: Quaternion | Sequence[float]) -> Quaternion:
+    axes = [geometry.rotate(lying, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     x, y, z = max(axes, key=lambda axis: abs(axis[2]))
     if z < 0.0:
         x, y, z = -x, -y, -z
@@ -151,13 +168,13 @@ def _upright(
     robot: Object,
     arm: Arm,
     names: Sequence[str] | None,
-    offset: Vector,
+    shift: Vector,
     choice: Choice,
 ) -> list[Grasp]:
-    """Return grasps of an object that stands upright, or is taken to, with an orientation; offset in its frame."""
-    beside = " off center" if any(offset) else ""
+    """Return grasps of an object that stands upright, or is taken to, with an orientation; moved aside by a shift."""
+    beside = " off center" if any(shift) else ""
     facing = heading(robot)
-    dx, dy, _ = geometry.rotate(lying, offset)
+    dx, dy, _ = shift
     x, y, z = caster.center
     middle = (x + dx, y + dy, z)
     sides: list[list[tuple[str, Quaternion]]] = []

@@ -70,7 +70,7 @@ def by_brute_force(body: Object, robot: Object, link: str) -> tuple[str | None, 
     found = cheapest(body, robot, link, grasps.candidates(body, robot, arm))
     if found[0] is None or any(found[1][1:3]):  # something long may be taken beside its middle, if nothing is there
         other = cheapest(body, robot, link, grasps.candidates(body, robot, arm, off_center=True))
-        found = other if other[0] is not None and not any(other[1][1:3]) else found
+        found = other if other[0] is not None and not any(other[1]) else found
     return found
 
 
@@ -273,6 +273,27 @@ def test_blocking_finds_known_obstacles(
     finally:
         for body in (milk, *walls):
             body.remove()
+
+
+@pytest.mark.parametrize(("rpy", "places"), [((0, 0, 0.3), 0), ((math.pi / 2, 0, 0.3), 2), ((math.pi / 4, 0, 0), 2)])
+def test_only_what_lies_or_leans_is_taken_beside_its_middle(
+    kitchen: BulletWorld, rpy: tuple[float, float, float], places: int
+) -> None:
+    """From the top, the ends of something that stands are where its middle is."""
+    robot = kitchen.robot
+    robot.set_position_and_orientation([0.6, 0.7, 0], [0, 0, 0, 1])
+    milk = Object("milk", "milk", "milk.stl", [1.3, 0.7, 1.2], geometry.from_rpy(*rpy))
+    try:
+        arm = robot.description.arm_of(LEFT)
+        middle = milk.get_AABB()
+        x, y = ((low + high) / 2 for low, high in zip(middle[0][:2], middle[1][:2], strict=True))
+        found = grasps.candidates(milk, robot, arm, off_center=True)
+        away = {round(math.dist(grasp.position[:2], (x, y)), 2) for grasp in found}
+        assert len(found) >= places
+        assert bool(found) is bool(places)
+        assert all(distance > 0.02 for distance in away)
+    finally:
+        milk.remove()
 
 
 def test_a_load_collides_with_others_but_nothing_held_is_an_obstacle(alone: Object) -> None:
