@@ -21,6 +21,7 @@ from recorder.records import Run, failure
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_name
+from recorder.tracing.interrupts import interrupted_by
 from recorder.tracing.journal import Journal
 from recorder.viewer.live_sink import RerunSink
 
@@ -167,6 +168,8 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
     )
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure(error))
+        if isinstance(error, KeyboardInterrupt):
+            end.interrupted_by = interrupted_by()
     try:
         log.append(end)
     finally:

@@ -76,6 +76,11 @@ class Source:
                 self._texts[key] = ""
         return self._texts[key]
 
+    @property
+    def files(self) -> tuple[str, ...]:
+        """The names of the attached files."""
+        return tuple(self._keys)
+
     def has(self, file: str) -> bool:
         """Return whether a file is attached."""
         return name_of(file) in self._keys

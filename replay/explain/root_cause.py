@@ -74,7 +74,7 @@ def _exceptions(failure: Failure, source: Source) -> tuple[ParsedException, ...]
     """Return the exceptions, causes first; the last one is the failure itself, whose words the record has."""
     exceptions = parse_traceback(failure.traceback, source)
     last = exceptions.pop() if exceptions else ParsedException("", "", ())
-    return (*exceptions, ParsedException(failure.type, failure.message, last.lines))
+    return (*exceptions, ParsedException(failure.type, failure.message, last.lines, last.own))
 
 
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
