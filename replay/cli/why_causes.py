@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from functools import singledispatch
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Query, argument_values, from_json
+from recorder.records import Query, argument_values, from_json
 from recorder.tasks import State
 from replay.cli import formatting, record_text
 from replay.explain.causes import cause as kinds
@@ -261,6 +261,5 @@ def _fulfiller(each: Fulfiller) -> str:
 def _answer(record: Query | Task) -> str:
     if isinstance(record, Query):
         return f"{record_text.question(record)}: {record_text.answer(record)}"
-    took = record.sim_step / STEPS_PER_SECOND
     done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
-    return f"waited for {record.name}: {done}  [{took:.2f} s of simulated time]"
+    return f"waited for {record.name}: {done}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import math
 import re
 import tomllib
 from collections import defaultdict
@@ -17,6 +18,7 @@ from replay.explain.causes.cause import Change
 from replay.explain.causing_tasks import causes
 from replay.explain.parsed_traceback import parse_traceback
 from replay.explain.plan_source import Source
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -130,11 +132,18 @@ class Case:
         """The tool frames of the robot's arms, by the arms' names."""
         return hands(self.robot)
 
+    @cached_property
+    def before(self) -> World | None:
+        """The world when the failed motion began; None if it wasn't open."""
+        if self.motion is None or self.world is None:
+            return self.world
+        return state_at(self.log, self.began).worlds.get(self.world.name)
+
     def held_by(self, arm: str) -> Attachment | None:
-        """Return what an arm holds; None if it holds nothing."""
-        if self.world is None or self.robot is None:
+        """Return what an arm held when the motion began; None if it held nothing."""
+        if self.before is None or self.robot is None:
             return None
-        held = self.world.carried(self.robot.name)
+        held = self.before.carried(self.robot.name)
         return next((each for each in held if each.carrier_link == self.hands.get(arm, "")), None)
 
     def free_body(self, name: str) -> Body | None:
@@ -162,7 +171,8 @@ class Case:
         last = self.blame(target)
         if last is None or last.how in ("load", "before"):
             return None
-        if last.how == "physics" and last.earlier is not None and max(last.distance, last.angle) < _SETTLED:
+        settled = last.distance < _SETTLED[0] and last.angle < _SETTLED[1]
+        if last.how == "physics" and last.earlier is not None and settled:
             last = last.earlier
             if last.how in ("load", "before"):
                 return None
@@ -218,7 +228,7 @@ class Case:
         return found
 
 
-_SETTLED = 0.02  # m or rad up to which a move in simulation is settling
+_SETTLED = 0.02, math.radians(15)  # m, rad up to which a move in simulation is settling
 
 
 def hands(robot: Body | None) -> dict[str, str]:

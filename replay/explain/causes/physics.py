@@ -87,7 +87,8 @@ class _Fate:
             return
         distance, fall = math.dist(before[0], after[0]), before[0][2] - after[0][2]
         tilt = geometry.lean(after[1], before[1])
-        if distance < _MOVED and tilt < _TILTED:
+        is_outcome = self._name in self._case.subjects and self._case.data.get("rest") is not None  # of a placing
+        if distance < _MOVED and tilt < _TILTED and not is_outcome:
             return
         shifts = []
         for record in self.moves:

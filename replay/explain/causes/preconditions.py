@@ -79,7 +79,7 @@ def result(task: Node) -> Plain:
 
 
 def _hands(case: Case, name: str) -> Iterator[Lacking]:
-    if case.task is None or case.task.kind != "process-module" or case.world is None or case.robot is None:
+    if case.task is None or case.task.kind != "process-module" or case.before is None:
         return  # it wasn't even resolved
     arm = str(case.given.get("arm") or "")
     held = case.held_by(arm)
@@ -90,7 +90,7 @@ def _hands(case: Case, name: str) -> Iterator[Lacking]:
             return
     if name not in (*_TAKING, "place") or not arm:
         return
-    holding = case.world.carrier(body) if name == "pick-up" and body else None
+    holding = case.before.carrier(body) if name == "pick-up" and body else None
     for kept in (held, holding if holding != held else None):
         if kept is not None and not (name == "place" and kept.body == body):
             yield _freed(case, kept)

@@ -26,6 +26,11 @@ def in_the_way(case: Case) -> Iterator[InTheWay]:
         if body in case.world.bodies and body != case.world.robot:
             mover = pair.get("mover", "")
             yield _obstacle(case, body, link, pair.get("link") or mover if mover == case.world.robot else mover)
+    touching = case.data.get("touching")  # where it came to rest
+    for pair in touching if isinstance(touching, list) else []:
+        body = str(pair.get("body", "")) if isinstance(pair, dict) else ""
+        if case.free_body(body) is not None:
+            yield _obstacle(case, body, "", ", ".join(case.subjects))
     reasons = case.data.get("reasons")
     if case.failure.type == "PerceptionError" and isinstance(reasons, dict):
         for name in case.mentioned:
