@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-import pycram.failures
-import pycram.language
-import pycram.motions.modules.simulated
 import replay
 from pycram.bullet_world import BulletWorld
 from pycram.cli import run
+from pycram.designator import DesignatorError
 from pycram.failures import UsageError
+from pycram.language import timeout
+from pycram.motions.modules.simulated import NoDescription
 from recorder.records import Run
 from replay.cli.main import main
 from replay.explain.causes import cause as kinds
@@ -114,6 +114,8 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
+    assert {DesignatorError, NoDescription} <= set(UsageError.__subclasses__())
+    assert timeout  # the words of the plan language are loaded, with what they refuse
     assert {*below(UsageError), "UsageError"} == USAGE_ERRORS
 
 

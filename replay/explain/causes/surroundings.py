@@ -27,8 +27,8 @@ def in_the_way(case: Case) -> Iterator[InTheWay]:
             mover = pair.get("mover", "")
             yield _obstacle(case, body, link, pair.get("link") or mover if mover == case.world.robot else mover)
     touching = case.data.get("touching")  # where it came to rest
-    for pair in touching if isinstance(touching, list) else []:
-        body = str(pair.get("body", "")) if isinstance(pair, dict) else ""
+    for met in touching if isinstance(touching, list) else []:
+        body = str(met.get("body", "")) if isinstance(met, dict) else ""
         if case.free_body(body) is not None:
             yield _obstacle(case, body, "", ", ".join(case.subjects))
     reasons = case.data.get("reasons")
