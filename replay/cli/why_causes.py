@@ -54,12 +54,15 @@ def _words(cause: Cause) -> Iterator[str]:
 def _(cause: kinds.Swallowed) -> Iterator[str]:
     failed = cause.failed
     lacked = _LACKED[cause.precondition].format(subject=cause.subject, arm=cause.arm).replace("the  ", "the ")
-    how = "was cancelled" if failed.status is State.CANCELLED else "failed"
+    at = f" at {_at(cause.line)}" if cause.line is not None else ""
+    how = f"{at} was cancelled" if failed.status is State.CANCELLED else f"{at} failed"
     on = f" at {_at(cause.went_on)}" if cause.went_on is not None else ""
     step = cause.steps[-1]
-    yield f"{_call(failed)} {how} at step {failed.last_step} and the plan went on{on}; {lacked} at step {step}"
+    yield f"{_call(failed)}{how} at step {failed.last_step} and the plan went on{on}; {lacked} at step {step}"
     if failed.error is not None:
-        yield f"it failed with: {formatting.one_line(failed.error[1] or failed.error[0])}"
+        yield f"it failed with: {_error(failed)}"
+    for task in cause.also:
+        yield f"so did {_call(task)} at step {task.last_step}: {_error(task)}"
 
 
 @_words.register
@@ -84,8 +87,9 @@ def _(cause: kinds.Physics) -> Iterator[str]:
     size = f"by {formatting.length(cause.fall if cause.how == 'fell' else cause.distance)}"
     if cause.tilt >= math.radians(1):
         size += f" and leant over by {math.degrees(cause.tilt):.0f} degrees"
-    yield f"{cause.body} {cause.how} {size} in the simulation of step {cause.moved_at}{_let(cause)}"
-    if len(cause.lets) > 1:
+    at = f" at {_at(cause.line)}" if cause.line is not None else ""
+    yield f"{cause.body} {cause.how} {size} in the simulation of step {cause.moved_at}{at}{_let(cause)}"
+    if len(cause.lets) > 1 and not cause.stood_on:
         yield "either may have let it:"
     for change in cause.lets:
         yield f"step {change.step}: {_change(change)}"
@@ -93,6 +97,8 @@ def _(cause: kinds.Physics) -> Iterator[str]:
 
 def _let(cause: kinds.Physics) -> str:
     released = next((change for change in cause.lets if change.how == "detached"), None)
+    if cause.stood_on:
+        return f": {cause.stood_on}, on which {cause.body} stood, was {'removed' if _removed(cause) else 'moved away'}"
     if released is None:
         one = cause.lets[0] if len(cause.lets) == 1 else None
         return f", after {_change(one)}" if one is not None else ""
@@ -103,6 +109,10 @@ def _let(cause: kinds.Physics) -> str:
     if cause.speed is not None and cause.speed >= _FAST:
         motion.append(f"moving at {cause.speed:.1f} m/s")
     return f": it left {hand} at step {released.step}" + (f" while {' and '.join(motion)}" if motion else "")
+
+
+def _removed(cause: kinds.Physics) -> bool:
+    return any(change.how == "removed" for change in cause.lets)
 
 
 @_words.register
@@ -158,7 +168,8 @@ def _(cause: kinds.InTheWay) -> Iterator[str]:
 def _(cause: kinds.OutOfReach) -> Iterator[str]:
     what = cause.body or "the target"
     miss = f"; the {cause.arm} arm stays {formatting.length(cause.miss)} away" if cause.miss is not None else ""
-    yield f"{what} was {cause.distance:.2f} m from the robot on the ground{miss}"
+    turned = " in the orientation that was asked for" if cause.orientation else ""
+    yield f"{what} was {cause.distance:.2f} m from the robot on the ground{miss}{turned}"
     for change in cause.changes:
         yield f"step {change.step}: {_change(change)}"
 
@@ -173,6 +184,10 @@ def _(cause: kinds.Gone) -> Iterator[str]:
 
 def _call(task: Node) -> str:
     return formatting.task(task.kind, task.name, task.parameters)
+
+
+def _error(task: Node) -> str:
+    return formatting.one_line(task.error[1] or task.error[0]) if task.error is not None else task.status.word
 
 
 def _at(line: Line) -> str:
@@ -196,12 +211,12 @@ def _change(change: Change) -> str:
     name = f"{change.body}.{change.joint}" if change.joint else change.body
     size = formatting.length(change.distance) if math.isfinite(change.distance) else ""
     words = {
-        "detached": f"{name} was let go of",
+        "detached": f"{name} was detached",
         "attached": f"{name} was taken",
         "load": f"{name} was loaded",
         "command": f"{name} was moved",
-        "carried": f"{name} was carried",
-        "along": f"{name} moved along",
+        "carried": f"{name} was carried{f' by {change.mover}' if change.mover else ''}",
+        "along": f"{name} moved along{f' with {change.mover}' if change.mover else ''}",
         "physics": f"{name} moved in simulation",
         "removed": f"{name} was removed",
         "joints": f"joints of {name} moved",
@@ -221,7 +236,8 @@ def _doing(pending: tuple[Pending, ...]) -> str:
 def _task_doing(pending: Pending) -> str:
     task = pending.task
     if task.kind == "wait":
-        return f"waiting for {task.name}"
+        branch = next((each.name for each in task.around() if each.kind == "branch"), "")
+        return f"waiting for {task.name}" + (f" in {branch}" if branch else "")
     return f"in {_call(task)}" if pending.began else f"waiting for the turn of {_call(task)}"
 
 
@@ -234,7 +250,8 @@ def _pending(pending: Pending) -> Iterator[str]:
         yield f"{pending.task.name}: {values}{changed}  [since step {pending.task.started.seq}{where}]"
         yield from (_fulfiller(each) for each in pending.fulfillers)
         if not pending.fulfillers:
-            yield "nothing on record could have fulfilled it"
+            leaves = " or ".join(pending.values) or pending.task.name
+            yield f"nothing in the plan's source sets {leaves}, and no record tells who could have"
         return
     if pending.holders:
         names = formatting.names([f"{_call(task)} (since step {task.started.seq})" for task in pending.holders])
@@ -242,10 +259,10 @@ def _pending(pending: Pending) -> Iterator[str]:
 
 
 def _fulfiller(each: Fulfiller) -> str:
-    where = f"{_at(each.line)} would have: {formatting.short(each.line.text)}" if each.line is not None else ""
     if each.failed is not None and each.failed is each.task:
-        error = formatting.one_line(each.failed.error[1]) if each.failed.error else ""
-        return f"{_call(each.failed)} could have, and failed at step {each.failed.last_step}: {error}"
+        return f"{_call(each.failed)} could have, and failed at step {each.failed.last_step}: {_error(each.failed)}"
+    inside = f"{each.line.function} at " if each.line is not None and each.line.function not in ("", "<module>") else ""
+    where = f"{inside}{_at(each.line)} would have: {formatting.short(each.line.text)}" if each.line is not None else ""
     text = where or (f"{_call(each.task)} could have" if each.task is not None else "the plan's own code could have")
     if each.task is not None:
         state = each.task.status.word if each.task.finished is not None else "still running"
@@ -254,7 +271,9 @@ def _fulfiller(each: Fulfiller) -> str:
         text += f"; {_call(each.task)} {'is ' if each.task.finished is None else ''}{state}"
         text += f", having set it at step {each.step}" if each.step is not None else " without that"
     if each.failed is not None:
-        text += f", after {_call(each.failed)} failed at step {each.failed.last_step}"
+        text += f", after {_call(each.failed)} failed at step {each.failed.last_step}: {_error(each.failed)}"
+    if each.task is None and each.step is None:
+        text += "; it never did on record"
     return text
 
 

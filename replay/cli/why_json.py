@@ -39,6 +39,7 @@ def facts(why: Why) -> dict[str, object]:
         "branches": [
             {
                 "task": _task_facts(branch.task),
+                "line": branch.line and line_facts(branch.line),
                 "things": [_thing(involved) for involved in branch.bodies],
                 "causes": [_cause_facts(cause) for cause in branch.causes],
             }

@@ -62,7 +62,7 @@ def _causes(causes: Sequence[Cause]) -> Iterator[str]:
 
 def _branch(branch: FailedBranch) -> Iterator[str]:
     error = formatting.one_line(branch.task.error[1] or branch.task.error[0]) if branch.task.error else ""
-    yield error
+    yield error + (f", at {formatting.path(branch.line.file)}:{branch.line.number}" if branch.line is not None else "")
     yield from _causes(branch.causes)
     for involved in branch.bodies:
         yield from _involved(involved)

@@ -184,6 +184,26 @@ def test_an_interrupt_is_no_failure_of_the_plan(
     assert words(tmp_path, capsys).startswith(f"plan was interrupted by {by} while")
 
 
+def test_an_interrupt_after_a_failure_is_not_taken_for_it(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    why = explained(
+        """
+        from pycram.language import failure_handling
+        def give_up(failure):
+            os.kill(os.getpid(), signal.SIGINT)
+        for attempt in failure_handling(3).on(PlanFailure, give_up):
+            with attempt:
+                raise PlanFailure("the milk is gone")
+    """,
+        130,
+    )
+    (cause,) = why.causes
+    assert (cause.kind, cause.line.number) == ("interrupted", line_of(tmp_path, "os.kill"))
+    assert why.task is None or why.task.name == "failure-handling"
+    assert words(tmp_path, capsys).startswith("plan was interrupted by Ctrl-C while in failure-handling")
+
+
 def test_a_program_s_own_handler_of_sigterm_stays(explained: Callable[..., Why], tmp_path: Path) -> None:
     import signal  # noqa: PLC0415
 

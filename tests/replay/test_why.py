@@ -150,7 +150,6 @@ def gives_up(error: BaseException) -> None:
     [
         (KeyError("left"), "KeyError: 'left'"),
         (SystemExit(3), "SystemExit: 3"),
-        (KeyboardInterrupt(), "KeyboardInterrupt"),
         (PlanFailure("milk"), "PlanFailure: milk"),
         (PlanFailure("no milk is left"), "no milk is left"),
     ],

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchName
-from replay.explain.blame import blame
+from replay.explain.blame import blame, commanded
 from replay.explain.causes.cause import Change
 from replay.explain.causing_tasks import causes
 from replay.explain.parsed_traceback import parse_traceback
@@ -167,15 +167,16 @@ class Case:
             return None
 
     def changed(self, target: str) -> Change | None:
-        """Return the last change of a body or joint; None if it is as it was when it was loaded, or recorded first."""
+        """Return the last change of a body or joint; None if it is as it was before the first motion."""
         last = self.blame(target)
-        if last is None or last.how in ("load", "before"):
+        if last is None:
             return None
         settled = last.distance < _SETTLED[0] and last.angle < _SETTLED[1]
         if last.how == "physics" and last.earlier is not None and settled:
             last = last.earlier
-            if last.how in ("load", "before"):
-                return None
+        first = min((motion.started.seq for motion in self.failed.motions), default=self.step)
+        if last.how == "before" or (last.how == "load" and last.record.seq < first):
+            return None
         return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
 
     def change(
@@ -192,7 +193,9 @@ class Case:
         tasks = [each.started for each in because.tasks]
         task = next((each for each in tasks if each.kind == "motion"), tasks[0] if tasks else None)
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
-        return Change(record.seq, body, joint, how, task, self.line(stack), *size)
+        mover = _mover(record)
+        other = mover if mover != body and not joint else ""
+        return Change(record.seq, body, joint, how, task, self.line(stack), other, *size)
 
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
@@ -201,17 +204,22 @@ class Case:
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
-        """Return the innermost line of a call stack that isn't a helper's, which performs motions of several names."""
-        own = (line for line in reversed(stack) if len(self._performed[line.file, line.number]) <= 1)
-        return next(own, stack[-1] if stack else None)
+        """Return the innermost line of a call stack that led to one motion only, else to those of one name only.
+
+        The lines of helpers, which perform this and that, tell nothing.
+        """
+        performed = [(line, self._performed[line.file, line.number]) for line in reversed(stack)]
+        one = [line for line, motions in performed if len(motions) <= 1]
+        one += [line for line, motions in performed if len({name for name, _ in motions}) <= 1]
+        return next(iter(one), stack[-1] if stack else None)
 
     @cached_property
-    def _performed(self) -> Mapping[tuple[str, int], set[str]]:
-        """The names of the motions that each line led to."""
-        found: dict[tuple[str, int], set[str]] = defaultdict(set)
+    def _performed(self) -> Mapping[tuple[str, int], set[tuple[str, str]]]:
+        """The motions that each line led to, each with its name and parameters."""
+        found: dict[tuple[str, int], set[tuple[str, str]]] = defaultdict(set)
         for motion in self.failed.motions:
             for line in self.source.call_stack(motion.started):
-                found[line.file, line.number].add(motion.name)
+                found[line.file, line.number].add((motion.name, str(motion.parameters)))
         return found
 
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
@@ -229,6 +237,15 @@ class Case:
 
 
 _SETTLED = 0.02, math.radians(15)  # m, rad up to which a move in simulation is settling
+
+
+def _mover(record: Mutation | Keyframe) -> str:
+    """Return what a record's command moved: a body, or its joints."""
+    body = commanded(record)
+    if not isinstance(record, Mutation) or not record.HasField("move_joints"):
+        return body
+    joints = list(record.move_joints.joints)
+    return f"{joints[0]} of {body}" if len(joints) == 1 else body
 
 
 def hands(robot: Body | None) -> dict[str, str]:

@@ -40,6 +40,7 @@ class Change:
         how: as in :class:`replay.explain.blame.Blame`, or "attached", "detached".
         task: the start of the innermost motion, or else task, that it is part of; None if the plan itself did it.
         line: the plan's line that asked for it; None if that isn't known.
+        mover: what the record's command moved, if that is something else: a body, or ``JOINT of BODY``.
         distance: by how much it changed, m or of a revolute joint rad.
         angle: by how much it turned, rad.
     """
@@ -50,6 +51,7 @@ class Change:
     how: str = ""
     task: Task | None = None
     line: Line | None = None
+    mover: str = ""
     distance: float = 0.0
     angle: float = 0.0
 
@@ -65,7 +67,9 @@ class Swallowed(Cause):
         subject: name of the object, joint or variable; "" for none.
         arm: name of the arm; "" for none.
         failed: the earlier task.
+        line: the plan's line that asked for that; None if that isn't known.
         went_on: the plan's line with which it went on; None if that isn't known.
+        also: earlier tasks that would have done as well, and failed too, as with the other arm.
     """
 
     kind = "swallowed-failure"
@@ -73,7 +77,9 @@ class Swallowed(Cause):
     subject: str
     arm: str
     failed: Node
+    line: Line | None
     went_on: Line | None
+    also: tuple[Node, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +112,9 @@ class Physics(Cause):
         distance: how far it moved, m.
         fall: by how much it is lower, m.
         tilt: by how much it leans more, rad.
-        moved_at: the step in whose simulation it moved most.
+        moved_at: the step of the simulation in which it began to move.
+        line: the plan's line that simulated; None if that isn't known.
+        stood_on: name of what it stood on, and what was moved then; "" if nothing was, or that isn't known.
         since: the step of the success, or of the plan's own change, after which it moved.
         lets: the changes that let it, of which one did; none if nothing but time passed.
         speed: m/s with which it began to move when it was let go of; None if it wasn't.
@@ -121,7 +129,9 @@ class Physics(Cause):
     fall: float
     tilt: float
     moved_at: int
+    line: Line | None
     since: int
+    stood_on: str = ""
     lets: tuple[Change, ...] = ()
     speed: float | None = None
     spin: float | None = None
@@ -265,6 +275,7 @@ class OutOfReach(Cause):
         body: name of the object; "" for a target of the plan's.
         distance: from the robot's base to it on the ground, m.
         miss: how far away the nearest posture stays, m; None if that isn't known.
+        orientation: xyzw of the tool that was asked for; none if any would have done.
         changes: what put the robot, and the object, where they are.
     """
 
@@ -273,6 +284,7 @@ class OutOfReach(Cause):
     body: str
     distance: float
     miss: float | None
+    orientation: tuple[float, ...]
     changes: tuple[Change, ...]
 
 

@@ -8,6 +8,7 @@ from recorder.records import Run
 from recorder.tasks import State
 from replay.explain.causes.cause import Interrupted
 from replay.explain.causes.pending import pending, steps_of, stopped, subtree
+from replay.explain.root_cause import INTERRUPT
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,14 +16,12 @@ if TYPE_CHECKING:
     from recorder.tasks import Node, Tree
     from replay.explain.causes.case import Case
 
-_TYPE = "KeyboardInterrupt"
-
 
 def find(case: Case) -> Iterator[Interrupted]:
     """Yield by what a plan was interrupted, and while it did what."""
     end = case.log[-1]
     closed = isinstance(end, Run) and end.phase == Run.FINISHED
-    if closed and case.failure.type != _TYPE:
+    if closed and case.failure.type != INTERRUPT:
         return
     by = ("SIGTERM" if end.interrupted_by == "SIGTERM" else "Ctrl-C") if isinstance(end, Run) and closed else ""
     tree = subtree(case, 0, len(case.log))
@@ -35,7 +34,7 @@ def find(case: Case) -> Iterator[Interrupted]:
 
 def _interrupted(tree: Tree) -> list[Node]:
     """Return the innermost tasks that were interrupted, or cancelled by that."""
-    hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == _TYPE]
+    hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == INTERRUPT]
     found: list[Node] = []
     for node in hit:
         cancelled = [part for part in stopped(tree, node) if part.status is State.CANCELLED]

@@ -112,6 +112,8 @@ def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
         if after is None or (before is not None and not _has_moved(before, after)):
             continue
         change = case.blame(name)
+        if change is not None and change.how == "physics" and change.earlier is not None:
+            change = change.earlier  # what physics itself did is another cause
         if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
             yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)

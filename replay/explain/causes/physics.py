@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
+from replay.explain.blame import commanded
 from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import Physics
 from replay.explain.causes.preconditions import about, holder, result
@@ -32,6 +33,7 @@ _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # m
 _PART: Final = 0.3  # of its whole move, from which on a stretch of simulation counts as the move's beginning
 _NEAR: Final = 0.6  # m between the bases of objects, one of which may have stood on or leant on the other
+_ABOVE: Final = 0.15  # m between the bases of what stands on each other, on the ground
 _PUSHED: Final = 0.35  # m from a link's frame, from which it may push
 _QUIET: Final = STEPS_PER_SECOND // 10  # steps after which an object that hasn't moved is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
@@ -95,7 +97,9 @@ class _Fate:
             now = self._pose(record.seq)
             shifts.append(_shift(self._pose(record.seq - 1), now) if now is not None else 0.0)
         first = next(record for record, shift in zip(self.moves, shifts, strict=True) if shift >= _PART * max(shifts))
-        lets = self._lets(first)
+        lets, support = self._lets(first), self._support(first)
+        if support:
+            lets = tuple(change for change in lets if change.body == support)
         released = next((change for change in lets if change.how == "detached"), None)
         speed, spin = self._velocity(released.step, first) if released is not None else (None, None)
         steps = {self.since, first.seq, *(change.step for change in lets), self._case.step}
@@ -107,7 +111,9 @@ class _Fate:
             fall,
             tilt,
             first.seq,
+            self._case.line_of(first),
             self.since,
+            support,
             lets,
             speed,
             spin,
@@ -137,6 +143,21 @@ class _Fate:
             candidates = [each for each in candidates if each.how == "detached"]
         return tuple(candidates[:_MAX_LETS][::-1])
 
+    def _support(self, first: Mutation) -> str:
+        """Return what it stood on, if that was moved or removed since it was at rest; "" otherwise."""
+        own = self._pose(self.since)
+        world = state_at(self._case.log, self.since).worlds.get(self._world)
+        if own is None or world is None:
+            return ""
+        names = {change.body for change in self._lets(first)} & world.bodies.keys() - {self._name, world.robot}
+        below = [
+            body.name
+            for name in names
+            if (body := world.bodies[name]) and 0 < own[0][2] - body.position[2] < _NEAR
+            if math.dist(own[0][:2], body.position[:2]) < _ABOVE
+        ]
+        return min(below, key=lambda name: own[0][2] - world.bodies[name].position[2], default="")
+
     def _is_moving(self, record: Mutation) -> bool:
         """Whether it still moves at the end of a stretch of simulation."""
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
@@ -154,12 +175,13 @@ class _Fate:
         states = [state_at(case.log, step) for step in (record.seq - 1, record.seq)]
         for name in sorted(names - {self._name}):
             bodies = [(state, body) for state in states if (body := self._body(state, name)) is not None]
-            if command == "move_joints" and len(bodies) == 2:
+            if len(bodies) == 2 and bodies[0][1].joints:
                 near = self._moved_link_near(bodies, own)
             else:
                 near = any(math.dist(body.position, own[0]) < _NEAR for _, body in bodies)
             if near:
-                how = "removed" if command == "remove_body" else "joints" if command == "move_joints" else "command"
+                own_joints = "joints" if command == "move_joints" else "command"
+                how = "removed" if command == "remove_body" else own_joints if commanded(record) == name else "carried"
                 return case.change(record, name, how)
         return None
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
+from recorder import geometry
+from recorder.geometry.shapes import read_shapes
 from recorder.records import from_json
-from replay.errors import NoSuchName
+from replay.errors import Damaged, NoSuchName
 from replay.explain.causes.case import hands, joints_of, objects_in
 from replay.state.fold import state_at
 
@@ -22,7 +24,9 @@ if TYPE_CHECKING:
 
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
+_SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
 _NEARER: Final = 0.05  # m
+_IN: Final = 0.03  # m by which an object's base may be beyond the box of a drawer's parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,7 @@ def lacking(case: Case) -> Iterator[Lacking]:
         yield from by_hands
         return
     yield from _clear(case)
+    yield from _taken_out(case)
     if case.failure.type in _OUT_OF_REACH:
         yield from _at_pose(case)
     elif case.failure.type == "PerceptionError":
@@ -124,6 +129,46 @@ def _clear(case: Case) -> Iterator[Lacking]:
             yield from _joint_moved(case, name, link)
     for pair in case.pairs:
         yield from _of_robot(case, pair.get("mover", ""), pair.get("link", ""))
+
+
+def _taken_out(case: Case) -> Iterator[Lacking]:
+    """Yield the drawers and doors that should have been moved to get at what lies in them."""
+    names = [name for name in _wanted(case) if case.failure.type in _SHUT_IN]
+    for task in case.motions("accessing") if names else ():
+        given = values(task)
+        owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
+        if task.failed and any(_lies_in(case, name, owner, joint) for name in names):
+
+            def fits(other: Node, owner: str = owner, joint: str = joint) -> bool:
+                slots = values(other)
+                return owner in objects_in(slots.get("part-of")) and slots.get("drawer-joint") == joint
+
+            yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits)
+            return
+
+
+def _lies_in(case: Case, name: str, owner: str, joint: str) -> bool:
+    """Return whether an object is within what a joint of another body moves, by the boxes of its links."""
+    assets = case.state.assets
+    if case.world is None or assets is None or owner not in case.world.bodies or not joint:
+        return False
+    body, position = case.world.bodies[owner], case.world.bodies[name].position
+    try:
+        poses = case.state.urdf(body).link_poses(body.joints)
+        shapes = read_shapes(assets[body.models[0]], "collision")
+    except (NoSuchName, Damaged, IndexError):
+        return False
+    for link, pose in poses.items():
+        boxes = [shape for shape in shapes.get(link, ()) if shape.kind == "box"]
+        if boxes and joint in joints_to(case, owner, link):
+            point = geometry.transform(geometry.invert(geometry.multiply(body.pose, pose)), position)
+            lowest, highest = (
+                [reach(box.pose[0][i] + side * box.size[i] / 2 for box in boxes) for i in range(3)]
+                for reach, side in ((min, -1), (max, 1))
+            )
+            if all(low - _IN <= x <= high + _IN for low, x, high in zip(lowest, point, highest, strict=True)):
+                return True
+    return False
 
 
 def _moved_away(name: str) -> Lacking:

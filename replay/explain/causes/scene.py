@@ -92,7 +92,18 @@ def branches(case: Case) -> Iterator[FailedBranch]:
             own = next((child for child in block.children if any(each is child for each in case.task.around())), None)
             for child in block.children:
                 if child is not own and child.failed:
-                    yield _branch(case, child.origin)
+                    yield from (_branch(case, task) for task in _origins(child))
+
+
+def _origins(task: Node) -> Iterator[Node]:
+    """Yield the tasks in which a failure began: of a block those of all its parts, else the one that it ended with."""
+    failed = [child for child in task.children if child.failed]
+    if task.kind != "block":
+        failed = [child for child in failed if any(each is child for each in task.origin.around())]
+    for child in failed:
+        yield from _origins(child)
+    if not failed:
+        yield task
 
 
 def _branch(case: Case, task: Node) -> FailedBranch:
@@ -103,4 +114,5 @@ def _branch(case: Case, task: Node) -> FailedBranch:
     before = failures(case.log, step + 1)
     own = next((each for each in before.origins if each.id == task.id), task)
     other = Case(case.log, step, failure or case.failure, own, before, state, opened)
-    return FailedBranch(own, bodies(other, other.subjects), find(other))
+    motion = own.motion.asked or own.motion.started
+    return FailedBranch(own, case.line_of(motion), bodies(other, other.subjects), find(other))

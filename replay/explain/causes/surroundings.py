@@ -59,7 +59,7 @@ def out_of_reach(case: Case) -> Iterator[OutOfReach]:
     if not isinstance(target, list) or len(target) != 3:
         return
     distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
-    miss = case.data.get("distance")
+    miss, turned = case.data.get("distance"), case.given.get("orientation")
     changed = (case.changed(name) for name in (case.robot.name, taken) if name)
     changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
     yield OutOfReach(
@@ -68,6 +68,7 @@ def out_of_reach(case: Case) -> Iterator[OutOfReach]:
         taken,
         distance,
         float(miss) if isinstance(miss, int | float) else None,
+        tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
         changes,
     )
 

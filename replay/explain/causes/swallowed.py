@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import Mutation, Task
 from recorder.tasks import State
 from replay.explain.causes.cause import Swallowed
-from replay.explain.causes.preconditions import lacking
+from replay.explain.causes.preconditions import about, lacking
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
+    from replay.explain.causes.preconditions import Lacking
     from replay.explain.plan_source import Line
 
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
+_MAX_ALSO: Final = 3
 _SEARCHED: Final = 2000  # records in which a plan goes on after a failure
 
 
@@ -32,14 +34,31 @@ def find(case: Case) -> Iterator[Swallowed]:
     for lack in lacking(case):
         last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
         if last is not None and last.status in _UNSUCCESSFUL:
-            yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last)
+            also = _also(case, lack, last)
+            yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last, also)
     yield from _results(case)
 
 
-def _swallowed(case: Case, precondition: str, subject: str, arm: str, failed: Node) -> Swallowed:
-    step, line = _went_on(case, failed)
-    steps = (failed.last_step, *([step] if step else []), case.step)
-    return Swallowed(tuple(sorted(set(steps))), precondition, subject, arm, failed, line)
+def _swallowed(
+    case: Case, precondition: str, subject: str, arm: str, failed: Node, also: tuple[Node, ...] = ()
+) -> Swallowed:
+    step, went_on = _went_on(case, max((failed, *also), key=lambda task: task.last_step))
+    steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
+    line = case.line_of(failed.started)
+    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also)
+
+
+def _also(case: Case, lack: Lacking, failed: Node) -> tuple[Node, ...]:
+    """Return the other motions, with any arm, that would have done as well and failed, since one succeeded."""
+    found: list[Node] = []
+    for motion in case.motions(*lack.motions) if lack.arm else ():
+        if not about(motion, body=lack.subject):
+            continue
+        if motion.status not in _UNSUCCESSFUL:
+            break
+        if motion is not failed and motion.error not in [each.error for each in (failed, *found)]:
+            found.append(motion)
+    return tuple(found[:_MAX_ALSO][::-1])
 
 
 def _went_on(case: Case, failed: Node) -> tuple[int, Line | None]:

@@ -54,11 +54,13 @@ class FailedBranch:
 
     Attributes:
         task: that task.
+        line: the plan's line that asked for it; None if that isn't known.
         bodies: the robot, and what that failure was about, at its moment.
         causes: of that failure.
     """
 
     task: Node
+    line: Line | None
     bodies: tuple[InvolvedBody, ...]
     causes: tuple[Cause, ...]
 
@@ -168,9 +170,13 @@ class Why:
 
     @property
     def warning(self) -> Query | None:
-        """The last query whose answer was no, and whose bodies have not changed since."""
+        """The last query of the plan whose answer was no, and whose bodies have not changed since."""
+        within = self.task.id if self.task is not None and self.task.kind == "process-module" else None  # its own
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
-        return next((query for query in still_true if query.answer_json == "false"), None)
+        return next(
+            (query for query in still_true if query.answer_json == "false" and query.task != within),
+            None,
+        )
 
 
 def heading(body: Body) -> float:
