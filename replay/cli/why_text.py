@@ -81,6 +81,8 @@ def _headline(why: Why) -> Iterator[str]:
         yield f"{name} failed after {run.seconds:.1f} s: {formatting.one_line(message)}"
     elif run.outcome == "succeeded":
         yield f"{name} succeeded{_though(why)}"
+    elif run.outcome == "interrupted":
+        yield f"{name} was interrupted after {run.seconds:.1f} s."
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if why.failure else " Until then nothing failed.")

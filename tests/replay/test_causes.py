@@ -199,7 +199,11 @@ def test_an_interrupt_after_a_failure_is_not_taken_for_it(
         130,
     )
     (cause,) = why.causes
+    assert why.run.outcome == "interrupted"
     assert (cause.kind, cause.line.number) == ("interrupted", line_of(tmp_path, "os.kill"))
+    with replay.open(tmp_path / "x.mcap") as log:
+        (earlier,) = log.why("task:attempt 1@end").causes
+    assert (earlier.kind, earlier.line.text) == ("raised", 'raise PlanFailure("the milk is gone")')
     assert why.task is None or why.task.name == "failure-handling"
     assert words(tmp_path, capsys).startswith("plan was interrupted by Ctrl-C while in failure-handling")
 

@@ -21,7 +21,7 @@ def find(case: Case) -> Iterator[Interrupted]:
     """Yield by what a plan was interrupted, and while it did what."""
     end = case.log[-1]
     closed = isinstance(end, Run) and end.phase == Run.FINISHED
-    if closed and case.failure.type != INTERRUPT:
+    if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
         return
     by = ("SIGTERM" if end.interrupted_by == "SIGTERM" else "Ctrl-C") if isinstance(end, Run) and closed else ""
     tree = subtree(case, 0, len(case.log))
