@@ -24,8 +24,7 @@ def in_the_way(case: Case) -> Iterator[InTheWay]:
     for pair in case.pairs:
         body, link = pair.get("body", ""), pair.get("body_link", "")
         if body in case.world.bodies and body != case.world.robot:
-            mover = pair.get("mover", "")
-            yield _obstacle(case, body, link, pair.get("link") or mover if mover == case.world.robot else mover)
+            yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
     touching = case.data.get("touching")  # where it came to rest
     for met in touching if isinstance(touching, list) else []:
         body = str(met.get("body", "")) if isinstance(met, dict) else ""
