@@ -20,6 +20,7 @@ from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
+from recorder.tracing.interrupts import interrupted_by, terminable
 from recorder.viewer.address import Kind, Target
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from recorder import Recording
 
 _WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
-_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
+_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED, _TERMINATED = 0, 1, 2, 130, 143  # exit codes
 
 
 def demos() -> Path:
@@ -42,7 +43,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command, by default with the process' arguments, and return its exit code.
 
     Returns:
-        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if it was interrupted; else the plan's own.
+        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if Ctrl-C interrupted it, 143 if SIGTERM did;
+        else the plan's own.
     """
     parser = _parser()
     given = list(sys.argv[1:] if argv is None else argv)
@@ -198,7 +200,7 @@ def run(
     code = _SUCCEEDED
     seed_random_numbers(seed)
     try:
-        with record(
+        recorded = record(
             file,
             live,
             name=plan.stem,
@@ -208,7 +210,8 @@ def run(
             output=True,
             locals=local_variables,
             overwrite=overwrite,
-        ) as recording:
+        )
+        with terminable(), recorded as recording:
             try:
                 runpy.run_path(str(plan.absolute()), run_name="__main__")
             finally:
@@ -228,8 +231,9 @@ def run(
         print(f"\npycram: the plan failed: {format_error(failure)}", file=sys.stderr)
         code = _FAILED
     except KeyboardInterrupt:
-        print("\npycram: interrupted", file=sys.stderr)
-        code = _INTERRUPTED
+        terminated = interrupted_by() == "SIGTERM"
+        print(f"\npycram: interrupted{' by SIGTERM' if terminated else ''}", file=sys.stderr)
+        code = _TERMINATED if terminated else _INTERRUPTED
     except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
         traceback.print_exc()
         kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
@@ -239,7 +243,7 @@ def run(
         sys.argv, sys.path[:] = before
     if recording is not None and recording.path.is_file():
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
-        if live == Kind.SERVE.value and code != _INTERRUPTED:
+        if live == Kind.SERVE.value and code not in (_INTERRUPTED, _TERMINATED):
             _keep_page(recording)
     return code
 

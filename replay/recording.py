@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
+from replay.explain.causes.why import why
 from replay.explain.step_names import moment_of, step_of
 from replay.explain.task_tree import tree
-from replay.explain.why import why
 from replay.file.record_reader import RecordReader
 from replay.state.fold import state_at
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tasks import Tree
     from replay.explain.blame import Blame
-    from replay.explain.why_data import Why
+    from replay.explain.causes.why_data import Why
     from replay.restore.ask import Answer, Move
     from replay.restore.question import Question
     from replay.state.state import State
@@ -54,7 +54,7 @@ class Recording(RecordReader):
         return tree(self, None if step is None else self.step(step) + 1)
 
     def why(self, step: int | str | None = None) -> Why:
-        """Explain a failure; see :func:`replay.explain.why.why`."""
+        """Explain a failure; see :func:`replay.explain.causes.why.why`."""
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:

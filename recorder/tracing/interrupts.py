@@ -10,6 +10,8 @@ it is deferred
 
 Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
 calls the handler that was installed before, so a program's own handler is called at the same moments.
+
+In :func:`terminable` a SIGTERM is such an interrupt, too.
 """
 
 from __future__ import annotations
@@ -18,14 +20,16 @@ import _signal  # type: ignore[import-not-found]  # without the enums of signal,
 import signal
 import sys
 import threading
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
     from types import FrameType
     from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
+_SIGTERM: Final = int(signal.SIGTERM)
 
 
 class Host(Protocol):
@@ -44,6 +48,7 @@ _holder = 0  # ident of the main thread; another one in a process that another t
 _open = 0  # number of open sections and scopes in the main thread; our handler is installed while there are any
 _sections = 0  # number of sections among them
 _pending = False
+_terminated = False  # whether the last interrupt was a SIGTERM
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
@@ -98,6 +103,38 @@ def leave() -> None:
         if _pending:
             _pending = False
             signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Interrupt the plan at a SIGTERM as at a Ctrl-C while the block runs, where it would end the process at once.
+
+    So a plan that a supervisor stops leaves a whole recording. In other threads than the main one nothing changes, and
+    a program's own handler stays.
+    """
+    global _terminated  # noqa: PLW0603  as above
+    _terminated = False
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(_SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(_SIGTERM, _on_sigterm)
+    try:
+        yield
+    finally:
+        signal.signal(_SIGTERM, signal.SIG_DFL)
+
+
+def _on_sigterm(_: int, frame: FrameType | None) -> None:
+    global _terminated  # noqa: PLW0603  as above
+    _terminated = True
+    interrupt = signal.getsignal(_SIGINT)
+    if callable(interrupt):
+        interrupt(_SIGINT, frame)
+
+
+def interrupted_by() -> str:
+    """Name of the signal that an interrupt came from: "SIGINT" or "SIGTERM"."""
+    return "SIGTERM" if _terminated else "SIGINT"
 
 
 def is_pending() -> bool:

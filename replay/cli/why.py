@@ -16,7 +16,7 @@ from replay.explain.step_names import HINT
 if TYPE_CHECKING:
     import argparse
 
-    from replay.explain.why_data import Why
+    from replay.explain.causes.why_data import Why
     from replay.recording import Recording
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import Query
-    from replay.explain.why_data import Why
+    from replay.explain.causes.why_data import InvolvedBody, Why
 
 _STEP: Final = 0.35  # m by which an object is moved to ask again
 
@@ -22,7 +22,7 @@ def commands(why: Why, path: str) -> Iterator[str]:
     world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
     if why.queries:
         yield f"pycram-replay show {path} {why.queries[-1].query.seq}"
-    names = [involved.body.name for involved in why.bodies]
+    names = [involved.body.name for involved in _movable(why)]
     if names:
         name = shlex.quote(names[-1])
         yield f"pycram-replay state {path} {why.step} {name}{world}"
@@ -48,12 +48,18 @@ def asked_again(query: Query) -> str:
     return str(Question(query.name, tuple(arguments)))
 
 
+def _movable(why: Why) -> list[InvolvedBody]:
+    """Return the robot and what it can move; all if there is no more."""
+    movable = [each for each in why.bodies if each.is_robot or not each.body.fixed_base]
+    return movable if len(movable) > 1 else list(why.bodies)
+
+
 def _nearer(why: Why) -> str:
     """Return the option that moves the object nearer to the robot; "" without a robot."""
     if not why.bodies:  # a damaged recording may have lost them
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
-    last = why.bodies[-1]
+    last = _movable(why)[-1]
     if robot is None or last.distance is None or last.distance <= _STEP:
         return ""
     share = _STEP / last.distance

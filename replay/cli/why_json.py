@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from replay.cli import diff
+from recorder.records import Query, Task
+from recorder.tasks import Node
+from replay.cli import diff, why_causes
 from replay.cli.blame import call_stack_facts, line_facts
+from replay.explain.plan_source import Line
 from replay.state.json_data import message_data, record_data
 
 if TYPE_CHECKING:
     from recorder.records import Plain
-    from recorder.tasks import Node
-    from replay.explain.why_data import ChangesSince, Why
+    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.why_data import ChangesSince, InvolvedBody, Why
 
 
 def facts(why: Why) -> dict[str, object]:
@@ -26,6 +31,7 @@ def facts(why: Why) -> dict[str, object]:
             {"type": error.type, "message": error.message, "lines": [line_facts(line) for line in error.lines]}
             for error in why.exceptions
         ],
+        "causes": [_cause_facts(cause) for cause in why.causes],
         "task": why.task and _task_facts(why.task),
         "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
         **call_stack_facts(why.call_stack),
@@ -33,17 +39,15 @@ def facts(why: Why) -> dict[str, object]:
             {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
         ],
         "world": why.world and why.world.name,
-        "things": [
+        "things": [_thing(involved) for involved in why.bodies],
+        "branches": [
             {
-                "object": involved.body.name,
-                "position": involved.body.position,
-                "orientation": involved.body.orientation,
-                "held_by": involved.held and involved.held.carrier,
-                "holds": [held.body for held in involved.holds],
-                "distance": involved.distance,
-                "bearing": involved.bearing,
+                "task": _task_facts(branch.task),
+                "line": branch.line and line_facts(branch.line),
+                "things": [_thing(involved) for involved in branch.bodies],
+                "causes": [_cause_facts(cause) for cause in branch.causes],
             }
-            for involved in why.bodies
+            for branch in why.branches
         ],
         "absent": why.removed,
         "tries": [
@@ -65,6 +69,42 @@ def facts(why: Why) -> dict[str, object]:
         "last": why.since_last_success and _since_facts(why.since_last_success),
         "running": [_task_facts(task) for task in why.unfinished],
     }
+
+
+def _thing(involved: InvolvedBody) -> dict[str, object]:
+    return {
+        "object": involved.body.name,
+        "position": involved.body.position,
+        "orientation": involved.body.orientation,
+        "held_by": involved.held and involved.held.carrier,
+        "holds": [held.body for held in involved.holds],
+        "hands": dict(involved.hands),
+        "links": {name: {"position": pose[0], "orientation": pose[1]} for name, pose in involved.links.items()},
+        "joints": dict(involved.joints),
+        "distance": involved.distance,
+        "bearing": involved.bearing,
+    }
+
+
+def _cause_facts(cause: Cause) -> dict[str, object]:
+    """Return a cause: its kind, its steps, it in words, and the fields of its class."""
+    own = {each.name: _plain(getattr(cause, each.name)) for each in fields(cause) if each.name != "steps"}
+    return {"kind": cause.kind, "steps": list(cause.steps), "text": " ".join(why_causes.lines(cause)), **own}
+
+
+def _plain(value: object) -> object:
+    """Return a field of a cause: tasks, lines of the plan and records as elsewhere in the data."""
+    if isinstance(value, Node):
+        return _task_facts(value)
+    if isinstance(value, Line):
+        return line_facts(value)
+    if isinstance(value, Task | Query):
+        return record_data(value)
+    if is_dataclass(value) and not isinstance(value, type):
+        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+    if isinstance(value, tuple | list):
+        return [_plain(item) for item in value]
+    return dict(value) if isinstance(value, Mapping) else value
 
 
 def _task_facts(task: Node) -> dict[str, object]:

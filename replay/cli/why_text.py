@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import format_failure
 from recorder.records.choices import chosen_name, decision_text, rejection_lines
-from replay.cli import diff, formatting, record_text
+from replay.cli import diff, formatting, record_text, why_causes
 from replay.cli.why_advice import asked_again, commands
-from replay.explain.why_data import heading
+from replay.explain.causes.cause import Interrupted
+from replay.explain.causes.why_data import heading
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from recorder.records import Failure
     from recorder.tasks import Node
+    from replay.explain.causes.cause import Cause
+    from replay.explain.causes.why_data import Attempt, ChangesSince, FailedBranch, InvolvedBody, Why
     from replay.explain.plan_source import Line
-    from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, Why
 
 _FIRST, _LAST = 2, 5  # attempts that are listed one by one
 _MAX_ROWS: Final = 3  # of local variables
@@ -32,10 +34,16 @@ def lines(why: Why, path: str) -> Iterator[str]:
     yield from _headline(why)
     yield from _section("Unfinished when the recording ended", _unfinished(why))
     if why.failure is None:
+        yield from _section("Why", _causes(why.causes))
         return
+    yield from _section("Why" if len(why.causes) < 2 else "Why: the causes that are on record", _causes(why.causes))
     yield from _section("Where in the plan", _where(why))
     yield from _section("What failed", _failed(why))
     yield from _section(f"State{_in_world(why)} at step {why.step}", _bodies(why))
+    for branch in why.branches:
+        yield from _section(
+            f"Also failed: {_call(branch.task.motion)}, at step {branch.task.last_step}", _branch(branch)
+        )
     yield from _section("Attempts", _attempts(why))
     yield from _section("Queries that the plan relied on", _queries(why))
     yield from _section("Changes since the last success", _changes(why))
@@ -50,8 +58,25 @@ def _section(title: str, body: Iterator[str]) -> Iterator[str]:
         yield from (f"  {line}" for line in text)
 
 
+def _causes(causes: Sequence[Cause]) -> Iterator[str]:
+    for cause in causes:
+        yield from why_causes.lines(cause)
+
+
+def _branch(branch: FailedBranch) -> Iterator[str]:
+    error = formatting.one_line(branch.task.error[1] or branch.task.error[0]) if branch.task.error else ""
+    yield error + (f", at {formatting.path(branch.line.file)}:{branch.line.number}" if branch.line is not None else "")
+    yield from _causes(branch.causes)
+    for involved in branch.bodies:
+        yield from _involved(involved)
+
+
 def _headline(why: Why) -> Iterator[str]:
     run, name = why.run, why.run.plan or "the plan"
+    interrupted = next((cause for cause in why.causes if isinstance(cause, Interrupted)), None)
+    if interrupted is not None and interrupted.by:
+        yield f"{name} was {why_causes.first_line(interrupted)}, after {run.seconds:.1f} s."
+        return
     if run.outcome == "failed":
         message = run.failure
         if why.exceptions and why.failure is not None and _is_self_explanatory(why.failure):
@@ -59,6 +84,8 @@ def _headline(why: Why) -> Iterator[str]:
         yield f"{name} failed after {run.seconds:.1f} s: {formatting.one_line(message)}"
     elif run.outcome == "succeeded":
         yield f"{name} succeeded{_though(why)}"
+    elif run.outcome == "interrupted":
+        yield f"{name} was interrupted after {run.seconds:.1f} s."
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if why.failure else " Until then nothing failed.")
@@ -188,23 +215,46 @@ def _in_world(why: Why) -> str:
 
 
 def _bodies(why: Why) -> Iterator[str]:
-    yield from (_involved(involved) for involved in why.bodies)
+    for involved in why.bodies:
+        yield from _involved(involved)
     yield from (f"{name} had been removed" for name in why.removed)
 
 
-def _involved(involved: InvolvedBody) -> str:
+def _involved(involved: InvolvedBody) -> Iterator[str]:
+    """Yield a body; of a fixed one its named links and joints, as where its base is tells nothing."""
+    body = involved.body
+    if involved.is_robot or not body.fixed_base or not (involved.links or involved.joints):
+        yield _body(involved)
+    for name, (position, _) in involved.links.items():
+        yield f"{name} of {body.name} at {formatting.vector(position)}"
+    for name, value in involved.joints.items():
+        yield f"joint {name} of {body.name} at {formatting.number(value)}"
+
+
+def _body(involved: InvolvedBody) -> str:
     body = involved.body
     text = f"{body.name} at {formatting.vector(body.position)}"
     if involved.is_robot:
         text += f", facing {_degrees(heading(body))}"
-        text += f", holding {formatting.names([held.body for held in involved.holds])}"
+        text += f", holding {formatting.names([_gripped(held.body, involved) for held in involved.holds])}"
     elif involved.distance is not None and involved.bearing is not None:
         side = math.degrees(involved.bearing)
         turn = (
             "straight ahead" if abs(side) < 1 else f"{abs(side):.0f} degrees to the {'left' if side > 0 else 'right'}"
         )
         text += f", {involved.distance:.2f} m from the robot on the ground, {turn}"
-    return text + (f", held by {involved.held.carrier}" if involved.held else "")
+    return text + (f", held by {_holder(involved)}" if involved.held else "")
+
+
+def _gripped(name: str, involved: InvolvedBody) -> str:
+    return f"{name} in the {involved.hands[name]} gripper" if name in involved.hands else name
+
+
+def _holder(involved: InvolvedBody) -> str:
+    if involved.held is None:
+        return ""
+    hand = involved.hands.get(involved.body.name)
+    return f"the {hand} gripper of {involved.held.carrier}" if hand else formatting.carrier(involved.held)
 
 
 def _degrees(angle: float) -> str:

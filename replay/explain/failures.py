@@ -1,6 +1,6 @@
 """The failures of a recording: of tasks, and of threads of the plan's own.
 
-Tasks are collected in one pass; of those that succeeded only the last of each kind is kept.
+Tasks are collected in one pass; of those that succeeded only motions, and the last of each kind, are kept.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ class Failures:
         origins: the tasks in which failures began, in the order of their ends.
         running: the tasks that have not ended, in the order of their starts.
         successes: the last successful one of each kind and name.
+        motions: all motions that have ended, in the order of their ends.
     """
 
     origins: tuple[Node, ...]
     running: tuple[Node, ...]
     successes: Mapping[tuple[str, str], Node]
+    motions: tuple[Node, ...] = ()
 
     @property
     def last_success(self) -> Node | None:
@@ -45,6 +47,7 @@ def failures(log: RecordReader, stop: int | None = None) -> Failures:
     running: dict[int, Node] = {}
     successes: dict[tuple[str, str], Node] = {}
     origins: list[Node] = []
+    motions: list[Node] = []
     for record in log.records(Task, stop=stop):
         number, parent = record.task, running.get(record.parent)
         if record.phase == Task.STARTED:
@@ -56,11 +59,13 @@ def failures(log: RecordReader, stop: int | None = None) -> Failures:
             task.finished = record
             if task.is_origin:
                 origins.append(task)
+            if task.kind == "motion":
+                motions.append(task)
             if task.parent is not None and not task.failed:
                 task.parent.parts.pop(number, None)
             if record.status == Task.SUCCEEDED:
                 successes[record.kind, record.name] = task
-    return Failures(tuple(origins), tuple(running.values()), successes)
+    return Failures(tuple(origins), tuple(running.values()), successes, tuple(motions))
 
 
 def failed_threads(log: RecordReader) -> tuple[Run, ...]:

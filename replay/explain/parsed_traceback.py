@@ -36,11 +36,13 @@ class ParsedException:
         type: its type's name.
         message: its message.
         lines: the plan's own lines that led to it, outermost first.
+        own: whether the last of these raised it itself.
     """
 
     type: str
     message: str
     lines: tuple[Line, ...]
+    own: bool = False
 
 
 def parse_traceback(traceback: str, source: Source) -> list[ParsedException]:
@@ -58,10 +60,12 @@ def _parse(part: str, source: Source, roots: tuple[str, ...]) -> ParsedException
     while end < len(lines) and (lines[end][:1] in (" ", "\t") or not lines[end].strip()):
         end += 1
     title = _TITLE.match("\n".join(lines[end:]).strip())
+    innermost = next((frame for text in reversed(lines[:end]) if (frame := _FRAME.match(text))), None)
     return ParsedException(
         title["type"] if title else "",
         (title["message"] or "") if title else "\n".join(lines[end:]).strip(),
         tuple(_lines(lines[:end], source, roots)),
+        innermost is not None and _is_plan(innermost["file"], source, roots),
     )
 
 

@@ -1,14 +1,15 @@
 """The root cause: the one failure that explains how a plan ended. ``why``, the step ``failure`` and trees use it.
 
 A plan that failed did so with an exception: it began in the task that raised it, or that raised the nearest of its
-causes; else in the plan's own code. If the plan succeeded, the same holds for an uncaught exception of a thread of its
-own. Else, or where the recording was cut, it is the last failure that no task around it recovered from, or the last.
+causes; else in the plan's own code. One that was interrupted ended where the interrupt came, whatever failed before.
+If the plan succeeded, the same holds for an uncaught exception of a thread of its own. Else, or where the recording was
+cut, it is the last failure that no task around it recovered from, or the last.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Run
 from recorder.tasks import decisive
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.failures import Failures
     from replay.file.record_reader import RecordReader
+
+#: What a plan ends with that somebody interrupts.
+INTERRUPT: Final = "KeyboardInterrupt"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +59,9 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
     thread = end.thread if end.phase == Run.THREAD_FAILED else ""
     exceptions = _exceptions(end.failure, Source(log))
     earlier = [task for task in failed.origins if task.last_step < end.seq]  # the plan may go on, and fail alike
+    if end.failure.type == INTERRUPT:  # not because of what had failed before
+        exceptions = exceptions[-1:]
+        earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
     origin = _origin(earlier, exceptions)
     if origin is None:
         return RootCause(end.seq if thread else log.final_step(), None, end.failure, thread, exceptions)
@@ -74,7 +81,7 @@ def _exceptions(failure: Failure, source: Source) -> tuple[ParsedException, ...]
     """Return the exceptions, causes first; the last one is the failure itself, whose words the record has."""
     exceptions = parse_traceback(failure.traceback, source)
     last = exceptions.pop() if exceptions else ParsedException("", "", ())
-    return (*exceptions, ParsedException(failure.type, failure.message, last.lines))
+    return (*exceptions, ParsedException(failure.type, failure.message, last.lines, last.own))
 
 
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:

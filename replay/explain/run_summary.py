@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Run, format_failure
 from replay.explain.failures import failed_threads
+from replay.explain.root_cause import INTERRUPT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +45,7 @@ class Summary:
         started: wall-clock time of the first record.
         seconds: by the clock from the first to the last record.
         worlds: with the simulated time that each reached, in the order of their opening.
-        outcome: "succeeded", "failed", "running" or "cut off".
+        outcome: "succeeded", "failed", "interrupted", "running" or "cut off".
         failure: of the plan, as "Type: message"; or "".
         threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
         records: number of steps.
@@ -94,7 +95,8 @@ def summary(log: RecordReader) -> Summary:
     first, last = next(log.records()), next(log.backwards())
     end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
     unfinished = "running" if log.live else "cut off"
-    outcome = unfinished if end is None else "succeeded" if end.succeeded else "failed"
+    failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
+    outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
     return Summary(
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),

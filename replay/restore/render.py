@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from recorder.geometry import Pose, Vector
-    from replay.explain.why_data import Why
+    from replay.explain.causes.why_data import Why
     from replay.file.record_reader import RecordReader
     from replay.state.state import Body
 

@@ -1,4 +1,4 @@
-"""The data of an explained failure: what :func:`replay.explain.why.why` returns."""
+"""The data of an explained failure: what :func:`replay.explain.causes.why.why` returns."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from recorder.geometry import Pose
     from recorder.records import Failure, Query, Run
     from recorder.tasks import Node
+    from replay.explain.causes.cause import Cause
     from replay.explain.parsed_traceback import ParsedException
     from replay.explain.plan_source import Line
     from replay.explain.run_summary import Summary
@@ -28,6 +30,9 @@ class InvolvedBody:
         held: how it is carried; None if it isn't.
         holds: what it carries.
         is_robot: whether it is the robot.
+        hands: by what it is held, or holds with: the names of the robot's arms, by the held bodies' names.
+        links: poses of those of its links that the failure names, by their names.
+        joints: values of those of its joints that the failure names, rad or m.
         distance: on the ground, from the robot's base, m; None for the robot itself, or without one.
         bearing: its direction from the robot's heading, rad, to the left; None as well.
     """
@@ -38,6 +43,26 @@ class InvolvedBody:
     is_robot: bool
     distance: float | None
     bearing: float | None
+    hands: Mapping[str, str] = field(default_factory=dict)
+    links: Mapping[str, Pose] = field(default_factory=dict)
+    joints: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class FailedBranch:
+    """Another part of the same block in which a failure began, too.
+
+    Attributes:
+        task: that task.
+        line: the plan's line that asked for it; None if that isn't known.
+        bodies: the robot, and what that failure was about, at its moment.
+        causes: of that failure.
+    """
+
+    task: Node
+    line: Line | None
+    bodies: tuple[InvolvedBody, ...]
+    causes: tuple[Cause, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +122,8 @@ class Why:
         step: the moment that is explained: that in which it failed.
         failure: what the plan failed with, or the task; None if nothing failed.
         thread: name of the plan's own thread that failed while the plan went on; "" if the plan did.
+        causes: what made it fail, those that explain most first.
+        branches: the other failures that failed the same block.
         exceptions: those that led to the plan's failure, causes first, with the plan's lines.
         task: the task in which it began; None if the plan's own code failed.
         call_stack: the plan's lines that led to that task, outermost first.
@@ -119,6 +146,8 @@ class Why:
     run: Summary
     step: int
     failure: Failure | None
+    causes: tuple[Cause, ...] = ()
+    branches: tuple[FailedBranch, ...] = ()
     thread: str = ""
     exceptions: tuple[ParsedException, ...] = ()
     task: Node | None = None
@@ -145,9 +174,13 @@ class Why:
 
     @property
     def warning(self) -> Query | None:
-        """The last query whose answer was no, and whose bodies have not changed since."""
+        """The last query of the plan whose answer was no, and whose bodies have not changed since."""
+        within = self.task.id if self.task is not None and self.task.kind == "process-module" else None  # its own
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
-        return next((query for query in still_true if query.answer_json == "false"), None)
+        return next(
+            (query for query in still_true if query.answer_json == "false" and query.task != within),
+            None,
+        )
 
 
 def heading(body: Body) -> float:

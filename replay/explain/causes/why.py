@@ -10,14 +10,17 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, argument_values
+from recorder.records import Failure, Query, argument_values
 from replay.errors import NoSuchStep
+from replay.explain.causes.case import Case
+from replay.explain.causes.find import find
+from replay.explain.causes.scene import bodies, branches
+from replay.explain.causes.why_data import Attempt, ChangesSince, RelevantQuery, Why
 from replay.explain.failures import failed_threads, failures
 from replay.explain.plan_source import Source
 from replay.explain.root_cause import RootCause, root_cause
 from replay.explain.run_summary import summary
 from replay.explain.task_tree import choices
-from replay.explain.why_data import Attempt, ChangesSince, InvolvedBody, RelevantQuery, Why, heading
 from replay.state.difference import difference
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
@@ -52,7 +55,9 @@ def why(log: RecordReader, step: int | None = None) -> Why:
     cause = root_cause(log, failed)
     unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
     if cause is None:
-        return Why(run, log.final_step(), None, unfinished=unfinished)
+        step = log.final_step()
+        cut = Case(log, step, Failure(), None, failed, state_at(log, step), None)
+        return Why(run, step, None, find(cut) if run.outcome == "cut off" else (), unfinished=unfinished)
     if cause.task is None:
         explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
     else:
@@ -104,17 +109,21 @@ def _task_failure(
     state = state_at(log, end)
     world = _world(state, objects, queries)
     names = _of_world(objects, world)
+    failure = task.failure or cause.failure or Failure()
+    case = Case(log, end, failure, task, before, state, world, cause.exceptions)
     return Why(
         run,
         end,
         cause.failure or task.failure,
+        causes=find(case),
+        branches=tuple(branches(case)),
         thread=cause.thread,
         exceptions=cause.exceptions,
         task=task,
         call_stack=next(filter(None, (source.call_stack(each.started) for each in task.around())), ()),
         world=world,
         is_default=world is None or world is state.world(),
-        bodies=tuple(_bodies(world, [*names, *_failure_bodies(world, task)])),
+        bodies=bodies(case, names),
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
         other_failures=sum(1 for attempt in before.origins if attempt not in alike),
@@ -135,15 +144,17 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
     objects = list(dict.fromkeys(body for query in queries for body in _objects(argument_values(query.arguments))))
     world = _world(state, objects, queries)
+    case = Case(log, cause.step, cause.failure or Failure(), None, failed, state, world, cause.exceptions)
     return Why(
         run,
         cause.step,
         cause.failure,
+        causes=find(case),
         thread=cause.thread,
         exceptions=cause.exceptions,
         world=world,
         is_default=world is None or world is state.world(),
-        bodies=tuple(_bodies(world, _of_world(objects, world))),
+        bodies=bodies(case, _of_world(objects, world)),
         other_failures=len(failed.origins),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
@@ -243,35 +254,6 @@ def _world(state: State, objects: Iterable[tuple[str, str]], queries: Iterable[Q
 def _of_world(objects: Iterable[tuple[str, str]], world: World | None) -> list[str]:
     """Return the names of those bodies that are of a world."""
     return [name for name, owner in objects if world is not None and owner == world.name]
-
-
-def _bodies(world: World | None, names: Iterable[str]) -> Iterator[InvolvedBody]:
-    if world is None:
-        return
-    robot = world.bodies.get(world.robot)
-    for name in dict.fromkeys((world.robot, *names)):
-        body = world.bodies.get(name)
-        if body is not None:
-            distance = bearing = None
-            if robot is not None and body is not robot:
-                dx, dy = body.position[0] - robot.position[0], body.position[1] - robot.position[1]
-                distance = math.hypot(dx, dy)
-                bearing = math.remainder(math.atan2(dy, dx) - heading(robot), math.tau)
-            carried = tuple(world.carried(name))
-            yield InvolvedBody(body, world.carrier(name), carried, body is robot, distance, bearing)
-
-
-def _failure_bodies(world: World | None, task: Node) -> Iterator[str]:
-    """Yield the names of movable bodies in the data of a task's failure."""
-    data = argument_values(task.failure.data) if task.failure is not None else {}
-    recorded = data.get("pairs")
-    pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
-    ends = [pair.get(end) for pair in pairs for end in ("mover", "body")]
-    for value in (*data.values(), ends):
-        for name in value if isinstance(value, list) else [value]:
-            body = world.bodies.get(name) if world is not None and isinstance(name, str) else None
-            if body is not None and not body.fixed_base:
-                yield body.name
 
 
 def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | None:

@@ -1,0 +1,1 @@
+"""Why a plan failed: one finder for each kind of cause, and the explanation that they are part of."""

@@ -1,0 +1,303 @@
+"""A case: one failure, and what the finders of causes look at to explain it."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+import tomllib
+from collections import defaultdict
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
+
+from recorder.records import Mutation, argument_values
+from replay.errors import NoSuchName
+from replay.explain.blame import blame, commanded
+from replay.explain.causes.cause import Change
+from replay.explain.causing_tasks import causes
+from replay.explain.parsed_traceback import parse_traceback
+from replay.explain.plan_source import Source
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from recorder.records import Failure, Keyframe, Plain, Task
+    from recorder.tasks import Node
+    from replay.explain.blame import Blame
+    from replay.explain.failures import Failures
+    from replay.explain.parsed_traceback import ParsedException
+    from replay.explain.plan_source import Line
+    from replay.file.record_reader import RecordReader
+    from replay.state.state import Attachment, Body, State, World
+
+_WITH_MOTIONS = ("motion", "process-module")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One failure.
+
+    Attributes:
+        log: the recording.
+        step: the moment of the failure.
+        failure: what was raised.
+        task: the task in which it began; None if the plan's own code failed outside of all tasks.
+        failed: what failed and succeeded until then.
+        state: of all worlds then.
+        world: the one that it was about; None if none was open.
+        exceptions: that led to it, causes first, with the plan's lines.
+    """
+
+    log: RecordReader
+    step: int
+    failure: Failure
+    task: Node | None
+    failed: Failures
+    state: State
+    world: World | None
+    exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)
+
+    # --- the failed task ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def source(self) -> Source:
+        """The plan's source."""
+        return Source(self.log)
+
+    @cached_property
+    def motion(self) -> Node | None:
+        """The motion that failed; None if the failure began in none, or in the plan's own code within it."""
+        if self.task is None or self.task.kind not in _WITH_MOTIONS or self.task.motion.kind != "motion":
+            return None
+        return self.task.motion
+
+    @cached_property
+    def began(self) -> int:
+        """The step at which what failed began."""
+        return self.motion.started.seq if self.motion is not None else self.step
+
+    @cached_property
+    def given(self) -> Mapping[str, Plain]:
+        """What the motion was given, with what was inferred; empty without a motion."""
+        if self.motion is None or self.task is None:
+            return {}
+        inner = self.task.parameters if self.task.kind == "process-module" else {}
+        return self.motion.parameters | self.motion.solution | inner
+
+    @cached_property
+    def data(self) -> Mapping[str, Plain]:
+        """The fields of what was raised."""
+        return argument_values(self.failure.data)
+
+    @cached_property
+    def pairs(self) -> tuple[Mapping[str, str], ...]:
+        """The links that would have met: ``mover``, ``link``, ``body``, ``body_link``, ``gripper``."""
+        recorded = self.data.get("pairs")
+        pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
+        return tuple({key: value for key, value in pair.items() if isinstance(value, str)} for pair in pairs)
+
+    @cached_property
+    def subjects(self) -> tuple[str, ...]:
+        """Names of the objects that the motion was about."""
+        return tuple(dict.fromkeys(objects_in(list(self.given.values()))))
+
+    @cached_property
+    def mentioned(self) -> tuple[str, ...]:
+        """Names of all bodies that the failed motion, or the failure's data or message, is about."""
+        names = [*self.subjects, *_names_in(self.data)]
+        if self.world is not None:
+            words = re.findall(r"[\w.-]+", self.failure.message)
+            names += [name for word in words for name in (word, word.rstrip(".")) if name in self.world.bodies]
+            names = [name for name in names if name in self.world.bodies]
+        return tuple(dict.fromkeys(names))
+
+    @cached_property
+    def traced(self) -> tuple[ParsedException, ...]:
+        """The exceptions of the task's own failure, causes first; without a task, those of the plan's."""
+        if self.task is not None and self.task.failure is not None and self.task.failure.traceback:
+            return tuple(parse_traceback(self.task.failure.traceback, self.source))
+        return self.exceptions
+
+    # --- bodies and hands --------------------------------------------------------------------------------------------
+
+    @property
+    def robot(self) -> Body | None:
+        """The robot; None if there is none."""
+        return self.world.bodies.get(self.world.robot) if self.world is not None else None
+
+    @cached_property
+    def hands(self) -> Mapping[str, str]:
+        """The tool frames of the robot's arms, by the arms' names."""
+        return hands(self.robot)
+
+    @cached_property
+    def before(self) -> World | None:
+        """The world when the failed motion began; None if it wasn't open."""
+        if self.motion is None or self.world is None:
+            return self.world
+        return state_at(self.log, self.began).worlds.get(self.world.name)
+
+    def held_by(self, arm: str) -> Attachment | None:
+        """Return what an arm held when the motion began; None if it held nothing."""
+        if self.before is None or self.robot is None:
+            return None
+        held = self.before.carried(self.robot.name)
+        return next((each for each in held if each.carrier_link == self.hands.get(arm, "")), None)
+
+    def free_body(self, name: str) -> Body | None:
+        """Return a body that can be moved; None if it is fixed, the robot, or not there."""
+        body = self.world.bodies.get(name) if self.world is not None else None
+        return None if body is None or body.fixed_base or body is self.robot else body
+
+    # --- records -----------------------------------------------------------------------------------------------------
+
+    def motions(self, *names: str) -> Iterator[Node]:
+        """Yield the motions of some names that had ended when what failed began, the last one first."""
+        for motion in reversed(self.failed.motions):
+            if motion.name in names and motion.last_step < self.began and motion is not self.motion:
+                yield motion
+
+    def blame(self, target: str) -> Blame | None:
+        """Return what last changed a body, or as ``BODY.JOINT`` a joint; None if that isn't on record."""
+        try:
+            return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
+        except NoSuchName:
+            return None
+
+    def changed(self, target: str) -> Change | None:
+        """Return the last change of a body or joint; None if it is as it was before the first motion."""
+        last = self.blame(target)
+        if last is None:
+            return None
+        settled = last.distance < _SETTLED[0] and last.angle < _SETTLED[1]
+        if last.how == "physics" and last.earlier is not None and settled:
+            last = last.earlier
+        first = min((motion.started.seq for motion in self.failed.motions), default=self.step)
+        if last.how == "before" or (last.how == "load" and last.record.seq < first):
+            return None
+        return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
+
+    def change(
+        self,
+        record: Mutation | Keyframe,
+        body: str,
+        how: str,
+        *,
+        joint: str = "",
+        size: tuple[float, float] = (0.0, 0.0),
+    ) -> Change:
+        """Return a record as a change of a body."""
+        because = causes(self.log, record)
+        tasks = [each.started for each in because.tasks]
+        task = next((each for each in tasks if each.kind == "motion"), tasks[0] if tasks else None)
+        stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
+        mover = _mover(record)
+        other = mover if mover != body and not joint else ""
+        return Change(record.seq, body, joint, how, task, self.line(stack), other, *size)
+
+    # --- lines of the plan -------------------------------------------------------------------------------------------
+
+    def line_of(self, record: Task | Mutation) -> Line | None:
+        """Return the plan's line that asked for something; None if that isn't known."""
+        return self.line(self.source.call_stack(record))
+
+    def line(self, stack: Sequence[Line]) -> Line | None:
+        """Return the innermost line of a call stack that led to one motion only, else to those of one name only.
+
+        The lines of helpers, which perform this and that, tell nothing.
+        """
+        performed = [(line, self._performed[line.file, line.number]) for line in reversed(stack)]
+        one = [line for line, motions in performed if len(motions) <= 1]
+        one += [line for line, motions in performed if len({name for name, _ in motions}) <= 1]
+        return next(iter(one), stack[-1] if stack else None)
+
+    @cached_property
+    def _performed(self) -> Mapping[tuple[str, int], set[tuple[str, str]]]:
+        """The motions that each line led to, each with its name and parameters."""
+        found: dict[tuple[str, int], set[tuple[str, str]]] = defaultdict(set)
+        for motion in self.failed.motions:
+            for line in self.source.call_stack(motion.started):
+                found[line.file, line.number].add((motion.name, str(motion.parameters)))
+        return found
+
+    def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
+        """Return the variables that the statements at some lines read (``ast.Load``) or set (``ast.Store``).
+
+        Each has its function's name before its own.
+        """
+        found: set[tuple[str, str]] = set()
+        for line in lines:
+            for statement in _statements(self.source.text(line.file)):
+                if statement.lineno <= line.number <= (statement.end_lineno or statement.lineno):
+                    nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
+                    found |= {(line.function, node.id) for node in nodes if isinstance(node.ctx, context)}
+        return found
+
+
+_SETTLED = 0.02, math.radians(15)  # m, rad up to which a move in simulation is settling
+
+
+def _mover(record: Mutation | Keyframe) -> str:
+    """Return what a record's command moved: a body, or its joints."""
+    body = commanded(record)
+    if not isinstance(record, Mutation) or not record.HasField("move_joints"):
+        return body
+    joints = list(record.move_joints.joints)
+    return f"{joints[0]} of {body}" if len(joints) == 1 else body
+
+
+def hands(robot: Body | None) -> dict[str, str]:
+    """Return the tool frames of a robot's arms, by the arms' names; none if its description isn't on record."""
+    try:
+        arms = tomllib.loads(robot.loaded.robot_description).get("arms", {}) if robot is not None else {}
+    except tomllib.TOMLDecodeError:
+        return {}
+    return {name: str(arm.get("tool_frame", "")) for name, arm in arms.items() if isinstance(arm, dict)}
+
+
+def joints_of(robot: Body | None, part: str) -> tuple[str, ...]:
+    """Return the joints of the torso, the head or an arm, as a robot's description has them."""
+    try:
+        table = tomllib.loads(robot.loaded.robot_description) if robot is not None else {}
+    except tomllib.TOMLDecodeError:
+        return ()
+    found = table.get(part) or table.get("arms", {}).get(part) or {}
+    joints = [*found.get("joints", ()), found.get("joint"), found.get("pan"), found.get("tilt")]
+    return tuple(str(name) for name in joints if name)
+
+
+def objects_in(value: Plain) -> Iterator[str]:
+    """Yield the names of the bodies in a recorded value."""
+    if isinstance(value, dict):
+        if set(value) == {"object", "world"}:
+            yield str(value["object"])
+            return
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from objects_in(item)
+
+
+def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
+    """Yield the texts in a failure's fields that may be names of bodies."""
+    for value in data.values():
+        for item in value if isinstance(value, list) else [value]:
+            if isinstance(item, str):
+                yield item
+            elif isinstance(item, dict):
+                yield from (str(item[key]) for key in ("mover", "body") if key in item)
+    reasons = data.get("reasons")
+    if isinstance(reasons, dict):
+        yield from reasons
+
+
+@lru_cache(maxsize=8)
+def _statements(text: str) -> tuple[ast.stmt, ...]:
+    """Return a file's simple statements, and the heads of others."""
+    try:
+        tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError):
+        return ()
+    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.stmt) and not hasattr(node, "body"))

@@ -1,0 +1,54 @@
+"""Finds the causes of a case, those that explain most first; what a deeper cause explains isn't told twice."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from replay.explain.causes import (
+    hand_states,
+    interrupted,
+    no_longer,
+    physics,
+    raised,
+    surroundings,
+    swallowed,
+    timeout,
+)
+from replay.explain.causes.cause import HandState, InTheWay, NoLonger, OutOfReach, Physics, Swallowed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from replay.explain.causes.case import Case
+    from replay.explain.causes.cause import Cause
+
+
+def find(case: Case) -> tuple[Cause, ...]:
+    """Return the causes of a failure that the recording holds; none if it holds no more than the failure."""
+    ended = tuple(interrupted.find(case))
+    if ended:
+        return ended
+    found: list[Cause] = [
+        *swallowed.find(case),
+        *physics.find(case),
+        *no_longer.find(case),
+        *timeout.find(case),
+        *surroundings.gone(case),
+        *raised.find(case),
+        *hand_states.find(case),
+        *surroundings.in_the_way(case),
+        *surroundings.out_of_reach(case),
+    ]
+    return tuple(cause for cause in found if not _is_told(cause, found))
+
+
+def _is_told(cause: Cause, found: Sequence[Cause]) -> bool:
+    """Return whether a deeper cause tells the same already."""
+    if isinstance(cause, HandState):
+        told = [each for each in found if isinstance(each, Swallowed) and each.precondition == cause.precondition]
+        return any(each.subject == cause.body for each in told)
+    if isinstance(cause, InTheWay):
+        return any(isinstance(each, Physics) and each.body == cause.body for each in found)
+    if isinstance(cause, OutOfReach):
+        return any(isinstance(each, Physics | NoLonger | Swallowed) for each in found)
+    return False

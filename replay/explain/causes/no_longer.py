@@ -1,0 +1,136 @@
+"""What the plan relied on that was true when it asked, and the changes that made it false.
+
+A query that was answered yes, or a perception that succeeded, contradicts what failed later: then something that the
+answer depended on has changed. Changes that physics made are told by :mod:`replay.explain.causes.physics`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Query, argument_values, from_json
+from recorder.tasks import State
+from replay.explain.causes.case import joints_of, objects_in
+from replay.explain.causes.cause import NoLonger
+from replay.explain.causes.preconditions import result
+from replay.explain.causes.raised import answers
+from replay.state.difference import turn
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.tasks import Node
+    from replay.explain.causes.case import Case
+    from replay.explain.causes.cause import Change
+    from replay.state.state import Body
+
+_REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
+#: Which queries, answered yes (or with nothing, of the second kind), contradict which failures.
+_YES: Final = {
+    "Unreachable": _REACH,
+    "HandleUnreachable": _REACH,
+    "PerceptionError": ("visible",),
+    "GraspFailed": ("stable",),
+    "PlaceFailed": ("stable",),
+}
+_NOTHING: Final = {
+    "Blocked": ("blocking",),
+    "HandleBlocked": ("blocking",),
+    "PerceptionError": ("occluding",),
+}
+_MOVED: Final = (1e-3, 5e-3)  # m, rad
+_SEARCHED: Final = 5_000  # queries
+
+
+def find(case: Case) -> Iterator[NoLonger]:
+    """Yield the last answer, and the last perception, that no longer held."""
+    asked: Query | Node | None = _contradicted(case)
+    if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
+        asked = _perceived(case)
+    if asked is None:
+        return
+    changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
+    if changes:
+        seq = asked.seq if isinstance(asked, Query) else asked.last_step
+        yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
+
+
+def _contradicted(case: Case) -> Query | None:
+    """Return the last query whose answer contradicts the failure, or what the plan judged by when it raised it."""
+    judged = [each for each in answers(case) if isinstance(each, Query)] if case.motion is None else []
+    no = next((query for query in reversed(judged) if from_json(query.answer_json) is False), None)
+    question = _question(no) if no is not None else None
+    yes, nothing = _YES.get(case.failure.type, ()), _NOTHING.get(case.failure.type, ())
+    start = no.seq if no is not None else case.began
+    for number, query in enumerate(case.log.backwards(start - 1, Query)):
+        if number == _SEARCHED:
+            break
+        answer = from_json(query.answer_json)
+        if question is not None:
+            if _question(query) == question:
+                return query if answer is True else None
+            continue
+        about = set(objects_in(list(argument_values(query.arguments).values())))
+        wanted = set(case.subjects or case.mentioned) - {case.world.robot if case.world is not None else ""}
+        if not about & wanted or (query.name in yes and answer is False):
+            continue
+        if (query.name in yes and answer is True) or (query.name in nothing and answer == []):
+            return query
+    return None
+
+
+def _question(query: Query) -> tuple[object, ...]:
+    return (query.name, query.world, *((each.name, each.json) for each in query.arguments))
+
+
+def _perceived(case: Case) -> Node | None:
+    """Return the last detecting that succeeded and found what couldn't be taken, or seen again."""
+    names = set(case.subjects or case.mentioned)
+    for motion in case.motions("detecting", "world-state-detecting"):
+        if motion.status is State.SUCCEEDED and names.intersection(objects_in(result(motion))):
+            return motion
+    return None
+
+
+def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
+    """Yield what has changed since an answer, of what it depended on."""
+    step = asked.seq if isinstance(asked, Query) else asked.last_step
+    then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
+    if then is None or case.world is None:
+        return
+    names = list(
+        objects_in(list(argument_values(asked.arguments).values()) if isinstance(asked, Query) else result(asked))
+    )
+    named = isinstance(asked, Query)
+    obstacles = [pair.get("body", "") for pair in case.pairs]
+    hiders = case.mentioned if case.failure.type == "PerceptionError" else ()
+    robot = case.world.robot
+    for name in dict.fromkeys((*names, *obstacles, *hiders, *([robot] if named else []))):
+        before, after = then.bodies.get(name), case.world.bodies.get(name)
+        if after is None or (before is not None and not _has_moved(before, after)):
+            continue
+        change = case.blame(name)
+        if change is not None and change.how == "physics" and change.earlier is not None:
+            change = change.earlier  # what physics itself did is another cause
+        if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
+            yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
+    before, after = then.bodies.get(robot), case.world.bodies.get(robot)
+    if named and isinstance(asked, Query) and before is not None and after is not None:
+        for joint in _relevant_joints(after, asked.name):
+            if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
+                change = case.blame(f"{robot}.{joint}")
+                if change is not None and change.record.seq > step:
+                    yield case.change(change.record, robot, change.how, joint=joint, size=(change.distance, 0.0))
+
+
+def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:
+    """Return the joints that an answer depends on, beside those that the query tries itself."""
+    head = joints_of(robot, "head") if query in ("visible", "occluding") else ()
+    return (*joints_of(robot, "torso"), *head)
+
+
+def _has_moved(before: Body, after: Body) -> bool:
+    far = math.dist(before.position, after.position) > _MOVED[0]
+    return far or turn(before.orientation, after.orientation) > _MOVED[1]

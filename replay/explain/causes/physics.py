@@ -1,0 +1,246 @@
+"""Objects that fell, tipped or moved in simulation after they had been where the plan wanted them, and what let them.
+
+What counts is how an object moved since the plan changed it itself, or since the last success that was about it, if
+that is later. What let it is that change, if the object never was at rest after it, or else what the plan changed near
+it between its rest and its move.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from recorder import geometry
+from recorder.records import STEPS_PER_SECOND, Mutation
+from replay.errors import NoSuchName
+from replay.explain.blame import commanded
+from replay.explain.causes.case import objects_in
+from replay.explain.causes.cause import Physics
+from replay.explain.causes.preconditions import about, holder, result
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.geometry import Pose
+    from recorder.tasks import Node
+    from replay.explain.causes.case import Case
+    from replay.explain.causes.cause import Change
+    from replay.state.state import Body, State
+
+_MOVED: Final = 0.05  # m; less is settling
+_TILTED: Final = math.radians(15)
+_FELL: Final = 0.05  # m
+_PART: Final = 0.3  # of its whole move, from which on a stretch of simulation counts as the move's beginning
+_NEAR: Final = 0.6  # m between the bases of objects, one of which may have stood on or leant on the other
+_ABOVE: Final = 0.15  # m between the bases of what stands on each other, on the ground
+_PUSHED: Final = 0.35  # m from a link's frame, from which it may push
+_QUIET: Final = STEPS_PER_SECOND // 10  # steps after which an object that hasn't moved is at rest
+_WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
+_MAX_LETS: Final = 3
+
+
+def find(case: Case) -> Iterator[Physics]:
+    """Yield which of the objects that a failure mentions physics had moved."""
+    for name in case.mentioned:
+        if case.free_body(name) is not None and case.world is not None and case.world.carrier(name) is None:
+            fate = _Fate(case, name)
+            if fate.base is not None:
+                yield from fate.explained()
+
+
+class _Fate:
+    """What became of an object since the plan's last own change of it.
+
+    Attributes:
+        base: the record of that change.
+        since: its step, or that of the last success about the object, if that is later.
+        moves: the later stretches of simulation that moved it.
+    """
+
+    def __init__(self, case: Case, name: str) -> None:
+        self._case, self._name = case, name
+        self._world = case.world.name if case.world is not None else ""
+        self.base: Mutation | None = None
+        self.moves: list[Mutation] = []
+        for record in case.log.backwards(case.step, Mutation, naming=name):
+            if record.world != self._world:
+                continue
+            if name in record.effect.removed:
+                break
+            if not _is_physics(record) and self._touches(record):
+                self.base = record
+                break
+            if _is_physics(record) and self._pose_in(record):
+                self.moves.insert(0, record)
+        successes = (
+            motion.last_step
+            for motion in case.failed.motions
+            if motion.name in _WANTED and not motion.failed and motion.last_step < case.began and self._is_about(motion)
+        )
+        base = self.base.seq if self.base is not None else 0
+        self.since = max(base, max(successes, default=0))
+        self.moves = [record for record in self.moves if record.seq > self.since]
+
+    def explained(self) -> Iterator[Physics]:
+        """Yield how it moved, and what let it, if it is more than settling."""
+        before, after = self._pose(self.since), self._pose(self._case.step)
+        if before is None or after is None or not self.moves:
+            return
+        distance, fall = math.dist(before[0], after[0]), before[0][2] - after[0][2]
+        tilt = geometry.lean(after[1], before[1])
+        is_outcome = self._name in self._case.subjects and self._case.data.get("rest") is not None  # of a placing
+        if distance < _MOVED and tilt < _TILTED and not is_outcome:
+            return
+        shifts = []
+        for record in self.moves:
+            now = self._pose(record.seq)
+            shifts.append(_shift(self._pose(record.seq - 1), now) if now is not None else 0.0)
+        first = next(record for record, shift in zip(self.moves, shifts, strict=True) if shift >= _PART * max(shifts))
+        lets, support = self._lets(first), self._support(first)
+        if support:
+            lets = tuple(change for change in lets if change.body == support)
+        released = next((change for change in lets if change.how == "detached"), None)
+        speed, spin = self._velocity(released.step, first) if released is not None else (None, None)
+        steps = {self.since, first.seq, *(change.step for change in lets), self._case.step}
+        yield Physics(
+            tuple(sorted(steps)),
+            self._name,
+            "fell" if fall > _FELL else "tipped" if tilt >= _TILTED else "moved",
+            distance,
+            fall,
+            tilt,
+            first.seq,
+            self._case.line_of(first),
+            self.since,
+            support,
+            lets,
+            speed,
+            spin,
+            holder(self._case, self._name, released.step - 1) if released is not None else "",
+        )
+
+    def _lets(self, first: Mutation) -> tuple[Change, ...]:
+        """Return the changes that may have let it move in a stretch of simulation."""
+        assert self.base is not None  # noqa: S101  for mypy
+        case, start, candidates = self._case, self.base.seq, []
+        for record in case.log.backwards(first.seq - 1, Mutation):
+            if record.world != self._world or record.seq < start:
+                if record.seq < start:
+                    break
+                continue
+            if record.seq == start:
+                candidates.append(case.change(record, self._name, _how(record)))
+            elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
+                break  # it was at rest after this
+            elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
+                break
+            else:
+                change = self._near(record)
+                if change is not None:
+                    candidates.append(change)
+        if any(each.how == "detached" for each in candidates):
+            candidates = [each for each in candidates if each.how == "detached"]
+        return tuple(candidates[:_MAX_LETS][::-1])
+
+    def _support(self, first: Mutation) -> str:
+        """Return what it stood on, if that was moved or removed since it was at rest; "" otherwise."""
+        own = self._pose(self.since)
+        world = state_at(self._case.log, self.since).worlds.get(self._world)
+        if own is None or world is None:
+            return ""
+        names = {change.body for change in self._lets(first)} & world.bodies.keys() - {self._name, world.robot}
+        below = [
+            body.name
+            for name in names
+            if (body := world.bodies[name]) and 0 < own[0][2] - body.position[2] < _NEAR
+            if math.dist(own[0][:2], body.position[:2]) < _ABOVE
+        ]
+        return min(below, key=lambda name: own[0][2] - world.bodies[name].position[2], default="")
+
+    def _is_moving(self, record: Mutation) -> bool:
+        """Whether it still moves at the end of a stretch of simulation."""
+        state = next((each for each in record.effect.bodies if each.body == self._name), None)
+        return state is not None and math.hypot(*state.velocity) > _MOVED
+
+    def _near(self, record: Mutation) -> Change | None:
+        """Return a change of something near it, that may have supported or pushed it."""
+        case, command = self._case, record.WhichOneof("command")
+        if command == "set_gravity":
+            return case.change(record, "", "gravity")
+        own = self._pose(record.seq - 1)
+        names = {state.body for state in record.effect.bodies} | set(record.effect.removed)
+        if own is None or command not in ("move_body", "remove_body", "move_joints", "load_body", "detach_body"):
+            return None
+        states = [state_at(case.log, step) for step in (record.seq - 1, record.seq)]
+        for name in sorted(names - {self._name}):
+            bodies = [(state, body) for state in states if (body := self._body(state, name)) is not None]
+            if len(bodies) == 2 and bodies[0][1].joints:
+                near = self._moved_link_near(bodies, own)
+            else:
+                near = any(math.dist(body.position, own[0]) < _NEAR for _, body in bodies)
+            if near:
+                own_joints = "joints" if command == "move_joints" else "command"
+                how = "removed" if command == "remove_body" else own_joints if commanded(record) == name else "carried"
+                return case.change(record, name, how)
+        return None
+
+    def _moved_link_near(self, bodies: Sequence[tuple[State, Body]], own: Pose) -> bool:
+        """Whether one of the links that a change moved is near it, before or after."""
+        try:
+            poses = [
+                {link: geometry.multiply(body.pose, pose) for link, pose in links.items()}
+                for state, body in bodies
+                for links in [state.urdf(body).link_poses(body.joints)]
+            ]
+        except NoSuchName:
+            return False
+        moved = [link for link, pose in poses[1].items() if math.dist(pose[0], poses[0][link][0]) > 1e-3]
+        return any(math.dist(each[link][0], own[0]) < _PUSHED for link in moved for each in poses)
+
+    def _velocity(self, released: int, first: Mutation) -> tuple[float, float]:
+        """Return the speed and spin with which it was let go of: those then, else those soon after."""
+        body = self._body(state_at(self._case.log, released), self._name)
+        velocities = [body.velocity] if body is not None else []
+        for sample in first.effect.samples[:1]:
+            velocities += [tuple(state.velocity) for state in sample.bodies if state.body == self._name]
+        spins = [math.hypot(*velocity[3:]) for velocity in velocities if len(velocity) == 6]
+        return math.hypot(*velocities[0][:3]) if velocities else 0.0, max(spins, default=0.0)
+
+    def _touches(self, record: Mutation) -> bool:
+        gripped = [*record.effect.attached, *record.effect.detached]
+        grips = record.HasField("attach_body") or record.HasField("detach_body") or record.HasField("remove_body")
+        return self._pose_in(record) or (grips and any(each.body == self._name for each in gripped))
+
+    def _pose_in(self, record: Mutation) -> bool:
+        state = next((each for each in record.effect.bodies if each.body == self._name), None)
+        return state is not None and bool(state.position or state.orientation)
+
+    def _is_about(self, motion: Node) -> bool:
+        return about(motion, body=self._name) or self._name in objects_in(result(motion))
+
+    def _body(self, state: State, name: str) -> Body | None:
+        world = state.worlds.get(self._world)
+        return world.bodies.get(name) if world is not None else None
+
+    def _pose(self, step: int) -> Pose | None:
+        body = self._body(state_at(self._case.log, step), self._name)
+        return body.pose if body is not None else None
+
+
+def _is_physics(record: Mutation) -> bool:
+    return record.WhichOneof("command") in ("simulate", "set_realtime")
+
+
+def _how(record: Mutation) -> str:
+    """Return how a record changed the object that it names."""
+    command = record.WhichOneof("command") or ""
+    known = {"load_body": "load", "detach_body": "detached", "attach_body": "attached", "remove_body": "detached"}
+    return known.get(command, "along" if command == "move_joints" else "command")
+
+
+def _shift(before: Pose | None, after: Pose) -> float:
+    """Return by how much a pose changed, in m; a radian counts as 0.1 m."""
+    if before is None:
+        return 0.0
+    return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

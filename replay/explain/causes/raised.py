@@ -1,0 +1,62 @@
+"""Failures of the plan's own code: its ``raise`` lines, also in branches, and its mistakes."""
+
+from __future__ import annotations
+
+import builtins
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Query, Task
+from replay.explain.causes.cause import Raised
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from replay.explain.causes.case import Case
+
+_MAX_ANSWERS: Final = 3
+#: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
+USAGE_ERRORS: Final = frozenset(
+    (
+        "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock", "DesignatorError",
+        "DisplayError", "JointLimitError", "LockHeld", "Misnested", "NoDescription", "NoProcessModule", "NoResult",
+        "NoWorld", "NotSettable", "NotTrueOrFalse", "ResourceError", "UnknownName", "UsageError", "WorldClosed",
+    )
+)  # fmt: skip
+_INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
+
+
+def find(case: Case) -> Iterator[Raised]:
+    """Yield the plan's line that raised it, unless a module of PyCRAM's did in a motion."""
+    error = next(reversed(case.traced), None)
+    asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
+    lines = error.lines or asked if error is not None else ()
+    if error is None or not lines or case.failure.type in _INTERRUPTS:
+        return
+    in_motion = case.motion is not None
+    refused = case.failure.type in USAGE_ERRORS or (hasattr(builtins, case.failure.type) and not in_motion)
+    if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
+        return
+    line = lines[-1] if error.own else case.line(lines) or lines[-1]
+    own = error.own and line.text.startswith(("raise", "assert"))
+    judged = tuple(answers(case)) if own else ()
+    yield Raised((*(each.seq for each in judged), case.step), case.failure.type, line, own, case.task, judged)
+
+
+def answers(case: Case) -> Iterator[Query | Task]:
+    """Yield the last queries, waits and motions of the same task before the failure, in order."""
+    inside = {0} if case.task is None else {case.task.id}
+    start = (
+        case.task.started.seq if case.task is not None else max((m.last_step for m in case.failed.motions), default=0)
+    )
+    found: list[Query | Task] = []
+    for record in case.log.backwards(case.step, (Query, Task)):
+        if record.seq < start or len(found) == _MAX_ANSWERS:
+            break
+        if isinstance(record, Query) and record.task in inside:
+            found.append(record)
+        elif isinstance(record, Task) and record.phase == Task.FINISHED and record.parent in inside:
+            if record.kind == "wait":
+                found.append(record)
+            else:
+                break
+    yield from reversed(found)

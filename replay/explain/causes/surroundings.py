@@ -1,0 +1,86 @@
+"""What was in the way, out of reach or gone, and what had put it there."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from replay.explain.causes.cause import Gone, InTheWay, OutOfReach
+from replay.explain.causes.preconditions import joints_to, lacking
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from replay.explain.causes.case import Case
+    from replay.explain.causes.cause import Change
+
+_GONE = " is gone"  # of the message of a WorldClosed
+
+
+def in_the_way(case: Case) -> Iterator[InTheWay]:
+    """Yield what the robot, or what it holds, would have touched, and what hid an object."""
+    if case.world is None:
+        return
+    for pair in case.pairs:
+        body, link = pair.get("body", ""), pair.get("body_link", "")
+        if body in case.world.bodies and body != case.world.robot:
+            yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
+    touching = case.data.get("touching")  # where it came to rest
+    for met in touching if isinstance(touching, list) else []:
+        body = str(met.get("body", "")) if isinstance(met, dict) else ""
+        if case.free_body(body) is not None:
+            yield _obstacle(case, body, "", ", ".join(case.subjects))
+    reasons = case.data.get("reasons")
+    if case.failure.type == "PerceptionError" and isinstance(reasons, dict):
+        for name in case.mentioned:
+            if name not in reasons and name != case.world.robot:
+                yield _obstacle(case, name, "", "")
+
+
+def _obstacle(case: Case, body: str, link: str, mover: str) -> InTheWay:
+    change: Change | None = None
+    if case.free_body(body) is not None:
+        change = case.changed(body)
+    else:
+        for joint in joints_to(case, body, link):
+            change = change or case.changed(f"{body}.{joint}")
+    steps = (change.step, case.step) if change is not None else (case.step,)
+    return InTheWay(steps, body, link, mover, change)
+
+
+def out_of_reach(case: Case) -> Iterator[OutOfReach]:
+    """Yield how far away it was, and what put robot and object there."""
+    if case.failure.type not in ("Unreachable", "HandleUnreachable") or case.robot is None or case.motion is None:
+        return
+    body = next((name for name in case.subjects if case.free_body(name) is not None), "")
+    taken = body if case.motion.name == "pick-up" else ""
+    target = case.data.get("target")
+    if not isinstance(target, list) or len(target) != 3:
+        return
+    distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
+    miss, turned = case.data.get("distance"), case.given.get("orientation")
+    changed = (case.changed(name) for name in (case.robot.name, taken) if name)
+    changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
+    yield OutOfReach(
+        (*(change.step for change in changes), case.step),
+        str(case.data.get("arm") or case.given.get("arm") or ""),
+        taken,
+        distance,
+        float(miss) if isinstance(miss, int | float) else None,
+        tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
+        changes,
+    )
+
+
+def gone(case: Case) -> Iterator[Gone]:
+    """Yield which object, that the plan used, had been removed."""
+    message = case.failure.message
+    if case.failure.type != "WorldClosed" or case.world is None or _GONE not in message:
+        return
+    known = list(lacking(case))
+    for name in () if known else [word for word in message.split() if word not in case.world.bodies]:
+        last = case.blame(name)
+        if last is not None and last.how == "removed":
+            change = case.change(last.record, name, "removed")
+            yield Gone((change.step, case.step), name, change)
+            return

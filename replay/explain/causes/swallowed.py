@@ -1,0 +1,106 @@
+"""Failures that the plan swallowed, and that made a later motion fail.
+
+Of what a failed motion lacked, the last motion that should have brought it about had failed, or was cancelled: with the
+same object, the same arm, the same joint. A later success of such a motion ends that.
+"""
+
+from __future__ import annotations
+
+import ast
+import builtins
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Mutation, Task
+from recorder.tasks import State
+from replay.explain.causes.cause import Swallowed
+from replay.explain.causes.preconditions import about, lacking
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from recorder.tasks import Node
+    from replay.explain.causes.case import Case
+    from replay.explain.causes.preconditions import Lacking
+    from replay.explain.plan_source import Line
+
+_UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
+_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
+_MAX_ALSO: Final = 3
+_SEARCHED: Final = 2000  # records in which a plan goes on after a failure
+
+
+def find(case: Case) -> Iterator[Swallowed]:
+    """Yield the failures for want of which the case's motion, or line, failed."""
+    for lack in lacking(case):
+        last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
+        if last is not None and last.status in _UNSUCCESSFUL:
+            also = _also(case, lack, last)
+            yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last, also)
+    yield from _results(case)
+
+
+def _swallowed(
+    case: Case, precondition: str, subject: str, arm: str, failed: Node, also: tuple[Node, ...] = ()
+) -> Swallowed:
+    step, went_on = _went_on(case, max((failed, *also), key=lambda task: task.last_step))
+    steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
+    line = case.line_of(failed.started)
+    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also)
+
+
+def _also(case: Case, lack: Lacking, failed: Node) -> tuple[Node, ...]:
+    """Return the other motions, with any arm, that would have done as well and failed, since one succeeded."""
+    found: list[Node] = []
+    for motion in case.motions(*lack.motions) if lack.arm else ():
+        if not about(motion, body=lack.subject):
+            continue
+        if motion.status not in _UNSUCCESSFUL:
+            break
+        if motion is not failed and motion.error not in [each.error for each in (failed, *found)]:
+            found.append(motion)
+    return tuple(found[:_MAX_ALSO][::-1])
+
+
+def _went_on(case: Case, failed: Node) -> tuple[int, Line | None]:
+    """Return the step with which the plan went on after a failure, and its line."""
+    outer = failed.outermost_failed
+    stack = case.source.call_stack(outer.started)
+    around = {node.id for node in outer.around()} - {outer.id} | {0}
+    stop = min(case.began + 1, outer.last_step + _SEARCHED)
+    for record in case.log.records((Task, Mutation), outer.last_step + 1, stop):
+        if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
+            continue
+        parent = record.parent if isinstance(record, Task) else record.task
+        lines = case.source.call_stack(record) if parent in around else ()
+        if lines and record.thread == outer.started.thread:
+            fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
+            return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
+    return 0, None
+
+
+def _results(case: Case) -> Iterator[Swallowed]:
+    """Yield the failures that left a variable without a value, which the failed line reads."""
+    own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
+    texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
+    if not own_mistake or not any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts):
+        return
+    stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
+    lines = (*stack, *(line for error in case.traced for line in error.lines))
+    for motion in reversed(case.failed.motions):
+        if motion.last_step < case.step and motion is not case.motion:
+            setting = case.source.call_stack(motion.started)
+            places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
+            shared = places[0] & places[1]  # of helpers that perform both
+            read, written = (
+                case.names_in([line for line in each if (line.file, line.number) not in shared], context)
+                for each, context in ((lines, ast.Load), (setting, ast.Store))
+            )
+            names = read & written
+            if names and motion.status in _UNSUCCESSFUL:
+                yield _swallowed(case, "result", ", ".join(sorted(name for _, name in names)), "", motion)
+            if names:
+                return
+
+
+def _unset(case: Case, text: str) -> bool:
+    return case.failure.type in ("NameError", "UnboundLocalError") and text == case.failure.message
