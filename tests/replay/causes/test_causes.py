@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import tomllib
 import warnings
 from pathlib import Path
@@ -64,12 +65,7 @@ def interrupt(plan: Path, sent: str, printed: str, busy: bool) -> Path:
         try:
             said = iter(made.stdout)
             assert any(printed in line for line in said), "the plan has ended before"
-            observed = psutil.Process(made.pid)
-            before = observed.cpu_times().user
-            while busy and observed.cpu_times().user < before + 0.2:
-                pass
-            while not busy and observed.status() != psutil.STATUS_SLEEPING:
-                pass
+            wait_until_in_midst(psutil.Process(made.pid), busy)
             made.send_signal(getattr(signal, sent))
             rest = "".join(said)
             made.wait(60)
@@ -79,10 +75,19 @@ def interrupt(plan: Path, sent: str, printed: str, busy: bool) -> Path:
     return log
 
 
+def wait_until_in_midst(process: psutil.Process, busy: bool) -> None:
+    """Waits until a process has computed for 0.2 s, or has slept for 0.3 s and done nothing else."""
+    computed, slept_since = process.cpu_times().user, time.monotonic()
+    while process.cpu_times().user < computed + 0.2 if busy else time.monotonic() < slept_since + 0.3:
+        if process.status() != psutil.STATUS_SLEEPING:
+            slept_since = time.monotonic()
+
+
 def explanation(text: str, plan: Path) -> str:
     """Returns what is said in an explanation: without the source that it quotes and the commands that it suggests."""
     quoted = {line.strip() for file in (plan, plan.with_name(SHARED.name)) for line in file.read_text().splitlines()}
-    return "\n".join(line for line in text.splitlines() if line.strip() not in quoted and "pycram-replay " not in line)
+    said = "\n".join(line for line in text.splitlines() if line.strip() not in quoted and "pycram-replay " not in line)
+    return said.replace(f"{plan.parent}/", "")  # the folder of a test is named after it
 
 
 def pattern(regex: str, plan: Path) -> str:

@@ -7,7 +7,7 @@ bottle, robot = world.get_object("bottle"), world.robot
 
 perform(type="move-tcp", target=[1.18, 0.68, 0.99], orientation=[0, 0, 0, 1], arm="right")
 for x in (0.7, 0.75, 0.8):
-    robot.set_position([x, 0.7, 0])
+    robot.set_position([x, 0.7, 0])  # @moved
     world.simulate(0.5)  # @cause
 robot.set_position([0.45, 0.7, 0])
 park()

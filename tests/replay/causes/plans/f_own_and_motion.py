@@ -5,7 +5,7 @@ from household import kitchen, perform
 from pycram.failures import PlanFailure
 from pycram.language import par
 
-world = kitchen(pot=[1.7, 0.3, 0.915], apple=[1.3, 0.9, 0.89])
+world = kitchen(pot=[1.65, 0.42, 0.915], apple=[1.3, 0.9, 0.89])
 
 
 class OutOfStock(PlanFailure):

@@ -10,8 +10,8 @@ perform(type="looking", object=cup)
 camera = world.robot.description.camera.frame
 if not btr.visible(cup, camera, robot=world.robot):  # @asked
     raise SystemExit("no cup")
-for shift, name in enumerate(("cereal",)):
-    put(name, [1.38, 0.8 + shift / 10, 0.967])  # @changed
+put("cereal", [1.36, 0.8, 0.967])  # @changed
+world.settle()
 found = perform(type="detecting", object_type="cup")  # @use
 perform(type="pick-up", object=found, arm="left")
 world.exit()
