@@ -12,7 +12,7 @@ from replay.explain.causes.why import why
 from replay.explain.step_names import moment_of, step_of
 from replay.explain.task_tree import tree
 from replay.file.record_reader import RecordReader
-from replay.state.fold import state_at
+from replay.state.fold import last_open_step, state_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -77,7 +77,6 @@ class Recording(RecordReader):
 
         Where no world is open any more, it is one of the last step at which there was one: ``picture.info["step"]``.
         """
-        from replay.restore.recorded_world import last_open_step  # noqa: PLC0415
         from replay.restore.render import Scene  # noqa: PLC0415
 
         shown = last_open_step(self, self.step(step), world)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 from contextlib import suppress
@@ -166,6 +167,9 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
         "subscription",
         "handler .*hear removed from event dinner",
     ),
+    # --- output
+    "the plan prints": (lambda _: print("soup is ready"), "output", "stdout: soup is ready"),
+    "the plan logs": (lambda _: logging.getLogger("cook").warning("hot"), "output", "cook WARNING: hot"),
     # --- fluents
     "a fluent is set": (lambda t: t.hunger.set_value(2), "fluent", "fluent hunger: 1 -> 2"),
     "a fluent is pulsed": (lambda t: t.hunger.pulse(), "fluent", "fluent hunger pulsed at 1"),
@@ -249,7 +253,7 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
 def test_what_happens_is_on_record(world: BulletWorld, tmp_path: Path, what: str) -> None:
     act, kind, text = TABLE[what]
     things = Things(world)
-    with recorder.record(tmp_path / "plan.mcap"), suppress(PlanFailure, UsageError):
+    with recorder.record(tmp_path / "plan.mcap", output=True), suppress(PlanFailure, UsageError):
         act(things)
     with replay.open(tmp_path / "plan.mcap") as log:
         lines = [text_of(record)[0] for record in log if kind_of(record) == kind]

@@ -30,6 +30,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.error_chain import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
+from pycram.foundation.names import export
 from pycram.language.actions import Result, name_of, run
 from pycram.language.attempts import Retry
 from pycram.language.body import current_block, in_block, leave_body
@@ -87,6 +88,9 @@ class RunsEarly(UsageError):
             f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
             f"plain Python between its actions runs at once; make it an action: `with {block} as s: ...; s(function)`"
         )
+
+
+export("pycram.failures", RunsEarly)
 
 
 @dataclass(frozen=True, slots=True)

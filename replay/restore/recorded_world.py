@@ -12,7 +12,6 @@ from pycram.models import load
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
-from replay.file.lifetimes import closes_world
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -41,19 +40,6 @@ def world_state(log: RecordReader, step: int, name: str | None = None) -> World:
     if state.uncertainty:
         raise Damaged(log.path, f"the world after step {step}", state.uncertainty)
     return world
-
-
-def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return a step, or the last one before it at which a world, or the one of a name, was open if none is then."""
-    worlds = state_at(log, step).worlds
-    if any(world.open for world in worlds.values() if name in (None, world.name)):
-        return step
-    lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
-    ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}
-    end = max((seq for seq in ends if seq <= step), default=step + 1)
-    while end - 1 in ends:  # worlds are closed one after the other when a plan ends
-        end -= 1
-    return end - 1
 
 
 def model_of(log: RecordReader, loaded: LoadBody) -> Model:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
 from replay.errors import Damaged
+from replay.file.lifetimes import closes_world
 from replay.state.state import Attachment, Body, Sampled, State, World
 
 if TYPE_CHECKING:
@@ -265,3 +266,16 @@ def _vector(values: Sequence[float]) -> Vector:
 def _quaternion(values: Sequence[float]) -> Quaternion:
     x, y, z, w = values
     return x, y, z, w
+
+
+def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
+    """Return a step, or the last one before it at which a world, or the one of a name, was open if none is then."""
+    worlds = state_at(log, step).worlds
+    if any(world.open for world in worlds.values() if name in (None, world.name)):
+        return step
+    lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
+    ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}
+    end = max((seq for seq in ends if seq <= step), default=step + 1)
+    while end - 1 in ends:  # worlds are closed one after the other when a plan ends
+        end -= 1
+    return end - 1

@@ -100,7 +100,7 @@ def test_a_world_s_name_means_its_latest_lifetime(log: replay.Recording) -> None
 
 
 @pytest.mark.parametrize(
-    ("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 0), ("1s", 1, 240), ("2s", 1, 480)]
+    ("time", "lifetime", "sim_step"), [("0s", 1, 0), ("0.5s", 1, 120), ("1s", 1, 240), ("2s", 1, 480)]
 )
 def test_a_simulated_time_is_looked_up_in_the_first_world_that_reaches_it(
     log: replay.Recording, time: str, lifetime: int, sim_step: int

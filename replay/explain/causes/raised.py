@@ -19,7 +19,8 @@ USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock", "DesignatorError",
         "DisplayError", "JointLimitError", "LockHeld", "Misnested", "NoDescription", "NoProcessModule", "NoResult",
-        "NoWorld", "NotSettable", "NotTrueOrFalse", "ResourceError", "UnknownName", "UsageError", "WorldClosed",
+        "NoWorld", "NotSettable", "NotTrueOrFalse", "ReadOnly", "ResourceError", "RunsEarly",
+        "UnknownName", "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")

@@ -173,7 +173,7 @@ def test_lines_are_left_out_where_the_task_has_the_same(two: tuple[Object, Objec
 def test_what_handlers_did_is_compared_without_its_steps(tmp_path: Path) -> None:
     caused: list[list[Record]] = []
     for number in range(2):
-        with recorder.record(tmp_path / "plan.mcap"), BulletWorld(name="w"):
+        with recorder.record(tmp_path / f"{number}.mcap"), BulletWorld(name="w"):
             for _ in range(number):
                 Event("more").fire()
             event, cup = Event("x"), Object("cup", "cup", "cup.stl")
@@ -181,7 +181,7 @@ def test_what_handlers_did_is_compared_without_its_steps(tmp_path: Path) -> None
             with suppress(ValueError):
                 event.fire([0])
             event.fire([1, 0, 0])
-        with replay.open(tmp_path / "plan.mcap") as log:
+        with replay.open(tmp_path / f"{number}.mcap") as log:
             caused.append([record for record in log if record.cause])
     assert {type(record) for record in caused[0]} == {Task, Mutation, Refusal}
     for one, other in zip(*caused, strict=True):
