@@ -283,8 +283,9 @@ def test_what_a_failed_motion_chose_from_is_told_everywhere(
 @pytest.mark.slow
 def test_why_writes_pictures(failed_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(failed_log), "--pictures", str(tmp_path / "pictures"), "--json"]) == 0
-    files = json.loads(capsys.readouterr().out)["pictures"]
-    assert [Path(file).name for file in files] == [f"step_130_{name}.png" for name in ("robot", "side", "milk")]
+    explained = json.loads(capsys.readouterr().out)
+    files, step = explained["pictures"], explained["step"]
+    assert [Path(file).name for file in files] == [f"step_{step}_{name}.png" for name in ("robot", "side", "milk")]
     for file in files:
         with Image.open(file) as picture:
             assert picture.size == (640, 480)

@@ -181,9 +181,11 @@ def test_the_future_of_an_exact_world_is_the_originals(file: Path, seeds: range)
     """After random steps of random plans, two seconds more are as if the original run had gone on, bit for bit."""
     dice = random.Random(seeds[0])
     for seed in dice.sample(range(1000), len(seeds)):
-        with recorder.record(file):
+        with recorder.record(file, overwrite=True):
             RandomPlan(seed).run()
-        with recorder.record(file.with_name("beginning.mcap")) as beginning:  # the same plan, until somewhere
+        with recorder.record(
+            file.with_name("beginning.mcap"), overwrite=True
+        ) as beginning:  # the same plan, until somewhere
             *others, world = RandomPlan(seed, changes=dice.randrange(5, 20)).go()
             step = beginning.length - 1
             world.simulate_steps(480)

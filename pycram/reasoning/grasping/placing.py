@@ -21,7 +21,7 @@ _BELOW: Final = 0.10  # m by which it may be lower
 _STEP: Final = 0.005  # m between heights that are tried; thinner things than this are thick enough to stop a gripper
 _ACCURACY: Final = 2e-4  # m
 _ALONE: Final = 240  # steps in which an object falls that only the gripper held up
-_STILL: Final = (5e-3, math.radians(3))  # m, rad by which it may move then
+_STILL: Final = (0.01, math.radians(5))  # m, rad by which it may move then, as in `stable`
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
 
 

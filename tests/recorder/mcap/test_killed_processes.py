@@ -152,7 +152,7 @@ except recorder.RecordingError as error:
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 print([thread.name for thread in threading.enumerate()])
 world.set_gravity([0, 0, -9.8])  # unrecorded, and nobody minds
-with recorder.record(sys.argv[1]) as recording:
+with recorder.record(sys.argv[1], overwrite=True) as recording:
     Object("milk", "milk", "milk.stl")
 print(recording.length)
 """
