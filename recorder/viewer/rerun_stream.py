@@ -11,7 +11,7 @@ import rerun as rr
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 APPLICATION: Final = "pycram"  # viewers remember a layout for each application
@@ -20,12 +20,18 @@ _SWITCH: Final = "RERUN"  # the variable that silences programs which log to vie
 
 
 @contextlib.contextmanager
-def stream_to_viewer() -> Iterator[rr.RecordingStream]:
-    """A stream for rows; also where the environment has viewers switched off, as this one was asked for."""
+def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None) -> Iterator[rr.RecordingStream]:
+    """A stream for rows; also where the environment has viewers switched off, as this one was asked for.
+
+    Args:
+        connect: Gives the stream its sink, before a Ctrl-C is raised.
+    """
     switched = os.environ.pop(_SWITCH, None)
     try:
-        with Uninterrupted():  # one that Ctrl-C has left half made is a complaint of the library's on stderr
+        with Uninterrupted():  # one that Ctrl-C leaves half made or without a sink makes the library complain on stderr
             stream = rr.RecordingStream(APPLICATION)
+            if connect is not None:
+                connect(stream)
         yield stream
     finally:
         if switched is not None:
@@ -39,8 +45,7 @@ def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
     Raises:
         OSError: they can't be written.
     """
-    with stream_to_viewer() as stream:
-        stream.save(file)
+    with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
