@@ -380,7 +380,8 @@ class DoesNotFit(GraspFailed):
         self.widths = tuple(sorted(widths))
         self.gap = gap
         self.widest = widest
-        thin, big = (any(found) for found in ([w < gap for w in widths], [w >= gap for w in widths]))
+        thin = any(width < gap for width in widths)
+        big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
         between = f"{gap * 1e3:.1f}-{widest * 1e3:.0f} mm" if gap else f"up to {widest * 1e3:.0f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.0f}" for width in self.widths))

@@ -13,7 +13,7 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan, torso_heights
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan, plan_with_torso
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
 from pycram.reasoning.rejections import Touching
@@ -89,10 +89,9 @@ class Accessing(SimulatedModule):
             raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
         if not isinstance(found, DeadEnd):
             return found
-        for height in torso_heights(robot):
-            lifted = plan(robot, arm, handle, values, others=height, choice=choice)
-            if not isinstance(lifted, DeadEnd):
-                return lifted
+        lifted = plan_with_torso(robot, arm, handle, values, choice)
+        if lifted is not None:
+            return lifted
         with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:
             parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
             hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]

@@ -148,7 +148,18 @@ def plan(
     return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
 
 
-def torso_heights(robot: Object) -> list[dict[str, float]]:
+def plan_with_torso(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNHEARD
+) -> HandlePath | None:
+    """Return the path with the torso at the nearest other height for which there is one; see :func:`plan`."""
+    for height in _torso_heights(robot):
+        found = plan(robot, arm, handle, values, others=height, choice=choice)
+        if isinstance(found, HandlePath):
+            return found
+    return None
+
+
+def _torso_heights(robot: Object) -> list[dict[str, float]]:
     """Return heights of the torso, if it has one, but for the present one, nearest first: m by its joint."""
     torso = robot.description.torso if robot.description else None
     if torso is None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pycram.reasoning.choosing import UNHEARD
 from pycram.reasoning.collision import checker
-from pycram.reasoning.grasping.handle_path import DeadEnd, HandlePath, plan, torso_heights
+from pycram.reasoning.grasping.handle_path import HandlePath, plan, plan_with_torso
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.rejections import Touching
@@ -127,16 +127,11 @@ def remedies(
     found: list[Remedy] = []
     for other in free:
         if other is not arm:
-            way = plan(robot, other, handle, values)
-            lifted = way
-            for height in torso_heights(robot) if isinstance(way, DeadEnd) else ():
-                lifted = plan(robot, other, handle, values, others=height)
-                if isinstance(lifted, HandlePath):
-                    break
-            if isinstance(lifted, HandlePath):
-                found.append(Remedy(other.name))
-            elif isinstance(way, DeadEnd):
-                choice.reject(str(Remedy(other.name)), way.rejection())
+            remedy, path = Remedy(other.name), plan(robot, other, handle, values)
+            if isinstance(path, HandlePath) or plan_with_torso(robot, other, handle, values) is not None:
+                found.append(remedy)
+            else:
+                choice.reject(str(remedy), path.rejection())
     places = (
         _from_elsewhere(robot, other, handle, values, choice)
         for other in sorted(free, key=lambda other: other is not arm)
