@@ -41,7 +41,7 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
 def recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Request]:
     """Put a request that the block serves on record, unless its designator is being carried out.
 
-    One that fails is on record with its failure; one that fails with a UsageError is a refusal, which its caller records.
+    One that fails with a UsageError is a refusal, which its caller records; another has its failure in the record.
 
     Args:
         name: "reference" or "next_solution".
