@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.choosing import UNHEARD
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping.handle_path import HandlePath, plan, plan_with_torso
 from pycram.reasoning.grasping.handles import ANGLES
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _STEP: Final = 0.15  # m between places that are tried
 _STEPS: Final = 5  # to each side
-_MAX_PLACES: Final = 4  # for which a way is looked for
+_MAX_PLACES: Final = 4  # for which a path is looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ def arms_in_the_way(
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
-            way = plan(robot, arm, handle, values, others=other.posture("park"))
-            found.append(Remedy(arm.name, parked=other.name) if isinstance(way, HandlePath) else InTheWay(other.name))
+            path = plan(robot, arm, handle, values, others=other.posture("park"))
+            found.append(Remedy(arm.name, parked=other.name) if isinstance(path, HandlePath) else InTheWay(other.name))
     return found
 
 
@@ -107,7 +107,7 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 
 
 def remedies(
-    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNHEARD
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
     """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
 
@@ -116,7 +116,7 @@ def remedies(
         arm: the arm that can't.
         handle: of what should be moved.
         values: of its joint, rad or m, from the present one on.
-        choice: is told what was tried.
+        choice: gets what was tried.
     """
     description = robot.description
     free = [
@@ -154,10 +154,10 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
         if touched:
             choice.reject(str(remedy), Touching([collision["pair"] for collision in touched.values()]))
             continue
-        way = plan(robot, arm, handle, values, base, quick=True)
-        if isinstance(way, HandlePath):
+        path = plan(robot, arm, handle, values, base, quick=True)
+        if isinstance(path, HandlePath):
             return remedy
-        choice.reject(str(remedy), way.rejection())
+        choice.reject(str(remedy), path.rejection())
         tried += 1
         if tried == _MAX_PLACES:
             break

@@ -66,7 +66,7 @@ def test_pycrams_own_modules_are_registered_for_any_robot(sink: MemorySink) -> N
     assert begun.phase == Task.STARTED, "a plan that is killed while it runs has it too"
 
 
-def test_a_registered_module_and_a_later_solution_are_told(sink: MemorySink) -> None:
+def test_a_registered_module_and_a_later_solution_are_recorded(sink: MemorySink) -> None:
     with execution_environment("lab"):
         assert ProcessModule.perform(waving().next_solution()) == 1
     motion = decisions(sink)["motion"]
@@ -77,14 +77,14 @@ def test_a_registered_module_and_a_later_solution_are_told(sink: MemorySink) -> 
     assert decision_text(motion) == expected
 
 
-def test_who_chose_the_module_is_told(sink: MemorySink) -> None:
+def test_who_chose_the_module_is_recorded(sink: MemorySink) -> None:
     def chooser(designator: MotionDesignator) -> ProcessModule | None:
         return Waving() if designator.type == "waving" else None
 
     with ProcessModule.resolvers.added(chooser):
         ProcessModule.perform(waving())
     motion = decisions(sink)["motion"]
-    assert motion.chooser == f"{HERE}.test_who_chose_the_module_is_told.<locals>.chooser"
+    assert motion.chooser == f"{HERE}.test_who_chose_the_module_is_recorded.<locals>.chooser"
     assert (motion.module, motion.registered_for) == (f"{HERE}.Waving", "")
 
 
