@@ -41,7 +41,7 @@ _SIDES: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class HandGuess:
-    """A gripper, as far as it can be told from its shapes.
+    """A gripper, as far as it can be guessed from its shapes.
 
     Attributes:
         palm: the link that the fingers hang on, in which the tool frame is given.

@@ -380,7 +380,8 @@ class DoesNotFit(GraspFailed):
         self.widths = tuple(sorted(widths))
         self.gap = gap
         self.widest = widest
-        thin, big = (any(found) for found in ([w < gap for w in widths], [w >= gap for w in widths]))
+        thin = any(width < gap for width in widths)
+        big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
         between = f"{gap * 1e3:.1f}-{widest * 1e3:.0f} mm" if gap else f"up to {widest * 1e3:.0f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.0f}" for width in self.widths))
@@ -451,7 +452,7 @@ class AccessFailed(PlanFailure):
         handle: the link by which it should be moved.
         arm: name of the arm.
         asked: value of the joint that was asked for, rad or m.
-        value: of the joint, from which on it fails; None if it isn't the way that fails.
+        value: of the joint, from which on it fails; None if it isn't the path that fails.
         reached: value up to which that arm would move it from where the robot stands; None if it can't begin.
         orientation: xyzw of the gripper that was asked for at that value, in the world; None where it doesn't matter.
         remedies: what would do, in words.
@@ -471,10 +472,10 @@ class AccessFailed(PlanFailure):
         remedies: Sequence[str] = (),
     ) -> None:
         moved = "opened" if asked is None else f"moved to {asked:g}"
-        way = "" if value is None else f" by {handle} with the {arm} arm: at {joint} = {value:.3f}"
+        path = "" if value is None else f" by {handle} with the {arm} arm: at {joint} = {value:.3f}"
         turned = "" if orientation is None else f", with the gripper turned to {_point(orientation)}"
         hints = "".join(f"; {remedy}" for remedy in remedies)
-        why = f"{way}{turned}, {reason}" if way else f": {reason}"
+        why = f"{path}{turned}, {reason}" if path else f": {reason}"
         PlanFailure.__init__(self, f"{joint} can't be {moved}{why}{hints}")
         self.joint = joint
         self.reason = reason
@@ -504,9 +505,9 @@ class HandleUnreachable(AccessFailed, Unreachable):
         target: Sequence[float],
         distance: float | None,
         turn: float,
-        **way: Any,
+        **details: Any,
     ) -> None:
-        AccessFailed.__init__(self, joint, reason, **way)
+        AccessFailed.__init__(self, joint, reason, **details)
         self.target = [float(x) for x in target]
         self.distance = distance
         self.turn = turn
@@ -520,8 +521,8 @@ class HandleBlocked(AccessFailed):
         bodies: names of what is in the way.
     """
 
-    def __init__(self, joint: str, reason: str, *, pairs: Sequence[CollisionPair], **way: Any) -> None:
-        AccessFailed.__init__(self, joint, reason, **way)
+    def __init__(self, joint: str, reason: str, *, pairs: Sequence[CollisionPair], **details: Any) -> None:
+        AccessFailed.__init__(self, joint, reason, **details)
         self.pairs = list(pairs)
         self.bodies = list(dict.fromkeys(pair.body for pair in pairs))
 

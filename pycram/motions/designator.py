@@ -121,7 +121,7 @@ class Designator(Equated, ABC):
             DesignatorError: There is none.
         """
 
-    @refusing("designator", Exception)
+    @refusing("designator")
     def reference(self) -> Solution:
         """Return its solution, found at the first call; or the data that it was made effective with.
 
@@ -281,6 +281,7 @@ class MotionDesignator(Designator):
             return super().resolution(index)
         return self._solutions.resolution(self._index if index is None else index)
 
+    @refusing("designator", name="next_solution")
     def _following(self, index: int) -> Solution | None:
         """Return a later solution, which the plan asks for; None if there is none."""
         with recorded("next_solution", self, index) as asked:

@@ -11,9 +11,10 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pycram.foundation.error_families import UsageError
 from pycram.scheduling.cancellation import Binding
 from recorder import records
-from recorder.tracing import journal
+from recorder.tracing import journal, span
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -38,7 +39,9 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
 
 @contextmanager
 def recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Request]:
-    """Put a request that the block serves on record, also if it fails, unless its designator is being carried out.
+    """Put a request that the block serves on record, unless its designator is being carried out.
+
+    One that fails with a UsageError is a refusal, which its caller records; another has its failure in the record.
 
     Args:
         name: "reference" or "next_solution".
@@ -58,7 +61,8 @@ def recorded(name: str, designator: Designator, index: int | None = None) -> Ite
             error = raised
             raise
         finally:
-            _emit(name, designator, index, request.answer, error, time.perf_counter_ns() - start)
+            if not isinstance(error, UsageError):
+                _emit(name, designator, index, request.answer, error, time.perf_counter_ns() - start)
 
 
 def _emit(
@@ -76,4 +80,4 @@ def _emit(
         failure=records.failure(error) if error is not None else None,
     )
     world, sim_step = journal.current_world()
-    journal.emit(record, world=world, sim_step=sim_step)
+    span.emit(record, world=world, sim_step=sim_step)

@@ -148,7 +148,7 @@ class Choice(Question):
         return record
 
 
-UNHEARD: Final = Choice("", {}, wanted=False)
+UNRECORDED: Final = Choice("", {}, wanted=False)
 """For reasoning that nobody asks for its candidates."""
 
 

@@ -24,11 +24,11 @@ class Rejection:
         return {each.name: short(getattr(self, each.name)) for each in fields(self)}
 
     def alike(self) -> Hashable:
-        """Return what candidates that are told together have in common, beside the type."""
+        """Return what candidates that are recorded together have in common, beside the type."""
         return ()
 
     def miss(self) -> float:
-        """Return how much is missing: of those alike, the one that misses least is told."""
+        """Return how much is missing: of those alike, the one that misses least is recorded."""
         return 0.0
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.error_families import UsageError
 from pycram.foundation.refusals import refused
@@ -32,9 +32,9 @@ _shared: Final[list[Callable[[], bool]]] = []  # whether the thread holds each o
 
 def shared_lock() -> threading.RLock:
     """Return a lock for all of the process, which is never freed; with it ``with`` takes a fifth of a Lock's time."""
-    lock: Any = threading.RLock()
-    _shared.append(lock._is_owned)  # noqa: SLF001  as threading.Condition does
-    return lock  # type: ignore[no-any-return]  # for its method
+    lock = threading.RLock()
+    _shared.append(lock._is_owned)  # type: ignore[attr-defined]  # noqa: SLF001  as threading.Condition does
+    return lock
 
 
 class Lock:

@@ -22,7 +22,7 @@ _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of
 
 
 def free_path(path: Path) -> Path:
-    """Returns a path that no recording has: this one, else RUN.2.mcap or a later number, which stderr is told.
+    """Returns a path that no recording has: this one, else RUN.2.mcap or a later number, which is printed on stderr.
 
     Whatever else there is at the path, a device or an empty file, can be written to, or is refused when it is opened.
     """

@@ -124,7 +124,7 @@ def _message(error: BaseException) -> str:
     try:
         return str(error)
     except Exception as broken:  # noqa: BLE001  the error's own __str__
-        return f"<it can't be told: {type(broken).__qualname__}>"
+        return f"<no message: {type(broken).__qualname__}>"
 
 
 def format_error(error: BaseException) -> str:

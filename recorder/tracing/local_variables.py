@@ -92,7 +92,7 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
     """Names and values, in the order of their first assignment.
 
-    Of a module, that has many and imports some, the last ones of which more can be told than the type.
+    Of a module, that has many and imports some, the last ones that have more to show than their type.
     """
     try:
         values = {
@@ -102,10 +102,10 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
         }
     except RuntimeError:  # another thread is changing them
         return
-    told = [(name, LEFT_OUT if is_secret(name) else described(value)) for name, value in values.items()]
+    texts = [(name, LEFT_OUT if is_secret(name) else described(value)) for name, value in values.items()]
     if frame.f_locals is frame.f_globals:
-        told = [(name, text) for name, text in told if not _TYPE_ALONE.fullmatch(text)][-MAX_VARIABLES:]
-    for name, text in told[:MAX_VARIABLES]:
+        texts = [(name, text) for name, text in texts if not _TYPE_ALONE.fullmatch(text)][-MAX_VARIABLES:]
+    for name, text in texts[:MAX_VARIABLES]:
         yield name, text if len(text) <= MAX_CHARACTERS else text[: MAX_CHARACTERS - len(_ELLIPSIS)] + _ELLIPSIS
 
 

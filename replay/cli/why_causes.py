@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.cause import Cause, Change, Fulfiller, Pending
     from replay.explain.plan_source import Line
 
-_FAST: Final = 0.1  # m/s from which on the speed of what is let go of is told
+_FAST: Final = 0.1  # m/s from which on the speed of what is let go of is given
 _SPINNING: Final = 1.0  # rad/s, likewise
 _MAX_NAMED: Final = 3
 _LACKED: Final = {

@@ -1,6 +1,6 @@
 """What it costs a plan to be recorded and watched, as ratios within one run: ``make bench`` prints the table.
 
-The viewer and what feeds it are processes of their own. So two things are told apart: the processor time of the plan's own
+The viewer and what feeds it are processes of their own. So two things are measured apart: the processor time of the plan's own
 process, which is what counts where cores are free; and its wall time, in which the others show where cores are few, or
 are halves of one. So there is a third run, beside a process that does nothing but compute on another core, which is
 what that alone costs on this machine. A viewer without a graphics card draws with all cores that it finds; therefore there is one

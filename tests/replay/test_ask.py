@@ -47,7 +47,7 @@ def test_every_query_of_the_demos_gives_what_it_gave_live(log_of: str, request: 
             assert answer.answer == names(record.answer_json), where
             assert answer.world == record.world
             live = {fact.name: json.loads(fact.json) for fact in record.evidence}
-            if record.name == "stable":  # its rehearsal's twin has a past of its own: the same but for its creep
+            if record.name == "stable":  # its simulation clone has a past of its own: the same but for its creep
                 assert answer.evidence["moved"] == pytest.approx(live["moved"], abs=1e-3), where
             else:
                 assert_approximately(answer.evidence, live, where, within=1e-6)

@@ -418,8 +418,8 @@ def test_what_is_in_the_way_is_in_the_scene_with_its_link_and_what_put_it_there(
 def test_all_failing_branches_have_their_scene_and_their_causes(robot: Recording) -> None:
     why = robot.why(robot.step("task:pick-up#-2@end"))
     (branch,) = why.branches
-    told = {why.task.motion.parameters["arm"]: why.causes, branch.task.motion.parameters["arm"]: branch.causes}
-    fell = next(cause for cause in told["left"] if isinstance(cause, kinds.Physics))
+    by_arm = {why.task.motion.parameters["arm"]: why.causes, branch.task.motion.parameters["arm"]: branch.causes}
+    fell = next(cause for cause in by_arm["left"] if isinstance(cause, kinds.Physics))
     assert (fell.body, fell.how, fell.hand) == ("cup", "fell", "left")
     assert fell.lets[0].task.name == "opening-gripper"
     names = {involved.body.name for involved in branch.bodies}

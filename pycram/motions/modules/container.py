@@ -13,7 +13,7 @@ from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.grasping.handle_path import DeadEnd, plan, torso_heights
+from pycram.reasoning.grasping.handle_path import DeadEnd, plan, plan_with_torso
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.grasping.remedies import arms_in_the_way, remedies
 from pycram.reasoning.rejections import Touching
@@ -72,7 +72,7 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
-        """Return the arm's way; with the torso at another height if there is none at the present one.
+        """Return the arm's path; with the torso at another height if there is none at the present one.
 
         Raises:
             HandleUnreachable: the arm doesn't get there.
@@ -81,18 +81,15 @@ class Accessing(SimulatedModule):
         found = plan(robot, arm, handle, values, choice=choice)
         swept = list(_swept(handle, values))
         if swept:
-            names = ", ".join(sorted({pair.body for _, pair in swept}))
             pairs = [pair for _, pair in swept]
-            choice.reject(choice.chosen or "any way", Touching(pairs))
-            reason = f"{names} would be in the way: {phrases(pairs)}"
-            way = {"handle": handle.link, "arm": arm.name, "asked": values[-1], "value": swept[0][0]}
-            raise HandleBlocked(handle.joint, reason, pairs=pairs, **way)
+            choice.reject(choice.chosen or "any path", Touching(pairs))
+            details = {"handle": handle.link, "arm": arm.name, "asked": values[-1], "value": swept[0][0]}
+            raise HandleBlocked(handle.joint, _in_the_way(pairs), pairs=pairs, **details)
         if not isinstance(found, DeadEnd):
             return found
-        for height in torso_heights(robot):
-            lifted = plan(robot, arm, handle, values, others=height, choice=choice)
-            if not isinstance(lifted, DeadEnd):
-                return lifted
+        lifted = plan_with_torso(robot, arm, handle, values, choice)
+        if lifted is not None:
+            return lifted
         with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:
             parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
             hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]
@@ -102,8 +99,8 @@ class Accessing(SimulatedModule):
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
-    """Return the failure that says where the arm's way ends, and what would do."""
-    way = {
+    """Return the failure that says where the arm's path ends, and what would do."""
+    details = {
         "handle": handle.link,
         "arm": arm.name,
         "asked": asked,
@@ -113,13 +110,16 @@ def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequen
         "remedies": hints,
     }
     if end.pairs:
-        names = ", ".join(sorted({pair.body for pair in end.pairs}))
-        return HandleBlocked(handle.joint, f"{names} would be in the way: {phrases(end.pairs)}", pairs=end.pairs, **way)
+        return HandleBlocked(handle.joint, _in_the_way(end.pairs), pairs=end.pairs, **details)
     if end.distance is None:
         reason = "the arm would have to change its posture while it holds on"
     else:
         reason = f"the nearest posture stays {end.distance:.3f} m and {math.degrees(end.turn):.0f} degrees away"
-    return HandleUnreachable(handle.joint, reason, target=end.position, distance=end.distance, turn=end.turn, **way)
+    return HandleUnreachable(handle.joint, reason, target=end.position, distance=end.distance, turn=end.turn, **details)
+
+
+def _in_the_way(pairs: Sequence[CollisionPair]) -> str:
+    return f"{', '.join(sorted({pair.body for pair in pairs}))} would be in the way: {phrases(pairs)}"
 
 
 def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
-from pycram.reasoning.choosing import UNHEARD
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import Grasp, candidates
@@ -73,7 +73,7 @@ def best(
     link: str,
     names: Sequence[str] | None = None,
     refused: Collection[Grasp] = (),
-    choice: Choice = UNHEARD,
+    choice: Choice = UNRECORDED,
 ) -> GraspPlan:
     """Return the grasp that touches least: in the middle of the object; beside it if it is long and only that is free.
 
@@ -83,7 +83,7 @@ def best(
         link: an arm's tool frame, or any other link, which then just has to get to the target's center.
         names: the sides that are allowed; all by default.
         refused: grasps that are left out.
-        choice: is told why the others aren't taken.
+        choice: gets why the others aren't taken.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     solver = Solver(robot, link)
@@ -150,7 +150,7 @@ class _Choice:
         options: grasps, each with the postures for it.
         opened: joint values of the open gripper.
         hand: links that all postures for a grasp bring to one pose.
-        choice: is told what is known of the grasps in the end.
+        choice: gets what is known of the grasps in the end.
     """
 
     def __init__(
@@ -176,11 +176,11 @@ class _Choice:
         """Return the grasp, its posture, and what is touched there; none of those that cost more than ``limit``."""
         plan = self._least(limit)
         if self._choice.wanted:
-            self._tell(plan)
+            self._record(plan)
         return plan
 
-    def _tell(self, plan: GraspPlan) -> None:
-        """Tell what is known of the grasps: of the best all, of the others what was checked until they were worse."""
+    def _record(self, plan: GraspPlan) -> None:
+        """Record what is known of the grasps: of the best all, of the others what was checked until they were worse."""
         for (grasp, postures), tried in zip(self._options, self._candidates, strict=True):
             known = [self._checker.known(candidate) for candidate in tried]
             by_hand = [pair for pair in known[0] if pair.link in self._hand]

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.convex import solids_of
-from pycram.reasoning.choosing import UNHEARD
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.grasping.sides import GRASPS, heading
 from pycram.reasoning.rejections import Misfit, Uneven
@@ -76,7 +76,7 @@ def candidates(
     names: Sequence[str] | None = None,
     *,
     off_center: bool = False,
-    choice: Choice = UNHEARD,
+    choice: Choice = UNRECORDED,
 ) -> Sequence[Grasp]:
     """Return grasps of an object, best first.
 
@@ -86,7 +86,7 @@ def candidates(
         arm: the arm whose gripper is to take it.
         names: the sides that are allowed; all by default.
         off_center: something long from the top, between its middle and its ends; else everything in the middle.
-        choice: is told from which sides it doesn't fit, and why.
+        choice: gets from which sides it doesn't fit, and why.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     if off_center:

@@ -1,4 +1,4 @@
-"""The way of an arm that moves a door or drawer by its handle: a posture for each value of its joint.
+"""The path of an arm that moves a door or drawer by its handle: a posture for each value of its joint.
 
 Postures for all ways to hold the handle are the nodes of a graph with one layer a value, as in Descartes of
 ROS-Industrial; the cheapest path turns the gripper little about the bar and moves the arm little. Collisions are looked
@@ -17,7 +17,7 @@ import numpy as np
 
 from pycram.foundation.collision_pair import CollisionPair
 from pycram.models.visual import shapes_of
-from pycram.reasoning.choosing import UNHEARD
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handles import ANGLES
@@ -82,7 +82,7 @@ class DeadEnd:
     pairs: Sequence[CollisionPair] = ()
 
     def rejection(self) -> Rejection:
-        """Return it as the reason why a way is rejected."""
+        """Return it as the reason why a path is rejected."""
         if self.pairs:
             return Touching(self.pairs)
         return Contorted(self.value) if self.distance is None else OutOfReach(self.distance, self.turn)
@@ -110,9 +110,9 @@ def plan(
     *,
     others: Mapping[str, float] | None = None,
     quick: bool = False,
-    choice: Choice = UNHEARD,
+    choice: Choice = UNRECORDED,
 ) -> HandlePath | DeadEnd:
-    """Return the way of an arm that holds a handle while its joint goes through values.
+    """Return the path of an arm that holds a handle while its joint goes through values.
 
     Args:
         robot: the robot; its world's lock is held.
@@ -123,7 +123,7 @@ def plan(
         others: values at which other joints are taken to be, of other arms or of the torso, rad or m; they are where
             they are by default.
         quick: don't look long; a dead end then proves nothing.
-        choice: is told which ways to hold the handle end where, and which it is.
+        choice: gets which ways to hold the handle end where, and which one is taken.
     """
     moved = carried.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
@@ -134,8 +134,8 @@ def plan(
     try:
         with CollisionChecker(robot, joints, ignored_links=ignored) as checker:
             search = _Search(robot, arm, handle, values, base, kept, checker)
-            ways = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
-            for grip, angles in ways:
+            holds = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
+            for grip, angles in holds:
                 found = search.path(grip, angles, _MAX_QUICK_PATHS if quick else _MAX_PATHS)
                 name = f"{grip.name}, {'from the front' if len(angles) == 1 else 'turned'}"
                 if isinstance(found, HandlePath):
@@ -148,7 +148,18 @@ def plan(
     return max(ends, key=lambda end: -1.0 if end.reached is None else abs(end.reached - values[0]))
 
 
-def torso_heights(robot: Object) -> list[dict[str, float]]:
+def plan_with_torso(
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
+) -> HandlePath | None:
+    """Return the path with the torso at the nearest other height for which there is one; see :func:`plan`."""
+    for height in _torso_heights(robot):
+        found = plan(robot, arm, handle, values, others=height, choice=choice)
+        if isinstance(found, HandlePath):
+            return found
+    return None
+
+
+def _torso_heights(robot: Object) -> list[dict[str, float]]:
     """Return heights of the torso, if it has one, but for the present one, nearest first: m by its joint."""
     torso = robot.description.torso if robot.description else None
     if torso is None:
@@ -296,9 +307,9 @@ class _Search:
             step = len(costs)
             if step == len(layers) or not len(layers[step].angles):
                 break
-            ways = costs[-1][:, None] + edges[step - 1]
-            origins.append(ways.argmin(axis=0))
-            costs.append(ways.min(axis=0) + _TURNED * layers[step].angles ** 2 + free[step])
+            sums = costs[-1][:, None] + edges[step - 1]
+            origins.append(sums.argmin(axis=0))
+            costs.append(sums.min(axis=0) + _TURNED * layers[step].angles ** 2 + free[step])
         reached = [cost for cost in costs if np.isfinite(cost).any()]
         if not reached:
             return []

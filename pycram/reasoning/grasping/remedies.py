@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.choosing import UNHEARD
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
-from pycram.reasoning.grasping.handle_path import DeadEnd, HandlePath, plan, torso_heights
+from pycram.reasoning.grasping.handle_path import HandlePath, plan, plan_with_torso
 from pycram.reasoning.grasping.handles import ANGLES
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.rejections import Touching
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _STEP: Final = 0.15  # m between places that are tried
 _STEPS: Final = 5  # to each side
-_MAX_PLACES: Final = 4  # for which a way is looked for
+_MAX_PLACES: Final = 4  # for which a path is looked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +93,8 @@ def arms_in_the_way(
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
-            way = plan(robot, arm, handle, values, others=other.posture("park"))
-            found.append(Remedy(arm.name, parked=other.name) if isinstance(way, HandlePath) else InTheWay(other.name))
+            path = plan(robot, arm, handle, values, others=other.posture("park"))
+            found.append(Remedy(arm.name, parked=other.name) if isinstance(path, HandlePath) else InTheWay(other.name))
     return found
 
 
@@ -107,7 +107,7 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 
 
 def remedies(
-    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNHEARD
+    robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
     """Return what would do instead of an arm that can't, nearest first; an empty list says that nothing nearby would.
 
@@ -116,7 +116,7 @@ def remedies(
         arm: the arm that can't.
         handle: of what should be moved.
         values: of its joint, rad or m, from the present one on.
-        choice: is told what was tried.
+        choice: gets what was tried.
     """
     description = robot.description
     free = [
@@ -127,16 +127,11 @@ def remedies(
     found: list[Remedy] = []
     for other in free:
         if other is not arm:
-            way = plan(robot, other, handle, values)
-            lifted = way
-            for height in torso_heights(robot) if isinstance(way, DeadEnd) else ():
-                lifted = plan(robot, other, handle, values, others=height)
-                if isinstance(lifted, HandlePath):
-                    break
-            if isinstance(lifted, HandlePath):
-                found.append(Remedy(other.name))
-            elif isinstance(way, DeadEnd):
-                choice.reject(str(Remedy(other.name)), way.rejection())
+            remedy, path = Remedy(other.name), plan(robot, other, handle, values)
+            if isinstance(path, HandlePath) or plan_with_torso(robot, other, handle, values) is not None:
+                found.append(remedy)
+            else:
+                choice.reject(str(remedy), path.rejection())
     places = (
         _from_elsewhere(robot, other, handle, values, choice)
         for other in sorted(free, key=lambda other: other is not arm)
@@ -159,10 +154,10 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
         if touched:
             choice.reject(str(remedy), Touching([collision["pair"] for collision in touched.values()]))
             continue
-        way = plan(robot, arm, handle, values, base, quick=True)
-        if isinstance(way, HandlePath):
+        path = plan(robot, arm, handle, values, base, quick=True)
+        if isinstance(path, HandlePath):
             return remedy
-        choice.reject(str(remedy), way.rejection())
+        choice.reject(str(remedy), path.rejection())
         tried += 1
         if tried == _MAX_PLACES:
             break

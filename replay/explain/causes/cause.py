@@ -62,7 +62,7 @@ class Swallowed(Cause):
 
     Attributes:
         precondition: what it lacked: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear"
-            (the object isn't in the way), "joint-moved", "at-pose" (the robot stands where it was told to), "posture"
+            (the object isn't in the way), "joint-moved", "at-pose" (the robot stands where it was sent), "posture"
             (of the arm), "camera-directed", "result" (of a task, in a variable).
         subject: name of the object, joint or variable; "" for none.
         arm: name of the arm; "" for none.

@@ -1,4 +1,4 @@
-"""Finds the causes of a case, those that explain most first; what a deeper cause explains isn't told twice."""
+"""Finds the causes of a case, those that explain most first; what a deeper cause explains isn't listed twice."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def find(case: Case) -> tuple[Cause, ...]:
         *surroundings.in_the_way(case),
         *surroundings.out_of_reach(case),
     ]
-    return tuple(cause for cause in found if not _is_told(cause, found))
+    return tuple(cause for cause in found if not _is_explained(cause, found))
 
 
-def _is_told(cause: Cause, found: Sequence[Cause]) -> bool:
-    """Return whether a deeper cause tells the same already."""
+def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
+    """Return whether a deeper cause explains the same already."""
     if isinstance(cause, HandState):
-        told = [each for each in found if isinstance(each, Swallowed) and each.precondition == cause.precondition]
-        return any(each.subject == cause.body for each in told)
+        swallowed_ones = [each for each in found if isinstance(each, Swallowed)]
+        return any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in swallowed_ones)
     if isinstance(cause, InTheWay):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
     if isinstance(cause, OutOfReach):

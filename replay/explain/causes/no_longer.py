@@ -1,7 +1,7 @@
 """What the plan relied on that was true when it asked, and the changes that made it false.
 
 A query that was answered yes, or a perception that succeeded, contradicts what failed later: then something that the
-answer depended on has changed. Changes that physics made are told by :mod:`replay.explain.causes.physics`.
+answer depended on has changed. Changes that physics made are explained by :mod:`replay.explain.causes.physics`.
 """
 
 from __future__ import annotations

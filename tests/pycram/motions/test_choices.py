@@ -176,7 +176,7 @@ def test_long_lists_say_how_many_were_left_out(world: BulletWorld, sink: MemoryS
     assert record.chosen == -1
 
 
-def test_reasons_of_a_users_own_are_told(world: BulletWorld, sink: MemorySink) -> None:
+def test_reasons_of_a_users_own_are_recorded(world: BulletWorld, sink: MemorySink) -> None:
     class TooHot(Rejection):
         def data(self) -> dict[str, object]:
             return {"degrees": 80}

@@ -9,13 +9,14 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
+from pycram.failures import PlanFailure
 from pycram.language import par
 from pycram.process_module import NoProcessModule, ProcessModule, execution_environment, register
-from recorder.records import Query, Task, argument_values
+from recorder.records import Query, Refusal, Task, argument_values
 from recorder.records.choices import decision_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from recorder.records import Decision
     from tests.conftest import MemorySink
@@ -65,7 +66,7 @@ def test_pycrams_own_modules_are_registered_for_any_robot(sink: MemorySink) -> N
     assert begun.phase == Task.STARTED, "a plan that is killed while it runs has it too"
 
 
-def test_a_registered_module_and_a_later_solution_are_told(sink: MemorySink) -> None:
+def test_a_registered_module_and_a_later_solution_are_recorded(sink: MemorySink) -> None:
     with execution_environment("lab"):
         assert ProcessModule.perform(waving().next_solution()) == 1
     motion = decisions(sink)["motion"]
@@ -76,14 +77,14 @@ def test_a_registered_module_and_a_later_solution_are_told(sink: MemorySink) -> 
     assert decision_text(motion) == expected
 
 
-def test_who_chose_the_module_is_told(sink: MemorySink) -> None:
+def test_who_chose_the_module_is_recorded(sink: MemorySink) -> None:
     def chooser(designator: MotionDesignator) -> ProcessModule | None:
         return Waving() if designator.type == "waving" else None
 
     with ProcessModule.resolvers.added(chooser):
         ProcessModule.perform(waving())
     motion = decisions(sink)["motion"]
-    assert motion.chooser == f"{HERE}.test_who_chose_the_module_is_told.<locals>.chooser"
+    assert motion.chooser == f"{HERE}.test_who_chose_the_module_is_recorded.<locals>.chooser"
     assert (motion.module, motion.registered_for) == (f"{HERE}.Waving", "")
 
 
@@ -118,12 +119,36 @@ def test_solutions_that_a_plan_requests_are_on_record(sink: MemorySink) -> None:
     assert argument_values(sink.of(Query)[0].arguments) == {"designator": {"type": "waving"}}
 
 
-def test_a_reference_that_fails_is_on_record_with_its_failure(sink: MemorySink) -> None:
-    with pytest.raises(DesignatorError):
-        MotionDesignator([("type", "flying")]).reference()
-    (asked,) = sink.of(Query)
-    assert asked.failure.type == "DesignatorError"
-    assert "unknown type" in asked.failure.message
+def reference(designator: MotionDesignator) -> None:
+    designator.reference()
+
+
+def next_solution(designator: MotionDesignator) -> None:
+    designator.next_solution()
+
+
+@pytest.mark.parametrize("ask", [reference, next_solution])
+def test_a_request_that_fails_is_one_record(sink: MemorySink, ask: Callable[[MotionDesignator], None]) -> None:
+    def exhausted(designator: MotionDesignator) -> None:
+        if designator.type == "marching":
+            raise PlanFailure("too tired")
+
+    with pytest.raises(DesignatorError, match="unknown type"):
+        ask(MotionDesignator([("type", "flying")]))
+    with MotionDesignator.resolvers.added(exhausted), pytest.raises(PlanFailure):
+        ask(MotionDesignator([("type", "marching")]))
+    (refused,), (asked,) = sink.of(Refusal), sink.of(Query)
+    assert (refused.name, refused.failure.type) == (ask.__name__, "DesignatorError")
+    assert (asked.name, asked.failure.message) == (ask.__name__, "too tired")
+
+
+def test_a_request_has_the_line_that_asked(sink: MemorySink) -> None:
+    designator = waving()
+    reference(designator)
+    next_solution(designator)
+    lines = [ask.__code__.co_firstlineno + 1 for ask in (reference, next_solution)]
+    assert [each.source_line for each in sink.of(Query)] == lines
+    assert {each.source_file for each in sink.of(Query)} == {__file__}
 
 
 def test_what_a_motion_asks_of_its_own_designator_is_part_of_it(sink: MemorySink) -> None:

@@ -91,21 +91,22 @@ with recorder.record(sys.argv[1]), BulletWorld("GUI", name="lab") as world:
 """
 
 
+def run(plan: str, *arguments: str, display: str) -> str:
+    """Returns what a plan prints in a process of its own, which ends well."""
+    command = [sys.executable, "-c", plan, *arguments]
+    environment = os.environ | {"DISPLAY": display}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=200)
+    assert ended.returncode == 0, ended.stderr
+    return ended.stdout
+
+
 @pytest.mark.needs("Xvfb", "OpenGL", "XTest")
 @pytest.mark.slow
 def test_what_somebody_drags_with_the_mouse_is_marked(
     display: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "x.mcap"
-    ended = subprocess.run(
-        [sys.executable, "-c", DRAGGING, str(file)],
-        env=os.environ | {"DISPLAY": display},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=200,
-    )
-    assert ended.returncode == 0, ended.stderr
+    run(DRAGGING, str(file), display=display)
     with replay.open(file) as log:
         changes = list(log.records(Mutation))
         dragged = [record for record in changes if record.drags]
@@ -119,19 +120,11 @@ def test_what_somebody_drags_with_the_mouse_is_marked(
 @pytest.mark.needs("Xvfb", "OpenGL")
 @pytest.mark.slow
 def test_a_window_opens_and_simulates_as_without_one(display: str) -> None:
-    ended = subprocess.run(
-        [sys.executable, "-c", PLAN],
-        env=os.environ | {"DISPLAY": display},
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=100,
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert "PyBullet has one window" in ended.stdout
+    output = run(PLAN, display=display)
+    assert "PyBullet has one window" in output
     # the window's native thread greets on stdout too, whenever it likes
-    assert "the same as without a window: True" in ended.stdout
-    assert ended.stdout.rstrip().endswith("ended")
+    assert "the same as without a window: True" in output
+    assert output.rstrip().endswith("ended")
 
 
 STAYS = """

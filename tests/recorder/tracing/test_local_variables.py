@@ -1,4 +1,4 @@
-"""Local variables at a raise: which are recorded, how values are told, and that no code of users is called for it."""
+"""Local variables at a raise: which are recorded, how values are written, and that no code of users is called for it."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ LEFT, DRAWER = "l_gripper_tool_frame", "sink_area_left_upper_drawer_main_joint"
 
 
 class Observer(MemorySink):
-    """Stands for PyBullet and for a recording: what PyBullet is told to change must be followed by its mutation."""
+    """Stands for PyBullet and for a recording: what PyBullet is to change must be followed by its mutation."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -182,7 +182,7 @@ def test_no_engine_changes_outside_of_mutations_while_a_robot_acts(observer: Obs
     assert len(observer.changes) > 10, observer.changes
 
 
-def test_a_change_around_the_funnel_is_noticed(observer: Observer) -> None:
+def test_a_change_around_the_transaction_is_noticed(observer: Observer) -> None:
     with BulletWorld() as world:
         cup = Object("cup", "cup", "cup.stl")
         world.engine.set_pose(cup.handle, ((0, 0, 1), (0, 0, 0, 1)))
