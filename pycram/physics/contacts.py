@@ -16,8 +16,7 @@ class ClosestPoint(NamedTuple):
     Attributes:
         link_a: Link of the first body.
         link_b: Link of the second.
-        position_a: On the first, world frame, m.
-        position_b: On the second, world frame, m.
+        position: On the second, world frame, m.
         normal: Unit vector from b to a.
         distance: In m, negative inside.
         force: In N along the normal, of the last step; 0 where nothing was stepped.
@@ -25,8 +24,7 @@ class ClosestPoint(NamedTuple):
 
     link_a: str
     link_b: str
-    position_a: Vector
-    position_b: Vector
+    position: Vector
     normal: Vector
     distance: float
     force: float

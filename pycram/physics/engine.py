@@ -381,7 +381,7 @@ class Engine:
         if link_b is None:
             return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client))
         points = bullet.getClosestPoints(a.id, b.id, distance, a.links[link], b.links[link_b], physicsClientId=client)
-        return [ClosestPoint(link, link_b, *p[5:10]) for p in points or ()]
+        return [ClosestPoint(link, link_b, *p[6:10]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[Contact]:
         """Return the contacts of the last step with other bodies."""
@@ -416,4 +416,4 @@ def _named(a: Body, b: Body, points: Sequence[tuple[Any, ...]] | None) -> list[C
         return []
     names_a = {index: name for name, index in a.links.items()}
     names_b = {index: name for name, index in b.links.items()}
-    return [ClosestPoint(names_a[p[3]], names_b[p[4]], *p[5:10]) for p in points]
+    return [ClosestPoint(names_a[p[3]], names_b[p[4]], *p[6:10]) for p in points]

@@ -69,6 +69,7 @@ class McapSink:
         self._file = io.BufferedWriter(raw, 1 << 16)
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
+        self._lines = Lines()  # of what is in the buffer
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0
@@ -147,7 +148,7 @@ class McapSink:
             payload = message.SerializeToString()
             self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
             self._size += len(payload)
-        line = Lines().of(record, self._now)
+        line = self._lines.of(record, self._now)
         if line is not None:
             self._buffer.append((_LINES, record.seq, self._now, line, None))
 
@@ -156,11 +157,12 @@ class McapSink:
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
         self._writer.add_messages([*self._messages(buffered)])
+        self._lines = Lines()
         self._writer.flush()
 
     def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
         """Buffered messages as the file has them, each line after its record."""
-        lines, channels, log = Lines(), self._channels, self._channels[_LINES]
+        lines, channels, log = self._lines, self._channels, self._channels[_LINES]
         for key, seq, time_ns, payload, record in buffered:
             yield channels.get(key) or self._channel(key), seq, time_ns, payload
             if record is not None and (line := lines.of(record, time_ns)) is not None:

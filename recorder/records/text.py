@@ -146,10 +146,9 @@ def mutation_text(record: Mutation) -> str:
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
     text = name.replace("_", " ") + (f" {details(command)}" if details else "")
-    if record.drags:
-        text += f", while {' and '.join(dict.fromkeys(drag.body for drag in record.drags[:]))} was dragged by hand"
     if name == "simulate":
-        return text
+        dragged = " and ".join(dict.fromkeys(drag.body for drag in record.drags[:]))
+        return f"{text}, while {dragged} was dragged by hand" if dragged else text
     body = getattr(command, "body", "")
     along = [name for state in record.effect.bodies[:] if (name := state.body) != body]
     return f"{text}, along with {', '.join(along)}" if along else text

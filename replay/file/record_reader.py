@@ -39,15 +39,13 @@ class RecordReader:
         path: the file.
         assets: the attached files by ``<sha256>/<file name>``.
         written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
-        identity: of the file, whatever other file gets its name later.
     """
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._file = open_file(self.path)
         try:
-            status = os.fstat(self._file.fileno())
-            self.written_ns, self.identity = status.st_mtime_ns, f"{status.st_dev}:{status.st_ino}"
+            self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
             self._chunks = Chunks(self._index)

@@ -366,4 +366,4 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
 
 def _carries_wheels(touch: ClosestPoint) -> bool:
     """Return whether a robot stands there rather than bumps: a contact from below, at the height of its base's feet."""
-    return touch.normal[2] > _STANDING and touch.position_b[2] < _FEET
+    return touch.normal[2] > _STANDING and touch.position[2] < _FEET

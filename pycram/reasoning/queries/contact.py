@@ -77,6 +77,6 @@ def evidence(found: list[ClosestPoint]) -> dict[str, object]:
     """Return links, points and depth of touches, for the record."""
     return {
         "links": sorted({(touch.link_a, touch.link_b) for touch in found}),
-        "points": [touch.position_b for touch in found],
+        "points": [touch.position for touch in found],
         "distance": min((touch.distance for touch in found), default=None),
     }

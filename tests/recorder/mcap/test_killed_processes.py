@@ -102,6 +102,13 @@ with recorder.record(sys.argv[1]):
         assert not log.complete
 
 
+def output(program: str, file: Path, status: int = 0) -> str:
+    command = [sys.executable, "-c", program, str(file)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert ended.returncode == status, ended.stderr
+    return ended.stdout
+
+
 def test_a_full_disk_ends_the_plan_with_an_error_and_leaves_a_readable_file(tmp_path: Path) -> None:
     program = """
 import resource, signal, sys
@@ -118,15 +125,7 @@ except recorder.RecordingError as error:
     print(number, error)
     sys.exit(7)
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path / "x.mcap")],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=60,
-    )
-    assert ended.returncode == 7, ended.stderr
-    number, message = ended.stdout.split(maxsplit=1)
+    number, message = output(program, tmp_path / "x.mcap", status=7).split(maxsplit=1)
     assert int(number) < 99_999
     assert "x.mcap" in message
     assert "File too large" in message
@@ -156,13 +155,6 @@ with recorder.record(sys.argv[1], overwrite=True) as recording:
     Object("milk", "milk", "milk.stl")
 print(recording.length)
 """
-    ended = subprocess.run(
-        [sys.executable, "-c", program, str(tmp_path / "x.mcap")],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=60,
-    )
-    assert ended.stdout.splitlines() == ["refused", "['MainThread']", "4"]
+    assert output(program, tmp_path / "x.mcap").splitlines() == ["refused", "['MainThread']", "4"]
     with replay.open(tmp_path / "x.mcap") as log:
         assert len(log) == 4
