@@ -1,25 +1,19 @@
-"""The open worlds of this process, and the current one.
+"""The open worlds of this process by their names, and the current one (:mod:`recorder.tracing.worlds`).
 
-The one that was opened last is current; when it ends, the one before it is current again. A thread that opens a world
-or makes one current does so for itself and its branches, and for all threads that haven't done so themselves: each
-thread keeps its own world. A branch does so for itself and its own branches, not for the rest of its thread. Names are
-unique among open worlds, since records refer to worlds by name.
+Names are unique among open worlds, since records refer to worlds by name.
 """
 
 from __future__ import annotations
 
 import itertools
 import threading
-import weakref
-from contextvars import ContextVar
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, WorldClosed
 from pycram.foundation.refusals import refusing
 from pycram.world.object import Object
-from recorder.tracing import journal
-from recorder.tracing.branch_identity import current_ident
+from recorder.tracing import worlds
 
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
@@ -27,9 +21,6 @@ if TYPE_CHECKING:
 _lock = threading.Lock()
 _numbers = itertools.count(1)
 _names: set[str] = set()
-_open: tuple[BulletWorld, ...] = ()
-_branch_threads: dict[str, int] = {}  # the threads of the branches that made worlds current, by the worlds' names
-_chosen: ContextVar[tuple[weakref.ref[BulletWorld], ...]] = ContextVar("pycram_world", default=())
 
 
 def reserve_name(name: str | None) -> str:
@@ -53,38 +44,27 @@ def make_current(world: BulletWorld) -> None:
     Raises:
         WorldClosed: It has ended.
     """
-    global _open  # noqa: PLW0603  there is one process
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")
-        _open = (*(known for known in _open if known is not world), world)
-        _branch_threads[world.name] = threading.get_ident() if current_ident() < 0 else 0
-    _chosen.set((*(chosen for chosen in _chosen.get() if chosen() in _open[:-1]), weakref.ref(world)))
-    journal.make_current(world)
+        worlds.make_current(world)
 
 
-def remove(name: str) -> None:
-    """Remove a world that has ended or could not open, by its name."""
-    global _open  # noqa: PLW0603  there is one process
+def remove(world: BulletWorld) -> None:
+    """Remove a world that has ended or could not open."""
     with _lock:
-        _names.discard(name)
-        _open = tuple(world for world in _open if world.name != name)
-        _branch_threads.pop(name, None)
+        _names.discard(world.name)
+        worlds.remove(world)
 
 
 def open_worlds() -> tuple[BulletWorld, ...]:
     """Return the open worlds, the one that was made current last at the end."""
-    return _open
+    return cast("tuple[BulletWorld, ...]", worlds.open_worlds())
 
 
 def current() -> BulletWorld | None:
     """Return the current world of this branch or thread; None if it has none."""
-    for chosen in reversed(_chosen.get()):
-        world = chosen()
-        if world is not None and not world.closed:
-            return world
-    thread = threading.get_ident()
-    return next((world for world in reversed(_open) if _branch_threads.get(world.name) != thread), None)
+    return cast("BulletWorld | None", worlds.current())
 
 
 class CurrentWorld(type):

@@ -94,7 +94,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
         with ExitStack() as undo:
-            undo.callback(current.remove, self.name)
+            undo.callback(current.remove, self)
             windows = [world.name for world in current.open_worlds() if world.mode == "GUI"]
             with checked_display(windows) if type == "GUI" else nullcontext():
                 self.engine = Engine(window=type == "GUI")
@@ -410,4 +410,4 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             update(body, _handle=None)
         self._robot = None
         self.engine.close()
-        current.remove(self.name)
+        current.remove(self)

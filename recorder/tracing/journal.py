@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 import time
-import weakref
 from collections import deque
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
@@ -18,9 +17,10 @@ from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Output, Record
 from recorder.records.asset import AssetFile
-from recorder.tracing import stack_room
-from recorder.tracing.branch_identity import current_ident, current_name
+from recorder.tracing import stack_room, worlds
+from recorder.tracing.branch_identity import current_name
 from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.worlds import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -46,11 +46,8 @@ class Sink(Protocol):
         """Ends; all that was taken is safe afterwards."""
 
 
-class Source(Protocol):
+class Source(World, Protocol):
     """A world as the journal sees it."""
-
-    name: str
-    sim_step: int
 
     def record_keyframe(self, journal: Journal) -> None:
         """Appends the whole state to the given journal, assets included."""
@@ -194,10 +191,7 @@ def task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # journals so far
-# The worlds that live, as they became current, each with the thread of the branch that chose it, or 0; replaced, never
-# changed.
-_sources: dict[weakref.ref[Source], int] = {}
-_chosen: ContextVar[tuple[weakref.ref[Source], ...]] = ContextVar("pycram_world", default=())
+_sources: tuple[Source, ...] = ()  # the worlds that are known; replaced, never changed
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -309,11 +303,11 @@ def attach(assets: Iterable[AssetFile]) -> None:
 
 
 def register(source: Source) -> None:
-    """Makes a world known, for as long as it lives, to journals that open later."""
+    """Makes a world known to journals, until it is unregistered: one that is opened unrecorded isn't."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
-            _sources = {**_without(source), weakref.ref(source): 0}
+            _sources = (*(known for known in _sources if known is not source), source)
 
 
 def announce(source: Source) -> None:
@@ -323,43 +317,17 @@ def announce(source: Source) -> None:
         source.record_keyframe(journal)
 
 
-def make_current(source: Source) -> None:
-    """Makes a registered world current: in this context, and in other threads that have chosen none.
-
-    What a branch chooses is current for itself and its own branches, not for the rest of its thread.
-    """
-    global _sources  # noqa: PLW0603  see open_journal
-    reference = weakref.ref(source)
-    with _registry:
-        if reference in _sources:  # one that was opened unrecorded stays unknown
-            earlier = [chosen for chosen in _chosen.get() if chosen != reference and chosen in _sources]
-            _sources = {**_without(source), reference: threading.get_ident() if current_ident() < 0 else 0}
-            _chosen.set((*earlier, reference))
-
-
 def unregister(source: Source) -> None:
     """Forgets a world that has ended."""
     global _sources  # noqa: PLW0603  see open_journal
     with _registry:
-        _sources = _without(source)
-
-
-def _without(source: Source) -> dict[weakref.ref[Source], int]:
-    """The other worlds that live."""
-    return {reference: thread for reference, thread in _sources.items() if reference() not in (None, source)}
+        _sources = tuple(known for known in _sources if known is not source)
 
 
 def current_world() -> tuple[str, int]:
-    """Name and simulated steps of the world that is current in this context; "", 0 if none is."""
-    sources = _sources
-    for reference in reversed(_chosen.get()):
-        if reference in sources and (source := reference()) is not None:
-            return source.name, source.sim_step
-    this_thread = threading.get_ident()
-    for reference, thread in reversed(sources.items()):
-        if thread != this_thread and (source := reference()) is not None:
-            return source.name, source.sim_step
-    return "", 0
+    """Name and simulated steps of the known world that is current in this context; "", 0 if none is."""
+    world = worlds.current(_sources)
+    return (world.name, world.sim_step) if world is not None else ("", 0)
 
 
 def recording_number() -> int:
@@ -382,7 +350,8 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
     stack_room.require(stack_room.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
-        sources = [source for reference in _sources if (source := reference()) is not None]
+        order = worlds.open_worlds()  # one that is only being opened isn't there yet
+        sources = sorted(_sources, key=lambda source: order.index(source) if source in order else len(order))
         for record in tasks:
             journal.append(record)
         journal.expect_keyframes(source.name for source in sources)
