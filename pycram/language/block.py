@@ -29,13 +29,12 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_chain import chained, raise_unchanged
-from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
-from pycram.foundation.names import export
+from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.language.actions import Result, name_of, run
 from pycram.language.attempts import Retry
 from pycram.language.body import current_block, in_block, leave_body
 from pycram.language.branch import Branch
-from pycram.language.failures import BranchesFailed, leaves_uncleaned
+from pycram.language.failures import BlockClosed, BranchesFailed, leaves_uncleaned
 from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled
 from pycram.scheduling.future import Future
 from pycram.scheduling.locks import LockHeld, refuse_held
@@ -43,54 +42,12 @@ from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.branch_identity import current_branch, enter_branch
-from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from types import TracebackType
     from typing import Self
-
-
-class BlockClosed(UsageError):
-    """A branch was added to a block that has ended.
-
-    Attributes:
-        block: Kind of the block.
-        branch: Name of the branch.
-    """
-
-    def __init__(self, block: str, branch: str) -> None:
-        super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
-        self.block = block
-        self.branch = branch
-
-
-class RunsEarly(UsageError):
-    """Plain Python in the body of a sequence that is read would act before actions that stand above it.
-
-    Attributes:
-        what: What it would do.
-        block: Kind of the sequence.
-        pending: Names of the actions above it that have not ended.
-        file: The plan's file.
-        line: Its line, from 1.
-    """
-
-    def __init__(self, what: str, block: str, pending: Sequence[str]) -> None:
-        self.what = what
-        self.block = block
-        self.pending = tuple(pending)
-        self.file, self.line = call_site()
-        have = "have" if len(self.pending) > 1 else "has"
-        super().__init__(
-            f"{self.file}:{self.line} would {what} before what stands above it in this {block} block: "
-            f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
-            f"plain Python between its actions runs at once; make it an action: `with {block} as s: ...; s(function)`"
-        )
-
-
-export("pycram.failures", RunsEarly)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Failures made of others: that of a block, and that of a cleanup."""
+"""Failures made of others, that of a block and that of a cleanup; and usage errors of blocks."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import functools
 import traceback
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.error_families import PlanFailure, PycramError, slots_of
+from pycram.foundation.error_families import PlanFailure, PycramError, UsageError, slots_of
 from pycram.foundation.names import export
 from recorder.records import format_error
+from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -16,6 +17,44 @@ if TYPE_CHECKING:
 #: A traceback shows at most this many failed blocks within each other, and then what failed in the innermost: each of
 #: them has a record with its traceback, and those of blocks nested deeper would take seconds to write.
 MAX_LEVELS: Final = 8
+
+
+class BlockClosed(UsageError):
+    """A branch was added to a block that has ended.
+
+    Attributes:
+        block: Kind of the block.
+        branch: Name of the branch.
+    """
+
+    def __init__(self, block: str, branch: str) -> None:
+        super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
+        self.block = block
+        self.branch = branch
+
+
+class RunsEarly(UsageError):
+    """Plain Python in the body of a sequence that is read would act before actions that stand above it.
+
+    Attributes:
+        what: What it would do.
+        block: Kind of the sequence.
+        pending: Names of the actions above it that have not ended.
+        file: The plan's file.
+        line: Its line, from 1.
+    """
+
+    def __init__(self, what: str, block: str, pending: Sequence[str]) -> None:
+        self.what = what
+        self.block = block
+        self.pending = tuple(pending)
+        self.file, self.line = call_site()
+        have = "have" if len(self.pending) > 1 else "has"
+        super().__init__(
+            f"{self.file}:{self.line} would {what} before what stands above it in this {block} block: "
+            f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
+            f"plain Python between its actions runs at once; make it an action: `with {block} as s: ...; s(function)`"
+        )
 
 
 class BranchesFailed(PlanFailure):
@@ -145,4 +184,4 @@ def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]
     return combined
 
 
-export("pycram.failures", BranchesFailed, NotCleanedUp)
+export("pycram.failures", BranchesFailed, NotCleanedUp, RunsEarly)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, cast
 
 from pycram.foundation.error_chain import raise_unchanged
 from pycram.foundation.failures import PlanFailure
-from pycram.language.block import Block, RunsEarly
+from pycram.language.block import Block
+from pycram.language.failures import RunsEarly
 from pycram.scheduling.cancellation import enter, join, wait
 from pycram.scheduling.future import branch_of
 from recorder.tasks import State

@@ -8,7 +8,7 @@ import pytest
 
 from pycram.bullet_world import Object
 from pycram.language import finally_, par, pursue, seq, try_in_order
-from pycram.language.block import RunsEarly
+from pycram.language.failures import RunsEarly
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld

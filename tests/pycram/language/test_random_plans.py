@@ -23,7 +23,8 @@ from pycram.designator import MotionDesignator
 from pycram.failures import LookingFailed, PlanFailure, Unreachable
 from pycram.fluent import Fluent
 from pycram.language import State, failure_handling, finally_, par, pursue, seq, timeout, try_all, try_in_order
-from pycram.language.block import Block, RunsEarly
+from pycram.language.block import Block
+from pycram.language.failures import RunsEarly
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
 from pycram.scheduling.cancellation import wait

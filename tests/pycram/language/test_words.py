@@ -8,7 +8,7 @@ import pytest
 
 from pycram.failures import BadArgument
 from pycram.language import NeverOpened, par, try_in_order
-from pycram.language.block import BlockClosed
+from pycram.language.failures import BlockClosed
 from tests.pycram.language.gates import KINDS, Meeting, fails, succeeds
 
 if TYPE_CHECKING:
