@@ -102,17 +102,15 @@ def is_file(path: str, name: str) -> bool:
 
 
 @lru_cache(maxsize=8)
-def _functions(text: str) -> tuple[tuple[int, int, str], ...]:
-    """Return first and last line of each function, inner ones last."""
+def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
+    """Return the nodes of a file's syntax tree, outer ones first; none if it isn't Python."""
     try:
-        tree = ast.parse(text)
+        return tuple(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError):
         return ()
-    nodes = ast.walk(tree)  # outer ones come first
-    functions = (node for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
-    return tuple((node.lineno, node.end_lineno or node.lineno, node.name) for node in functions)
 
 
 def _function(text: str, number: int) -> str:
-    names = [name for first, last, name in _functions(text) if first <= number <= last]
+    functions = (node for node in syntax_nodes(text) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    names = [node.name for node in functions if node.lineno <= number <= (node.end_lineno or node.lineno)]
     return names[-1] if names else "<module>"

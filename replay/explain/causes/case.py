@@ -8,7 +8,7 @@ import re
 import tomllib
 from collections import defaultdict
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from recorder.records import Mutation, argument_values
@@ -17,7 +17,7 @@ from replay.explain.blame import blame, commanded
 from replay.explain.causes.cause import Change
 from replay.explain.causing_tasks import causes
 from replay.explain.parsed_traceback import parse_traceback
-from replay.explain.plan_source import Source
+from replay.explain.plan_source import Source, syntax_nodes
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -293,11 +293,6 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
         yield from reasons
 
 
-@lru_cache(maxsize=8)
-def _statements(text: str) -> tuple[ast.stmt, ...]:
-    """Return a file's simple statements, and the heads of others."""
-    try:
-        tree = ast.parse(text)
-    except (SyntaxError, ValueError, RecursionError):
-        return ()
-    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.stmt) and not hasattr(node, "body"))
+def _statements(text: str) -> Iterator[ast.stmt]:
+    """Yield a file's simple statements, and the heads of others."""
+    return (node for node in syntax_nodes(text) if isinstance(node, ast.stmt) and not hasattr(node, "body"))

@@ -10,6 +10,7 @@ from recorder.records import Fluent, Task, from_json
 from recorder.tasks import State, Tree
 from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import Fulfiller, Pending
+from replay.explain.plan_source import syntax_nodes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -126,10 +127,7 @@ def _lines_that_set(case: Case, name: str) -> list[tuple[str, int]]:
 @lru_cache(maxsize=64)
 def _setters(text: str, name: str) -> tuple[int, ...]:
     """Return the numbers of the lines that set the fluent that is made with a name, by the variable that it is in."""
-    try:
-        nodes = list(ast.walk(ast.parse(text)))
-    except (SyntaxError, ValueError, RecursionError):
-        return ()
+    nodes = syntax_nodes(text)
     variables = set()
     for node in nodes:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call) and _last(node.value.func) == "Fluent":
