@@ -58,10 +58,9 @@ def open_worlds() -> tuple[World, ...]:
 
 def current(among: Collection[World] | None = None) -> World | None:
     """The current world of this branch or thread, of all or of some that are open; None if it has none."""
-    worlds, this_thread = _open, threading.get_ident()
-    if among is not None:
-        worlds = {world: thread for world, thread in worlds.items() if world in among}
+    worlds = {world: thread for world, thread in _open.items() if among is None or world in among}
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) is not None and world in worlds:
             return world
+    this_thread = threading.get_ident()
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)
