@@ -16,7 +16,7 @@ from recorder import records
 from recorder.tracing import journal, span
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
 
     from pycram.reasoning.rejections import Rejection
     from pycram.world.world import BulletWorld
@@ -54,24 +54,37 @@ class Question:
         Raises:
             WorldClosed: the world has ended.
         """
-        start = time.perf_counter_ns()
-        error: BaseException | None = None
-        with world.lock:
+        with world.lock, self.recorded(lambda: (world.name, world.sim_step), trace=trace):
             transactions = world.transactions
             outer, transactions.query = transactions.query, ""  # asked inside another question: that one is fine
             try:
                 transactions.check(f"ask {self.name}")
                 transactions.query = self.name
                 yield
-            except BaseException as raised:
-                error = raised
-                raise
             finally:
                 transactions.query = outer
-                if journal.recording() and not isinstance(error, UsageError):  # what can't be asked wasn't asked
-                    record = self._record(error, trace=trace)
-                    record.duration_ns = time.perf_counter_ns() - start
-                    span.emit(record, world=world.name, sim_step=world.sim_step)
+
+    @contextmanager
+    def recorded(self, where: Callable[[], tuple[str, int]], *, trace: bool = True) -> Iterator[None]:
+        """Answer it in the block; then it is on record, also if it failed, but not if it can't be asked (UsageError).
+
+        Args:
+            where: gives name and simulated steps of the world that the record names.
+            trace: whether a failure's traceback goes on record.
+        """
+        start = time.perf_counter_ns()
+        error: BaseException | None = None
+        try:
+            yield
+        except BaseException as raised:
+            error = raised
+            raise
+        finally:
+            if journal.recording() and not isinstance(error, UsageError):
+                record = self._record(error, trace=trace)
+                record.duration_ns = time.perf_counter_ns() - start
+                world, sim_step = where()
+                span.emit(record, world=world, sim_step=sim_step)
 
     def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
         return records.Query(
