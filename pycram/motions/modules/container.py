@@ -128,7 +128,7 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
     moved = carried.moved_links(container.urdf, [handle.joint])
     supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
-    bodies = clone.sync()
+    clone.sync()
     solid = shapes_of(container.model.path, "collision").links
     others = [
         body for body in container.world.objects if not body.fixed and body not in supported and body.carrier is None
@@ -141,7 +141,7 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
             part = clone.link(container, link)
             clone.engine.set_pose(part, handle.pose(value, link))
             for body in others:
-                points = clone.engine.closest_points(part, bodies[body.name]) if body.name not in known else ()
+                points = clone.engine.closest_points(part, clone.body(body.name)) if body.name not in known else ()
                 deepest = min(points, key=lambda point: point.distance, default=None)
                 if deepest is not None and deepest.distance < -DEPTH:
                     known.add(body.name)

@@ -102,7 +102,7 @@ class CollisionChecker:
     ) -> None:
         self.robot = robot
         self._clone = clone = clone_of(robot.world, "reach")
-        self._bodies = clone.sync()
+        clone.sync()
         names = tuple(joints)
         self._links = links = clone.cached(
             robot,
@@ -265,28 +265,28 @@ class CollisionChecker:
         """Return the body of the clone that has a link of an object: furniture is there link by link."""
         copy = self._copies.get((body, link))
         if copy is None:
-            copy = self._clone.link(body, link) if body.is_environment else self._bodies[body.name]
+            copy = self._clone.link(body, link) if body.is_environment else self._clone.body(body.name)
             self._copies[body, link] = copy
         return copy
 
     def closest_points(self, candidate: Candidate, other: Body) -> list[ClosestPoint]:
         """Return where the whole robot, as in a candidate, overlaps a body of the clone."""
         self._place(candidate)
-        return self._clone.engine.closest_points(self._bodies[self.robot.name], other)
+        return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 
     def _place(self, candidate: Candidate) -> None:
         """Move the clone's robot, with what it holds, into a candidate's posture."""
         if candidate is self._placed:
             return
         self._placed = candidate
-        engine, robot = self._clone.engine, self._bodies[self.robot.name]
+        engine, robot = self._clone.engine, self._clone.body(self.robot.name)
         base = candidate.base or self._links.base_pose
         if base != self._base:
             self._base = base
             engine.set_pose(robot, base)
         engine.pose_joints(robot, {**self._links.positions, **candidate.positions})
         for body, link, pose in self._held:
-            engine.set_pose(self._bodies[body.name], geometry.multiply(engine.link_pose(robot, link), pose))
+            engine.set_pose(self._clone.body(body.name), geometry.multiply(engine.link_pose(robot, link), pose))
 
     def links_beyond(self, joints: Collection[str]) -> set[str]:
         """Return the robot's links that hang on all of some joints: with an arm's joints its hand.

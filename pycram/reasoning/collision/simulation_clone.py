@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeVar, cast, overload
 
@@ -21,7 +20,7 @@ from pycram.world.snapshot import Snapshot, take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from pycram.models.rigid_parts import Part
@@ -139,15 +138,10 @@ class PosingClone(SimulationClone):
         super().__init__(world)
         self._states: dict[str, Snapshot] = {}
 
-    def sync(self) -> Mapping[str, Body]:
-        """Bring the clone to the world's state.
-
-        Returns:
-            The engine's bodies of all objects, by name; each is loaded and put where it belongs when it is asked for.
-        """
+    def sync(self) -> None:
+        """Bring the clone to the world's state; each body is loaded and put where it belongs when it is asked for."""
         self._forget_removed()
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
-        return _Bodies(self)
 
     def body(self, name: str) -> Body:
         """Return the copy of an object, as it was synced unless somebody has moved it since."""
@@ -184,22 +178,6 @@ class PosingClone(SimulationClone):
     def boxes(self, body: Object) -> Boxes:
         """Return the boxes around an object's pieces, as it was synced."""
         return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
-
-
-class _Bodies(Mapping[str, "Body"]):
-    """The copies in a clone, by the objects' names."""
-
-    def __init__(self, clone: PosingClone) -> None:
-        self._clone = clone
-
-    def __getitem__(self, name: str) -> Body:
-        return self._clone.body(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return (body.name for body in self._clone.world.objects)
-
-    def __len__(self) -> int:
-        return len(self._clone.world.objects)
 
 
 class PlacedPart(NamedTuple):

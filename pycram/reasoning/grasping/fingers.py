@@ -83,12 +83,14 @@ def moved(
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
-    bodies = clone.sync()
-    engine, hand = clone.engine, bodies[robot.name]
+    clone.sync()
+    engine, hand = clone.engine, clone.body(robot.name)
     engine.pose_joints(hand, {**robot.get_joint_positions(), **(posture or {})})
     tool = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
     others = {
-        body: bodies[body.name] for body in robot.world.objects if body not in (robot, release) and _is_near(body, tool)
+        body: clone.body(body.name)
+        for body in robot.world.objects
+        if body not in (robot, release) and _is_near(body, tool)
     }
 
     def depths(share: float) -> Depths:
@@ -99,7 +101,7 @@ def moved(
         free, stops = _sweep(depths, share_open(robot, gripper), goal)
         gap = 2 * CLEAR
         if release is not None:
-            copy = bodies[release.name]
+            copy = clone.body(release.name)
             if pose is not None:
                 engine.set_pose(copy, pose)
             engine.pose_joints(hand, coupled(robot, gripper.at(free)))
@@ -136,8 +138,8 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
-    bodies = clone.sync()
-    engine, hand, target = clone.engine, bodies[robot.name], bodies[body.name]
+    clone.sync()
+    engine, hand, target = clone.engine, clone.body(robot.name), clone.body(body.name)
 
     def touches(share: float) -> bool:
         engine.pose_joints(hand, coupled(robot, gripper.at(share)))
@@ -173,7 +175,7 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
                 along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
                 sides |= {math.copysign(1.0, along)} if abs(along) > _ACROSS else set()
         others = [other for other in robot.world.objects if other not in (robot, body) and _is_near(other, position)]
-        depths = _depths(engine, hand, gripper, {other: bodies[other.name] for other in others})
+        depths = _depths(engine, hand, gripper, {other: clone.body(other.name) for other in others})
     finally:
         clone.invalidate(robot.name)
     deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}

@@ -42,8 +42,8 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
     world = body.world
     clone = clone_of(world, "reach")
     others = [other for other in world.objects if other is not body and not other.is_robot and other.carrier is None]
-    bodies = clone.sync()
-    copy, engine = bodies[body.name], clone.engine
+    clone.sync()
+    copy, engine = clone.body(body.name), clone.engine
     x, y, z = target
 
     def touched(height: float) -> list[str]:
@@ -51,7 +51,7 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
         return [
             other.name
             for other in others
-            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(copy, bodies[other.name]))
+            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(copy, clone.body(other.name)))
         ]
 
     try:

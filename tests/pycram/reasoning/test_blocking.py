@@ -22,7 +22,7 @@ from pycram.world import carried
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from pycram.reasoning.collision.simulation_clone import SimulationClone
 
@@ -85,7 +85,7 @@ def cheapest(
         found = [solver.search([target])[0] for target in targets]
     opened = arm.gripper.positions("open")
     clone = clone_of(robot.world, "reach")
-    bodies = clone.sync()
+    clone.sync()
     moving = carried.moved_links(robot.urdf, [*solver.joints, *opened])
     held = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     pose_in_hand = {
@@ -100,16 +100,16 @@ def cheapest(
             for posture in postures:
                 if not posture.reaches():
                     continue
-                clone.engine.pose_joints(bodies[robot.name], {**posture.positions, **opened})
+                clone.engine.pose_joints(clone.body(robot.name), {**posture.positions, **opened})
                 for other, at in held:
-                    pose = clone.engine.link_pose(bodies[robot.name], at)
-                    clone.engine.set_pose(bodies[other.name], geometry.multiply(pose, pose_in_hand[other]))
+                    pose = clone.engine.link_pose(clone.body(robot.name), at)
+                    clone.engine.set_pose(clone.body(other.name), geometry.multiply(pose, pose_in_hand[other]))
                 swung = [other for other, at in held if at in moving]
-                depths = overlaps(clone, robot, moving, swung, [*pose_in_hand], bodies)
+                depths = overlaps(clone, robot, moving, swung, [*pose_in_hand])
                 counted = {other: depth for other, depth in depths.items() if other is not body}
                 furniture = sum(other.fixed for other in counted)
                 cost = (body in depths, furniture, len(counted) - furniture, sum(counted.values()))
-                if cost < best[0] and not hits_itself(clone, robot, [*solver.joints, *opened], moving, bodies):
+                if cost < best[0] and not hits_itself(clone, robot, [*solver.joints, *opened], moving):
                     best = cost, grasp.name
     finally:
         clone.invalidate()
@@ -117,24 +117,24 @@ def cheapest(
 
 
 def overlaps(
-    clone: SimulationClone, robot: Object, moving: list[str], swung: list[Object], held: list[Object], bodies: Mapping
+    clone: SimulationClone, robot: Object, moving: list[str], swung: list[Object], held: list[Object]
 ) -> dict[Object, float]:
     depths: dict[Object, float] = {}
     movers = [(robot, link) for link in moving] + [(other, link) for other in swung for link in other.links]
     for (mover, link), other in itertools.product(movers, robot.world.objects):
         if other is robot or other in held:
             continue
-        for touch in clone.engine.link_closest_points(bodies[mover.name], link, bodies[other.name]):
+        for touch in clone.engine.link_closest_points(clone.body(mover.name), link, clone.body(other.name)):
             if touch.distance <= -checker.DEPTH:
                 depths[other] = max(depths.get(other, 0.0), -touch.distance)
     return depths
 
 
-def hits_itself(clone: SimulationClone, robot: Object, joints: list[str], moving: list[str], bodies: Mapping) -> bool:
+def hits_itself(clone: SimulationClone, robot: Object, joints: list[str], moving: list[str]) -> bool:
     depth = {
         link: sum(joint.name in joints for joint in robot.urdf.chain(robot.urdf.root, link)) for link in robot.links
     }
-    body = bodies[robot.name]
+    body = clone.body(robot.name)
     return any(
         touch.distance <= -0.02 and abs(depth[link] - depth[touch.link_b]) > 3
         for link in moving
@@ -183,14 +183,14 @@ def test_collisions_at_another_pose_are_those_that_the_engine_finds(kitchen: Bul
         base = (rng.uniform(0.3, 1.2), rng.uniform(0.3, 1.2), 0.0), geometry.from_rpy(lean, 0, rng.uniform(-3, 3))
         found = checker.touched(robot, joints, base, all_links=True)
         clone = clone_of(kitchen, "reach")
-        bodies = clone.sync()
-        clone.engine.set_pose(bodies[robot.name], base)
-        clone.engine.pose_joints(bodies[robot.name], joints)
+        clone.sync()
+        clone.engine.set_pose(clone.body(robot.name), base)
+        clone.engine.pose_joints(clone.body(robot.name), joints)
         for load in robot.carried:
-            hand = clone.engine.link_pose(bodies[robot.name], load.carrier_link)
-            clone.engine.set_pose(bodies[load.body.name], geometry.multiply(hand, load.pose))
+            hand = clone.engine.link_pose(clone.body(robot.name), load.carrier_link)
+            clone.engine.set_pose(clone.body(load.body.name), geometry.multiply(hand, load.pose))
         loads = [load.body for load in robot.carried]
-        depths = overlaps(clone, robot, list(robot.links), loads, loads, bodies)
+        depths = overlaps(clone, robot, list(robot.links), loads, loads)
         clone.invalidate()
         floor = kitchen.get_object("floor")  # the wheels stand on it
         predicted = {other: info["depth"] for other, info in found.items() if other is not floor}
