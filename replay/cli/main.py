@@ -39,6 +39,7 @@ VERBS: Final = {
     "render": "a picture of a step, without a viewer",
     "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
+    "retrace": "whether the plan, run again, does the same; else the first difference",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
 FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
