@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
-from recorder.records import Output, Run, Task, format_failure
+from recorder.records import Run, Task, format_failure
 from recorder.records.text import text_of, values
 from replay.explain.compare_runs import differing
 
@@ -132,8 +132,8 @@ def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
     file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
     stack = tasks.get(record.task, ())
     if file and line:
-        callers = [] if isinstance(record, Output) else record.callers[:]
-        stack = (*(f"{caller.file or file}:{caller.line}" for caller in callers), f"{file}:{line}")
+        callers = (f"{caller.file or file}:{caller.line}" for caller in getattr(record, "callers", ()))
+        stack = (*callers, f"{file}:{line}")
     if isinstance(record, Task) and record.phase == Task.STARTED:
         stack = tasks[record.task] = stack or tasks.get(record.parent, ())
     elif isinstance(record, Task) and record.phase == Task.FINISHED:
