@@ -37,7 +37,7 @@ _INCIDENTAL: Final = (
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program",
-    "by_program",
+    "by_program", "origin",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 

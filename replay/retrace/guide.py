@@ -1,5 +1,7 @@
 """The sink that a plan which runs again records to: it compares each record with the recorded one, at once.
 
+It guides a fork, too, which is compared up to the step at which it leaves the recording.
+
 What differs from run to run (clocks, durations, ids of tasks) and where in the source a call stands is not compared:
 see :func:`replay.explain.compare_runs.differing`. The order of records is.
 """
@@ -30,7 +32,7 @@ class Difference:
     Attributes:
         step: in the recording; its length where the plan goes on after its end.
         text: one sentence, in the plan's words.
-        line: the plan's line that made the new record, as FILE:LINE; where the plan ended, that of the recorded one.
+        line: the plan's line that made the new record, as FILE:LINE; that of the recorded one where the plan ended.
         callers: the plan's lines that called it, innermost first.
         fields: recorded and new values that differ, by the path of the field; empty where it is another record.
     """
@@ -48,14 +50,18 @@ class Guide:
     Args:
         log: the recording.
         report: called once: with the number of equal records, and the first difference if there is one. It need not
-            return: the plan is of no interest any more then.
+            return, where the plan is of no interest any more.
+        until: the last step that is compared; by default the recording's last.
 
     Attributes:
         equal: number of records that were the same so far.
     """
 
-    def __init__(self, log: RecordReader, report: Callable[[int, Difference | None], None]) -> None:
+    def __init__(
+        self, log: RecordReader, report: Callable[[int, Difference | None], None], until: int | None = None
+    ) -> None:
         self._log = log
+        self._until = until
         self._recorded = log.records()
         self._report = report
         self._ended = False
@@ -70,13 +76,13 @@ class Guide:
         if recorded is None or recorded.seq != self.equal:  # it ends here, or what comes next is lost
             self._end(None if recorded is not None or not self._log.closed else self._goes_on(record))
             return
-        _, stack = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
+        before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
         fields = differing(recorded, record)
         if fields:
-            self._end(_difference(recorded, record, fields, stack))
+            self._end(_difference(recorded, record, fields, now or before))
             return
         self.equal += 1
-        if isinstance(record, Run) and record.phase == Run.FINISHED:
+        if recorded.seq == self._until or (isinstance(record, Run) and record.phase == Run.FINISHED):
             self._end(None)
 
     def attach(self, asset: AssetFile) -> None:

@@ -11,7 +11,8 @@ import pytest
 
 import replay
 from replay.cli.main import main
-from replay.retrace.retrace import CantRetrace, retrace
+from replay.retrace.plan_process import CantRetrace
+from replay.retrace.retrace import retrace
 from tests.measures import seeded
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def test_what_a_plan_reads_of_the_world_outside_is_told_where_it_matters(
     assert main(["retrace", str(log)]) == 1
     said = capsys.readouterr().out
     assert f"at {file}:4 where step 3 has move body milk [0.000, 0.000, 1.000]" in said
-    assert "move_body.position[2]: recorded 1, now 2" in said
+    assert "move_body.position[2]: recorded 1.0, now 2.0" in said
 
 
 def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> None:
