@@ -92,7 +92,7 @@ def test_what_is_printed_before_the_fork_is_held_back(tmp_path: Path, capfd: pyt
     printed = capfd.readouterr()
     assert printed.out == f"{log.with_suffix('.fork.mcap')}: 6 records, the first 4 as in {log}; the plan succeeded\n"
     assert "after\n" in printed.err
-    assert "before" not in printed.err
+    assert "before\n" not in printed.err
     assert main(["info", str(log.with_suffix(".fork.mcap"))]) == 0
     assert f"forked from {log.name} after step 3" in capfd.readouterr().out
 
