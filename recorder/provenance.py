@@ -38,8 +38,9 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
         run.seed = str(seed)
     run.hash_seed = hash_seed()
     if program is not None and program.is_file():
+        run.program = str(program.absolute())
         run.plan.CopyFrom(_plan_revision(program.resolve()))
-    run.pycram.CopyFrom(_pycram_revision())
+    run.pycram.CopyFrom(pycram_revision())
     run.host, run.cpu = platform.node(), _cpu()
 
 
@@ -76,7 +77,7 @@ def _plan_revision(program: Path) -> Revision:
 
 
 @functools.cache
-def _pycram_revision() -> Revision:
+def pycram_revision() -> Revision:
     """The revision of the executor and the recorder; the hash is that of their Python files."""
     root = Path(__file__).resolve().parent.parent
     digest = sha256()

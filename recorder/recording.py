@@ -30,7 +30,9 @@ from recorder.tracing.output import recorded_output
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
+
+    from recorder.tracing.journal import Sink
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +98,11 @@ def record(
     title = name or (program.stem if program else "plan")
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed)
+    began.by_program = program is not None and _is_program(program)
     start = time.perf_counter_ns()
-    file = Path(path) if overwrite else free_path(Path(path))
-    recording = _begin(file, live, began, program, local_variables=locals)
+    sink = _redirect(began) if _redirect is not None else None
+    file = Path(path) if overwrite or sink is not None else free_path(Path(path))
+    recording = _begin(file, live, began, program, sink, local_variables=locals)
     log = recording.journal
     owner = os.getpid()
     try:
@@ -128,8 +132,35 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-def _begin(file: Path, live: str | None, began: Run, program: Path | None, *, local_variables: bool) -> Recording:
+#: Gives recordings another sink than a file; see :func:`redirected`.
+_redirect: Callable[[Run], Sink | None] | None = None
+
+
+@contextmanager
+def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
+    """Has recordings that begin in its block write to other sinks than files and viewers.
+
+    Args:
+        sink_of: gives the sink by the record of a run's start; None for a recording that is made as ever.
+    """
+    global _redirect  # noqa: PLW0603  recordings are the process's
+    before, _redirect = _redirect, sink_of
+    try:
+        yield
+    finally:
+        _redirect = before
+
+
+def _begin(
+    file: Path, live: str | None, began: Run, program: Path | None, other: Sink | None, *, local_variables: bool
+) -> Recording:
     """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
+    if other is not None:
+        log = Journal([other], local_variables=local_variables)
+        _leave_to_parent(None, log)
+        log.append(began)
+        journal.open_journal(log, span.running())
+        return Recording(file, log)
     with ExitStack() as undoing:
         if live is not None and find_spec("rerun") is None:
             raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
@@ -209,6 +240,11 @@ def _left(began: Task) -> Task:
     return left
 
 
+def _is_program(file: Path) -> bool:
+    program = _program()
+    return program is not None and program.exists() and program.samefile(file)
+
+
 def _program() -> Path | None:
     """The file of the program that runs, if it has one."""
     main = sys.modules.get("__main__")
@@ -216,9 +252,10 @@ def _program() -> Path | None:
     return Path(file) if file else None
 
 
-def _leave_to_parent(sink: McapSink, log: Journal) -> None:
+def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:
     """Keeps forked children from writing into this file."""
-    sink_reference, log_reference = weakref.ref(sink), weakref.ref(log)
+    sink_reference = (lambda: None) if sink is None else weakref.ref(sink)
+    log_reference = weakref.ref(log)
 
     def forget() -> None:
         sink, log = sink_reference(), log_reference()

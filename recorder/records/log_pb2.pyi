@@ -723,8 +723,18 @@ class Revision(_message.Message):
     sha256: str
     def __init__(self, commit: _Optional[str] = ..., modified: bool = ..., sha256: _Optional[str] = ...) -> None: ...
 
+class Origin(_message.Message):
+    __slots__ = ("recording", "step", "wall_time_ns")
+    RECORDING_FIELD_NUMBER: _ClassVar[int]
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    recording: str
+    step: int
+    wall_time_ns: int
+    def __init__(self, recording: _Optional[str] = ..., step: _Optional[int] = ..., wall_time_ns: _Optional[int] = ...) -> None: ...
+
 class Run(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "interrupted_by")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "interrupted_by")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
@@ -756,6 +766,9 @@ class Run(_message.Message):
     PYCRAM_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
     CPU_FIELD_NUMBER: _ClassVar[int]
+    PROGRAM_FIELD_NUMBER: _ClassVar[int]
+    ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    BY_PROGRAM_FIELD_NUMBER: _ClassVar[int]
     INTERRUPTED_BY_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
@@ -778,5 +791,8 @@ class Run(_message.Message):
     pycram: Revision
     host: str
     cpu: str
+    program: str
+    origin: Origin
+    by_program: bool
     interrupted_by: str
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., interrupted_by: _Optional[str] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., interrupted_by: _Optional[str] = ...) -> None: ...

@@ -50,6 +50,7 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
     return [
         ("file", f"{log.path} ({_size(info.size)})"),
         ("plan", _plan(info)),
+        ("origin", _origin(info.start)),
         ("directory", info.start.directory if info.start else ""),
         ("seed", _seed(info.start)),
         ("revision", _revision(info.start)),
@@ -70,6 +71,12 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
 def _plan(info: Summary) -> str:
     given = info.start.arguments if info.start else ()  # older recordings have them as one text
     return " ".join((info.plan, shlex.join(given) or info.metadata.get("plan_arguments", ""))).strip()
+
+
+def _origin(start: Run | None) -> str:
+    if start is None or not start.HasField("origin"):
+        return ""
+    return f"forked from {start.origin.recording} after step {start.origin.step}"
 
 
 def _seed(start: Run | None) -> str:

@@ -35,7 +35,10 @@ _INCIDENTAL: Final = (
 )  # fmt: skip
 
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
-_GIVEN: Final = ("name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu")
+_GIVEN: Final = (
+    "name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program",
+    "by_program", "origin",
+)  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's

@@ -104,14 +104,14 @@ def test_without_git_there_is_the_hash_of_the_content(tmp_path: Path, monkeypatc
     plan = tmp_path / "plan.py"
     plan.write_text("pass\n")
     monkeypatch.setenv("PATH", str(tmp_path))
-    provenance._pycram_revision.cache_clear()
+    provenance.pycram_revision.cache_clear()
     try:
         start = recorded(tmp_path / "x.mcap", plan)
         assert (start.plan.commit, start.plan.sha256) == ("", sha256(b"pass\n").hexdigest())
         assert start.pycram.commit == ""
         assert len(start.pycram.sha256) == 64
     finally:
-        provenance._pycram_revision.cache_clear()
+        provenance.pycram_revision.cache_clear()
 
 
 @pytest.mark.parametrize(

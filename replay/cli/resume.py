@@ -1,0 +1,30 @@
+"""``resume``: a plan whose process was killed goes on where it was, into a new recording."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from replay.cli.console import print_message
+from replay.cli.fork import AGAIN, new_file, tell
+
+if TYPE_CHECKING:
+    import argparse
+
+    from replay.recording import Recording
+
+EXPECTS_INCOMPLETE = True  # it makes the recording whole
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the new recording."""
+    parser.epilog = "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to there."
+    parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Resume, and print where the new recording is."""
+    from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
+
+    target = new_file(log, options.target, "resumed")
+    print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}")
+    return tell(log, resume(log, target), as_json=options.json)

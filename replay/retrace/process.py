@@ -1,0 +1,111 @@
+"""The process in which a plan runs again: ``python -P -m replay.retrace.process JSON``, from :mod:`.plan_process`.
+
+Its result is one line of JSON on the file descriptor that it is given: stdout and stderr are the plan's. When it is
+only to compare, it ends there, wherever the plan is then. A fork goes on, into a recording of its own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import runpy
+import sys
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pycram import cli
+from recorder.mcap.sink import McapSink
+from recorder.recording import redirected
+from replay.file.record_reader import RecordReader
+from replay.retrace.guide import Guide
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from recorder.records import Record, Run
+    from recorder.records.asset import AssetFile
+    from replay.retrace.guide import Difference
+
+_STDOUT = 1
+
+
+class _Fork:
+    """A sink that writes a recording of its own, guided by another one to its step."""
+
+    def __init__(self, guide: Guide, file: McapSink) -> None:
+        self._guide = guide
+        self._file = file
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        self._file.write(topic, record, payload)
+        self._guide.write(topic, record, payload)
+
+    def attach(self, asset: AssetFile) -> None:
+        self._file.attach(asset)
+
+    def close(self) -> None:
+        self._guide.close()
+        self._file.close()
+
+
+def main(
+    log: str,
+    plan: str,
+    arguments: Sequence[str],
+    seed: int | None,
+    *,
+    by_program: bool,
+    result: int,
+    until: int | None,
+    file: str | None,
+) -> None:
+    """Run a plan again.
+
+    Args:
+        log: the recording.
+        plan: the plan's file.
+        arguments: of the plan.
+        seed: of random numbers; None to leave them as they are.
+        by_program: whether the plan begins the recording itself.
+        result: the file descriptor for the result.
+        until: the last step that is compared; None for all.
+        file: the fork's recording; None to end when all is compared.
+    """
+    recorded = RecordReader(log)
+
+    def report(equal: int, difference: Difference | None) -> None:
+        found = None if difference is None else asdict(difference)
+        os.write(result, json.dumps({"equal": equal, "difference": found}).encode() + b"\n")
+        if file is None or difference is not None:
+            os._exit(0)
+        os.dup2(sys.stderr.fileno(), _STDOUT)  # what the plan prints from here on is new
+
+    guide = Guide(recorded, report, until)
+
+    def sink_of(run: Run) -> Guide | _Fork | None:
+        if run.by_program != by_program:
+            return None
+        if file is None:
+            return guide
+        began = recorded[0]
+        run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
+        run.origin.step = len(recorded) - 1 if until is None else until
+        metadata = {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
+        return _Fork(guide, McapSink(Path(file), metadata))
+
+    with redirected(sink_of):
+        if by_program:
+            sys.argv = [plan, *arguments]
+            sys.path.insert(0, str(Path(plan).parent.resolve()))
+            with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
+                runpy.run_path(plan, run_name="__main__")
+        else:
+            cli.run(Path(plan), Path(file or os.devnull), arguments, seed=seed)
+    guide.close()
+
+
+if __name__ == "__main__":
+    main(**json.loads(sys.argv[1]))

@@ -1,0 +1,214 @@
+"""A recorded plan runs again beside its recording: it does the same, or the first difference is named, and its line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+
+import replay
+from replay.cli.main import main
+from replay.retrace.plan_process import CantRetrace
+from replay.retrace.retrace import retrace
+from tests.measures import seeded
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from replay.retrace.retrace import Retracing
+
+#: A line of a plan, and what somebody has made of it: none, so that it is left out, or others.
+LINES: tuple[tuple[str, ...], ...] = (
+    ("world = BulletWorld()", "world = BulletWorld(name='other')"),
+    ("world.set_gravity([0, 0, -9.8])", "world.set_gravity([0, 0, -9])", ""),
+    ('floor = Object("floor", "environment", "plane.urdf")', 'floor = Object("ground", "environment", "plane.urdf")'),
+    (
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 0.2])',
+        'milk = Object("milk", "drink", "milk.stl", [0, 0, 0.2])',
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 0.2000001])',
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 0.2], color=[1, 0, 0, 1])',
+    ),
+    (
+        'cup = Object("cup", "cup", "cup.stl", [1, 0, 0.1])',
+        'cup = Object("cup", "cup", "bowl.stl", [1, 0, 0.1])',
+        'cup = Object("cup", "cup", "cup.stl", [1, 0, 0.1], [0, 0, 1, 0])',
+    ),
+    ("world.simulate(0.1)", "world.simulate(0.2)", "pass", "world.settle()"),
+    ('pressed = Event("pressed")', 'pressed = Event("released")'),
+    ("pressed += lambda: milk.set_position([1, 1, 1])", "pressed += lambda: milk.set_position([1, 1, 2])", "pass"),
+    ("pressed()", "pass", "pressed(); pressed()"),
+    ('level = Fluent(1, name="level")', 'level = Fluent(2, name="level")', 'level = Fluent(1, name="height")'),
+    ("level.set_value(5)", "level.set_value(6)", "level.pulse()", "pass"),
+    ("print(btr.contact(milk, cup))", "print(btr.contact(milk, floor))", "print(btr.supporting(milk, cup))", "pass"),
+    ("milk.attach(cup)", "cup.attach(milk)", "pass"),
+    ("milk.set_position([0, 1, 1])", "cup.set_position([0, 1, 1])", "milk.set_position([0, 1, 1.1])"),
+    ("milk.detach(cup)", "milk.set_color([0, 0, 1, 1])"),
+    ("par(one, two)", "par(two, one)", "par(one)", "seq(one, two)"),
+    ("fails(3)", "fails(2)", "pass"),
+    ("cup.set_position([random.random(), 0, 1])", "random.random(); cup.set_position([random.random(), 0, 1])"),
+    ("cup.remove()", "milk.remove()", "pass"),
+    ("sys.exit(0)", "sys.exit(1)", "world.exit()", "raise ValueError(level)"),
+)
+HEAD = """\
+import random
+import sys
+from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import BulletWorld, Object
+from pycram.event import Event
+from pycram.failures import PlanFailure
+from pycram.fluent import Fluent
+from pycram.language import failure_handling, par, seq
+def one(): milk.set_color([1, 0, 0, 1])
+def two(): cup.set_color([1, 0, 0, 1])
+def fails(times):
+    for attempt in failure_handling(3):
+        with attempt:
+            if attempt.number <= times:
+                raise PlanFailure("not yet")
+"""
+CHANGES = [(number, change) for number, (_, *changes) in enumerate(LINES) for change in changes]
+
+
+def text(changed: int = -1, change: str = "") -> str:
+    lines = [change if number == changed else line for number, (line, *_) in enumerate(LINES)]
+    return HEAD + "\n".join(lines) + "\n"
+
+
+def record(file: Path, *arguments: str, seed: int = 5) -> Path:
+    """Records a plan, by the command."""
+    log = file.with_suffix(".mcap")
+    command = [sys.executable, "-m", "pycram", "run", file, "--log", log, "--overwrite", "--seed", str(seed)]
+    subprocess.run([*command, "--", *arguments], cwd=file.parent, capture_output=True, check=False, timeout=120)
+    return log
+
+
+def retraced(log: Path, plan: Path | None = None) -> Retracing:
+    with replay.open(log) as recording:
+        return retrace(recording, plan=plan)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("retrace") / "plan.py"
+    file.write_text(text())
+    record(file)
+    return file
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("demo", ["demo_log", "failed_log"])
+def test_the_demos_do_the_same_again(demo: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture) -> None:
+    log = request.getfixturevalue(demo)
+    assert main(["retrace", str(log), "--json"]) == 0
+    (result,) = json.loads(capsys.readouterr().out)
+    assert result["identical"]
+    assert result["equal"] == result["steps"] > 100
+    assert not result["notes"]
+
+
+@seeded("changes of one line, told by retrace", range(len(CHANGES)), 6)
+def test_a_changed_line_is_told(plan: Path, tmp_path: Path, seeds: range) -> None:
+    for seed in seeds:
+        number, change = CHANGES[seed]
+        changed = tmp_path / f"plan_{seed}.py"
+        changed.write_text(text(number, change))
+        result = retraced(plan.with_suffix(".mcap"), changed)
+        assert result.difference is not None, change
+        line = HEAD.count("\n") + number + 1
+        said = [int(each.rpartition(":")[2]) for each in (result.difference.line, *result.difference.callers)]
+        # what is left out, or leaves no record itself, shows where the plan goes on
+        assert set(said) & {line, line + 1, line + 2}, (change, result.difference)
+        assert result.notes == (f"{changed.name} differs from the recorded source",)
+
+
+def test_a_plan_whose_lines_moved_is_the_same(plan: Path, tmp_path: Path) -> None:
+    moved = tmp_path / "moved.py"
+    moved.write_text("# a comment\n\n" + text().replace("world.simulate(0.1)", "world.simulate( 0.1 )"))
+    result = retraced(plan.with_suffix(".mcap"), moved)
+    assert result.identical
+    assert result.equal == result.steps
+
+
+def test_what_a_plan_reads_of_the_world_outside_is_told_where_it_matters(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    (tmp_path / "height").write_text("1")
+    file = tmp_path / "reads.py"
+    file.write_text(
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "world = BulletWorld()\n"
+        'milk = Object("milk", "milk", "milk.stl")\n'
+        'milk.set_position([0, 0, float(open("height").read())])\n'
+    )
+    log = record(file)
+    assert main(["retrace", str(log)]) == 0
+    (tmp_path / "height").write_text("2")
+    capsys.readouterr()
+    assert main(["retrace", str(log)]) == 1
+    said = capsys.readouterr().out
+    assert f"at {file}:4 where step 3 has move body milk [0.000, 0.000, 1.000]" in said
+    assert "move_body.position[2]: recorded 1.0, now 2.0" in said
+
+
+def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    file.write_text(
+        "import sys, recorder\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        'with recorder.record("program.mcap"):\n'
+        "    with BulletWorld():\n"
+        '        Object("milk", "milk", "milk.stl", [0, 0, float(sys.argv[1])])\n'
+        "print('it goes on')\n"
+    )
+    subprocess.run([sys.executable, file, "0.5"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    before = sorted(tmp_path.iterdir())
+    result = retraced(tmp_path / "program.mcap")
+    assert result.identical
+    assert result.equal == result.steps
+    assert sorted(tmp_path.iterdir()) == before  # it makes no other recording
+    with replay.open(tmp_path / "program.mcap") as log:
+        other = retrace(log, arguments=["0.6"])
+    assert other.difference is not None
+    assert other.difference.line == f"{file}:5"
+
+
+def test_a_killed_run_is_retraced_to_its_last_record(tmp_path: Path) -> None:
+    file = tmp_path / "killed.py"
+    file.write_text(
+        text().replace("sys.exit(0)", "import os, time\ntime.sleep(0.2)\nos.kill(os.getpid(), 9)\nfails(1)")
+    )
+    log = record(file)
+    file.write_text(file.read_text().replace("os.kill(os.getpid(), 9)", ""))
+    with replay.open(log) as recording:
+        assert not recording.closed
+        result = retrace(recording)
+        assert result.identical
+        assert result.equal == result.steps == len(recording) > 20
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [("move", "the plan isn't there"), ("secret", "secret arguments were left out")],
+)
+def test_what_cant_be_retraced_is_said_before_it_runs(tmp_path: Path, change: str, said: str) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text("import sys\nfrom pathlib import Path\nPath('ran').touch()\n")
+    log = record(file, "--token", "abc")
+    (tmp_path / "ran").unlink()
+    if change == "move":
+        file.rename(tmp_path / "other.py")
+    with pytest.raises(CantRetrace, match=said), replay.open(log) as recording:
+        retrace(recording)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_plan_that_ends_its_process_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "ends.py"
+    file.write_text("import os\nfrom pycram.bullet_world import BulletWorld\nBulletWorld()\n")
+    log = record(file)
+    file.write_text(file.read_text().replace("BulletWorld()", "os.abort()"))
+    with pytest.raises(CantRetrace, match="was killed by signal 6"):
+        retraced(log)
