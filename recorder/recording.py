@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,14 +24,14 @@ from recorder.records import Run, Task
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
-from recorder.tracing.interrupts import interrupted_by
+from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_by, terminable
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,7 @@ def record(
     output: bool = False,
     locals: bool = True,  # noqa: A002  as they are called in Python
     overwrite: bool = False,
+    durable: bool = False,
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
@@ -85,10 +87,13 @@ def record(
         output: whether lines that are printed or logged are records too.
         locals: whether failures hold the local variables of the plan's functions.
         overwrite: whether a recording that is there is replaced.
+        durable: whether records survive the loss of power, too: each chunk of the file waits for the disk.
 
     Raises:
-        RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
-            if there is no such source, or an argument is invalid. That no viewer comes is no error.
+        RecordingError: the file can't be written, at the start or later, or others have deleted, replaced or changed
+            it: a plan never goes unrecorded in silence. Also if there is no such source, or an argument is invalid.
+            That no viewer comes is no error.
+        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does; the program has no handler of its own.
     """
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
@@ -98,7 +103,15 @@ def record(
     provenance.describe(began, given, program, seed)
     start = time.perf_counter_ns()
     file = Path(path) if overwrite else free_path(Path(path))
-    recording = _begin(file, live, began, program, local_variables=locals)
+    opened = partial(_begin, file, live, began, program, local_variables=locals, durable=durable)
+    with terminable(), _closed(opened, title, start, output=output) as recording:
+        yield recording
+
+
+@contextmanager
+def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: bool) -> Iterator[Recording]:
+    """Opens a recording, and closes it however the block ends."""
+    recording = opened()
     log = recording.journal
     owner = os.getpid()
     try:
@@ -110,6 +123,8 @@ def record(
                 _finish(log, title, start, error)
         except OSError as failed:
             failed.__context__, error.__context__ = error.__context__, failed
+            if not isinstance(error, RecordingError):  # a plan that failed is no reason to hide it
+                print(f"recorder: {failed}", file=sys.stderr)
         raise
     else:
         if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
@@ -128,7 +143,9 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-def _begin(file: Path, live: str | None, began: Run, program: Path | None, *, local_variables: bool) -> Recording:
+def _begin(
+    file: Path, live: str | None, began: Run, program: Path | None, *, local_variables: bool, durable: bool
+) -> Recording:
     """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
     with ExitStack() as undoing:
         if live is not None and find_spec("rerun") is None:
@@ -141,7 +158,8 @@ def _begin(file: Path, live: str | None, began: Run, program: Path | None, *, lo
             "plan_arguments": " ".join(began.arguments),
             "started_ns": str(time.time_ns()),
         }
-        sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.final_metadata)
+        final_metadata = dict if viewer is None else viewer.final_metadata
+        sink = McapSink(file, metadata, final_metadata, durable=durable)
         undoing.callback(sink.close)
         log = Journal([sink] if viewer is None else [sink, viewer], local_variables=local_variables)
         _leave_to_parent(sink, log)
@@ -179,6 +197,15 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
+    with Uninterrupted():  # one who presses Ctrl-C again wants it to end, not to lose the end of the recording
+        try:
+            _append_end(log, title, start, error)
+        finally:
+            if isinstance(error, KeyboardInterrupt):
+                drop_pending()
+
+
+def _append_end(log: Journal, title: str, start: int, error: BaseException | None) -> None:
     succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
     end = Run(
         phase=Run.FINISHED,

@@ -1,8 +1,9 @@
 """Writes records into an MCAP file that survives the death of its process.
 
 What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
-after its first record, and at once after a failure and the start or end of the run. Chunks are handed to the operating
-system unbuffered; from there on only a failure of the computer could lose them.
+after its first record, and at once after a failure and the start or end of the run, and before a call that keeps every
+other thread from running (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered; from there on
+only a failure of the computer could lose them, and not even that if each is synced.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
-from recorder.mcap.output_file import HINT, open_output, reason
+from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open_output, reason
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
@@ -55,25 +56,33 @@ class McapSink:
         path: the file; an MCAP file that is there is replaced, anything else is not.
         metadata: of the run.
         final_metadata: gives more when the file ends.
+        durable: whether each chunk waits until it is on the disk.
 
     Raises:
         RecordingError: it can't be written.
     """
 
     def __init__(
-        self, path: Path, metadata: Mapping[str, str], final_metadata: Callable[[], Mapping[str, str]] = dict
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        final_metadata: Callable[[], Mapping[str, str]] = dict,
+        *,
+        durable: bool = False,
     ) -> None:
         self.path = path
         self._final_metadata = final_metadata
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
+        self._watched = Watched(path, raw)
+        self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
-        self._failed: OSError | None = None
+        self._failed: tuple[str, str] | None = None  # why, and what to do
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
@@ -103,6 +112,9 @@ class McapSink:
                     self._register(topic)
             self._writer.add_metadata("pycram", software | dict(metadata))
             self._writer.flush()
+            if self._durable:
+                self._watched.sync()
+                self._watched.sync_name()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
         """Adds a channel; where it names its world, the file's index has the chunks of that world."""
@@ -153,10 +165,20 @@ class McapSink:
 
     def _flush(self) -> None:
         """Packs the buffer, and hands it to the operating system: all at once, which is faster than one by one."""
+        self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
         self._writer.add_messages([*self._messages(buffered)])
         self._writer.flush()
+        if self._durable:
+            self._watched.sync()
+
+    def flush(self) -> None:
+        """Hands on what waits; see :class:`recorder.tracing.journal.Sink`."""
+        with self._lock:
+            if self._pending and not self._closed:
+                with self._guarded():
+                    self._flush()
 
     def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
         """Buffered messages as the file has them, each line after its record."""
@@ -178,7 +200,7 @@ class McapSink:
         with self._lock, self._guarded():
             self._flush()
             self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
-            self._flush()
+            self._writer.flush()
             if asset.name.endswith(".urdf"):
                 self._frames.add_urdf(asset.sha256, asset.content)
 
@@ -197,6 +219,9 @@ class McapSink:
                     self._flush()
                     self._writer.add_metadata("pycram.end", {"records": str(self._count), **self._final_metadata()})
                     self._writer.finish()
+                    if self._durable:
+                        self._watched.sync()
+                    self._watched.check(self._writer.size)
             finally:
                 self._close_file()
 
@@ -210,7 +235,7 @@ class McapSink:
     def abandon(self) -> None:
         """Stops writing, for a forked child: the file is its parent's."""
         self._closed = True
-        self._failed = OSError("this recording belongs to the parent process")
+        self._failed = "this recording belongs to the parent process", ""
 
     def _flush_periodically(self) -> None:
         """The timer's thread: flushes records within the period."""
@@ -227,7 +252,7 @@ class McapSink:
     def _check(self) -> None:
         """Raises the earlier error, if records were lost by one."""
         if self._failed is not None:
-            raise RecordingError(self.path, str(self._failed), HINT)
+            raise RecordingError(self.path, *self._failed)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -236,8 +261,9 @@ class McapSink:
         try:
             yield
         except (OSError, ValueError) as error:
-            self._failed = error if isinstance(error, OSError) else OSError(str(error))
-            raise RecordingError(self.path, reason(self._failed), HINT) from error
+            cause = reason(error) if isinstance(error, OSError) else str(error)
+            self._failed = cause, CHANGED_HINT if isinstance(error, Changed) else HINT
+            raise RecordingError(self.path, *self._failed) from error
 
 
 def _descriptors(message: type[Message]) -> bytes:
