@@ -20,7 +20,7 @@ from recorder.errors import RecordingError
 from recorder.mcap.output_file import free_path
 from recorder.mcap.sink import McapSink
 from recorder.packages import hint
-from recorder.records import Run, Task
+from recorder.records import Run, Task, escaped
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
@@ -98,7 +98,7 @@ def record(
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = _program() if source is None else Path(source)
-    title = name or (program.stem if program else "plan")
+    title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed)
     start = time.perf_counter_ns()
@@ -180,7 +180,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
     def hook(args: threading.ExceptHookArgs) -> None:
         try:
             if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
-                name = (args.thread or threading.current_thread()).name
+                name = escaped((args.thread or threading.current_thread()).name)
                 failed = failure_with_frames(args.exc_value)
                 with suppress(OSError):  # the next record raises it
                     log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failed))

@@ -73,7 +73,7 @@ def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequen
 
 def _name(kind: str, file: Path, content: bytes) -> str:
     digest = sha256(_code())
-    for part in (kind.encode(), file.name.encode(), content, *_beside(file, content)):
+    for part in (kind.encode(), os.fsencode(file.name), content, *_beside(file, content)):
         digest.update(b"%d:" % len(part) + part)
     return digest.hexdigest()
 

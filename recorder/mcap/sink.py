@@ -21,7 +21,7 @@ from recorder.errors import RecordingError
 from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open_output, reason
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
+from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
 from recorder.tracing.journal import unrecorded
@@ -110,7 +110,8 @@ class McapSink:
                 self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
                 if topic not in _PER_WORLD:
                     self._register(topic)
-            self._writer.add_metadata("pycram", software | dict(metadata))
+            texts = {name: escaped(text) for name, text in (software | dict(metadata)).items()}
+            self._writer.add_metadata("pycram", texts)
             self._writer.flush()
             if self._durable:
                 self._watched.sync()
@@ -261,8 +262,10 @@ class McapSink:
         try:
             yield
         except (OSError, ValueError) as error:
-            cause = reason(error) if isinstance(error, OSError) else str(error)
-            self._failed = cause, CHANGED_HINT if isinstance(error, Changed) else HINT
+            if isinstance(error, OSError):
+                self._failed = reason(error), CHANGED_HINT if isinstance(error, Changed) else HINT
+            else:
+                self._failed = str(error), ""
             raise RecordingError(self.path, *self._failed) from error
 
 
