@@ -13,6 +13,7 @@ import pytest
 
 import replay
 from recorder.records import Mutation, Output, Run, Task
+from replay.cli.main import main
 
 REPO = Path(__file__).parent.parent
 MILK = REPO / "resources" / "milk.stl"
@@ -59,7 +60,9 @@ def run(folder: bytes, *words: bytes | str, **environment: bytes) -> subprocess.
 
 
 @pytest.mark.slow
-def test_a_plan_whose_names_are_not_utf_8_runs_is_recorded_and_is_read(tmp_path: Path) -> None:
+def test_a_plan_whose_names_are_not_utf_8_runs_is_recorded_and_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = os.fsencode(tmp_path) + b"/folder-\xff"
     Path(os.fsdecode(folder)).mkdir()
     for name, text in ((b"plan-\xff.py", PLAN), (b"module-\xff.py", MODULE)):
@@ -79,19 +82,27 @@ def test_a_plan_whose_names_are_not_utf_8_runs_is_recorded_and_is_read(tmp_path:
         lines = [record.text for record in log.records(Output)]
         assert "given 'word-\\udcff' 'w\\udcff'" in lines
         moves = [record for record in log.records(Mutation) if record.HasField("move_body")]
-        assert [move.thread for move in moves] == ["word-\\udcff"] * 2, "one in the thread, one in the branch"
+        assert [move.thread for move in moves] == ["word-\\udcff", "par-1 word-\\udcff"], "in a thread and a branch"
         assert Path(moves[0].source_file).name == "module-\\udcff.py"
         assert any(record.name == "word-\\udcff" for record in log.records(Task))
         sources = [name for name in log.assets if name.endswith(".py")]
         assert {name.partition("/")[2] for name in sources} == {"plan-\\udcff.py", "module-\\udcff.py"}
         (loaded,) = [record.load_body for record in log.records(Mutation) if record.HasField("load_body")]
         assert loaded.path.endswith("milk-\\udcff.stl")
-    name = os.fsencode(file.name)
-    for verb in (["info"], ["why"], ["tree"], ["log"], ["state", "last"], ["info", "--json"]):
-        read = run(folder, "replay", verb[0], name, *verb[1:])
-        assert read.returncode == 0, read.stderr
-        assert b"Traceback" not in read.stderr
-        assert b"\xff" not in read.stdout
-    assert json.loads(read.stdout)
-    verified = run(folder, "replay", "verify", name)
-    assert verified.returncode == 0, verified.stderr + verified.stdout
+    capsys.readouterr()
+    for words in (
+        ["info"],
+        ["why"],
+        ["tree"],
+        ["log"],
+        ["state", "last"],
+        ["view", "--save", "x.rrd"],
+        ["info", "--json"],
+    ):
+        verb, *options = words
+        monkeypatch.chdir(tmp_path)
+        assert main([verb, str(file), *options]) == 0
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+    assert json.loads(said.out)["arguments"] == ["word-\\udcff", "milk-\\udcff.stl"]
+    assert main(["verify", str(file)]) == 0
