@@ -7,6 +7,7 @@ import contextlib
 import os
 import runpy
 import shlex
+import signal
 import sys
 import threading
 import time
@@ -20,7 +21,7 @@ from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, versions
 from recorder.records import format_error
-from recorder.tracing.interrupts import interrupted_by, terminable
+from recorder.tracing.interrupts import Terminated
 from recorder.viewer.address import Kind, Target
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from recorder import Recording
 
 _WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
-_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED, _TERMINATED = 0, 1, 2, 130, 143  # exit codes
+_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
 
 def demos() -> Path:
@@ -43,9 +44,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command, by default with the process' arguments, and return its exit code.
 
     Returns:
-        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if Ctrl-C interrupted it, 143 if SIGTERM did;
-        else the plan's own.
+        0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 if Ctrl-C interrupted it, 143 if SIGTERM did,
+        129 if SIGHUP did; else the plan's own.
     """
+    if argv is not None:
+        return _run_command(argv)
+    try:
+        code = _run_command(argv)
+        if code == _INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    return code
+
+
+def _run_command(argv: Sequence[str] | None) -> int:
     parser = _parser()
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
@@ -81,6 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         seed=seed,
         local_variables=not options.no_locals,
         overwrite=options.overwrite,
+        durable=options.durable,
     )
 
 
@@ -120,6 +134,9 @@ def _parser() -> argparse.ArgumentParser:
             "name, the time of its start and its seed. A recording that is there stays: then it is PLAN.2.mcap",
         )
         recorded.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+        recorded.add_argument(
+            "--durable", action="store_true", help="lose no record to a power cut either: each chunk waits for the disk"
+        )
         recorded.add_argument(
             "--seed",
             metavar="N",
@@ -180,6 +197,7 @@ def run(
     seed: int | None = None,
     local_variables: bool = True,
     overwrite: bool = False,
+    durable: bool = False,
 ) -> int:
     """Run a plan as a main program, record it, and return the exit code, as :func:`main` does.
 
@@ -191,6 +209,7 @@ def run(
         seed: Of random numbers; None to leave them as they are.
         local_variables: Whether failures hold the plan's local variables.
         overwrite: Whether a recording that is there is replaced.
+        durable: Whether records survive the loss of power.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(plan), *arguments]
@@ -198,6 +217,7 @@ def run(
     folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
     recording: Recording | None = None
     code = _SUCCEEDED
+    error: BaseException | None = None
     seed_random_numbers(seed)
     try:
         recorded = record(
@@ -210,42 +230,52 @@ def run(
             output=True,
             locals=local_variables,
             overwrite=overwrite,
+            durable=durable,
         )
-        with terminable(), recorded as recording:
+        with recorded as recording:
             try:
                 runpy.run_path(str(plan.absolute()), run_name="__main__")
             finally:
                 _wait_for_threads()
-    except RecordingError as error:
-        print(f"pycram: {error}", file=sys.stderr)
-        code = _WRONG_USAGE
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else _SUCCEEDED if end.code is None else _FAILED
-        if not isinstance(end.code, int | None):
-            print(end.code, file=sys.stderr)
-    except NotInstalled as error:
-        print(f"pycram: {error}", file=sys.stderr)
-        return _WRONG_USAGE
-    except PlanFailure as failure:
-        traceback.print_exc()
-        print(f"\npycram: the plan failed: {format_error(failure)}", file=sys.stderr)
-        code = _FAILED
-    except KeyboardInterrupt:
-        terminated = interrupted_by() == "SIGTERM"
-        print(f"\npycram: interrupted{' by SIGTERM' if terminated else ''}", file=sys.stderr)
-        code = _TERMINATED if terminated else _INTERRUPTED
-    except BaseException as error:  # noqa: BLE001  whatever the plan's own code raises
-        traceback.print_exc()
-        kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
-        print(f"\npycram: the plan {kind}: {format_error(error)}", file=sys.stderr)
-        code = _FAILED
+    except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
+        error = raised
+        code = _report(raised)
     finally:
         sys.argv, sys.path[:] = before
-    if recording is not None and recording.path.is_file():
+    if recording is not None and recording.path.is_file() and not _was_lost(error):
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
-        if live == Kind.SERVE.value and code not in (_INTERRUPTED, _TERMINATED):
+        if live == Kind.SERVE.value and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
     return code
+
+
+def _report(error: BaseException) -> int:
+    """Print how a plan ended, and return the exit code."""
+    match error:
+        case RecordingError() | NotInstalled():
+            print(f"pycram: {error}", file=sys.stderr)
+            return _WRONG_USAGE
+        case Terminated():
+            print(f"\npycram: interrupted by {error.signal}", file=sys.stderr)
+            return int(error.code or 0)
+        case SystemExit():
+            if isinstance(error.code, int | None):
+                return error.code or _SUCCEEDED
+            print(error.code, file=sys.stderr)
+            return _FAILED
+        case KeyboardInterrupt():
+            print("\npycram: interrupted", file=sys.stderr)
+            return _INTERRUPTED
+    traceback.print_exception(error)
+    kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
+    how = "failed" if isinstance(error, PlanFailure) else kind
+    print(f"\npycram: the plan {how}: {format_error(error)}", file=sys.stderr)
+    return _FAILED
+
+
+def _was_lost(error: BaseException | None) -> bool:
+    """Whether the recording failed, before the plan did or when it was closed after that."""
+    return isinstance(error, RecordingError) or (error is not None and isinstance(error.__context__, RecordingError))
 
 
 def _shown(file: Path, folder: Path, log: Path) -> Path:

@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Revision
+from recorder.records import Revision, escaped
 from recorder.secrets import without_secrets
 
 if TYPE_CHECKING:
@@ -32,16 +32,16 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
         program: the plan's file.
         seed: of random numbers, where it is known.
     """
-    run.arguments.extend(without_secrets([str(text) for text in arguments]))
+    run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     run.directory = _directory()
     if seed is not None:
         run.seed = str(seed)
     run.hash_seed = hash_seed()
     if program is not None and program.is_file():
-        run.program = str(program.absolute())
+        run.program = escaped(str(program.absolute()))
         run.plan.CopyFrom(_plan_revision(program.resolve()))
     run.pycram.CopyFrom(pycram_revision())
-    run.host, run.cpu = platform.node(), _cpu()
+    run.host, run.cpu = escaped(platform.node()), _cpu()
 
 
 def hash_seed() -> str:
@@ -54,7 +54,7 @@ def hash_seed() -> str:
 
 def _directory() -> str:
     try:
-        return str(Path.cwd())
+        return escaped(str(Path.cwd()))
     except OSError:  # it was removed
         return ""
 

@@ -10,6 +10,7 @@ import weakref
 from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,11 +20,11 @@ from recorder.errors import RecordingError
 from recorder.mcap.output_file import free_path
 from recorder.mcap.sink import McapSink
 from recorder.packages import hint
-from recorder.records import Run, Task
+from recorder.records import Run, Task, escaped
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
-from recorder.tracing.interrupts import interrupted_by
+from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_by, terminable
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
@@ -67,6 +68,7 @@ def record(
     output: bool = False,
     locals: bool = True,  # noqa: A002  as they are called in Python
     overwrite: bool = False,
+    durable: bool = False,
 ) -> Iterator[Recording]:
     """Records all worlds and plans of this process while its block runs.
 
@@ -87,22 +89,33 @@ def record(
         output: whether lines that are printed or logged are records too.
         locals: whether failures hold the local variables of the plan's functions.
         overwrite: whether a recording that is there is replaced.
+        durable: whether records survive the loss of power, too: each chunk of the file waits for the disk.
 
     Raises:
-        RecordingError: the file can't be written, at the start or later: a plan never goes unrecorded in silence. Also
-            if there is no such source, or an argument is invalid. That no viewer comes is no error.
+        RecordingError: the file can't be written, at the start or later, or others have deleted, replaced or changed
+            it: a plan never goes unrecorded in silence. Also if there is no such source, or an argument is invalid.
+            That no viewer comes is no error.
+        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does; the program has no handler of its own.
     """
     given = sys.argv[1:] if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = _program() if source is None else Path(source)
-    title = name or (program.stem if program else "plan")
+    title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed)
     began.by_program = program is not None and _is_program(program)
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None
     file = Path(path) if overwrite or sink is not None else free_path(Path(path))
-    recording = _begin(file, live, began, program, sink, local_variables=locals)
+    opened = partial(_begin, file, live, began, program, sink, local_variables=locals, durable=durable)
+    with terminable(), _closed(opened, title, start, output=output) as recording:
+        yield recording
+
+
+@contextmanager
+def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: bool) -> Iterator[Recording]:
+    """Opens a recording, and closes it however the block ends."""
+    recording = opened()
     log = recording.journal
     owner = os.getpid()
     try:
@@ -114,6 +127,8 @@ def record(
                 _finish(log, title, start, error)
         except OSError as failed:
             failed.__context__, error.__context__ = error.__context__, failed
+            if not isinstance(error, RecordingError):  # a plan that failed is no reason to hide it
+                print(f"recorder: {failed}", file=sys.stderr)
         raise
     else:
         if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
@@ -152,29 +167,33 @@ def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
 
 
 def _begin(
-    file: Path, live: str | None, began: Run, program: Path | None, other: Sink | None, *, local_variables: bool
+    file: Path,
+    live: str | None,
+    began: Run,
+    program: Path | None,
+    other: Sink | None,
+    *,
+    local_variables: bool,
+    durable: bool,
 ) -> Recording:
     """Opens the file and the viewer, and records the worlds that exist already; leaves nothing open if that fails."""
-    if other is not None:
-        log = Journal([other], local_variables=local_variables)
-        _leave_to_parent(None, log)
-        log.append(began)
-        journal.open_journal(log, span.running())
-        return Recording(file, log)
     with ExitStack() as undoing:
-        if live is not None and find_spec("rerun") is None:
-            raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
-        viewer = None if live is None else RerunSink(live, began.name)
-        if viewer is not None:
-            undoing.callback(viewer.close)
-        metadata = {
-            "plan": began.name,
-            "plan_arguments": " ".join(began.arguments),
-            "started_ns": str(time.time_ns()),
-        }
-        sink = McapSink(file, metadata) if viewer is None else McapSink(file, metadata, viewer.final_metadata)
-        undoing.callback(sink.close)
-        log = Journal([sink] if viewer is None else [sink, viewer], local_variables=local_variables)
+        viewer = sink = None
+        if other is None:
+            if live is not None and find_spec("rerun") is None:
+                raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
+            if live is not None:
+                viewer = RerunSink(live, began.name)
+                undoing.callback(viewer.close)
+            metadata = {
+                "plan": began.name,
+                "plan_arguments": " ".join(began.arguments),
+                "started_ns": str(time.time_ns()),
+            }
+            final_metadata = dict if viewer is None else viewer.final_metadata
+            sink = McapSink(file, metadata, final_metadata, durable=durable)
+            undoing.callback(sink.close)
+        log = Journal([each for each in (other, sink, viewer) if each is not None], local_variables=local_variables)
         _leave_to_parent(sink, log)
         log.append(began)
         if program is not None and program.is_file():
@@ -193,7 +212,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
     def hook(args: threading.ExceptHookArgs) -> None:
         try:
             if not ended and args.exc_value is not None and not isinstance(args.exc_value, SystemExit):
-                name = (args.thread or threading.current_thread()).name
+                name = escaped((args.thread or threading.current_thread()).name)
                 failed = failure_with_frames(args.exc_value)
                 with suppress(OSError):  # the next record raises it
                     log.append(Run(phase=Run.THREAD_FAILED, name=title, thread=name, failure=failed))
@@ -210,6 +229,15 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
 
 
 def _finish(log: Journal, title: str, start: int, error: BaseException | None) -> None:
+    with Uninterrupted():  # one who presses Ctrl-C again wants it to end, not to lose the end of the recording
+        try:
+            _append_end(log, title, start, error)
+        finally:
+            if isinstance(error, KeyboardInterrupt):
+                drop_pending()
+
+
+def _append_end(log: Journal, title: str, start: int, error: BaseException | None) -> None:
     succeeded = error is None or (isinstance(error, SystemExit) and not error.code)
     end = Run(
         phase=Run.FINISHED,

@@ -48,6 +48,8 @@ class MemorySink:
     def attach(self, asset: AssetFile) -> None:
         self.assets[asset.key] = asset
 
+    def flush(self) -> None: ...
+
     def close(self) -> None:
         self.closed = True
 

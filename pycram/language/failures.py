@@ -14,8 +14,8 @@ from recorder.tracing.call_stack import call_site
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-#: A traceback shows at most this many failed blocks within each other, and then what failed in the innermost: each of
-#: them has a record with its traceback, and those of blocks nested deeper would take seconds to write.
+#: A message, its data and a traceback show at most this many failed blocks within each other, and then what failed in
+#: the innermost: each of them has a record of its own, and those of blocks nested deeper would take minutes to write.
 MAX_LEVELS: Final = 8
 
 
@@ -81,15 +81,18 @@ class BranchesFailed(PlanFailure):
             for slot in slots_of(first):
                 if isinstance(self, slot.__objclass__):
                     slot.__set__(self, slot.__get__(first))
+        leaves, causes = tuple(_leaves(members)), members
         levels = 1 + max((f._levels for f in members if isinstance(f, BranchesFailed)), default=0)  # noqa: SLF001  as self
-        causes = members
         if levels > MAX_LEVELS:
-            levels, causes = 1, tuple(_leaves(members))
-        fields.update(block=block, failures=members, _levels=levels)
+            levels, causes = 1, leaves
+        fields.update(block=block, failures=members, _leaves=leaves, _causes=causes, _levels=levels)
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
+    _leaves: tuple[PlanFailure, ...]
+    _causes: tuple[PlanFailure, ...]
+    """What its message shows: its failures, or its leaves where these are blocks within too many others."""
     _levels: int
-    """Number of blocks within each other that its traceback shows."""
+    """Number of blocks within each other that its message shows."""
 
     @property
     def block(self) -> str:
@@ -105,12 +108,12 @@ class BranchesFailed(PlanFailure):
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:
         """Its failures, with failed blocks among them replaced by theirs."""
-        return tuple(_leaves(self.failures))
+        return self._leaves
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Its fields by name; its failures as type, message and fields."""
-        failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self.failures]
+        """Its fields by name; its failures, as far as its message shows them, as type, message and fields."""
+        failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -118,7 +121,7 @@ class BranchesFailed(PlanFailure):
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
-        texts = (str(f) if isinstance(f, BranchesFailed) else format_error(f) for f in self.failures)
+        texts = (str(f) if isinstance(f, BranchesFailed) else format_error(f) for f in self._causes)
         return f"{self.block} failed: {'; '.join(texts)}"
 
 
@@ -161,7 +164,7 @@ class Tracebacks(PycramError):
 def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
     for failure in failures:
         if isinstance(failure, BranchesFailed):
-            yield from _leaves(failure.failures)
+            yield from failure.leaves
         else:
             yield failure
 

@@ -2,7 +2,8 @@
 
 COLLADA and OBJ are text, and hulls of fine meshes take long: some robots took 1-3 s to load, each time. An entry is
 named after the hash of all that its conversion reads: the mesh, materials and textures beside it, and the code that
-does it. So it is never out of date, and all may be deleted at any time. A folder that can't be written is done without.
+does it. So it is never out of date, and all may be deleted at any time. A folder that can't be written is done without,
+as is one that others can write into (:mod:`recorder.user_folders`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 
 from pycram.models.files import read_bytes
 from pycram.models.parts import LIBRARIES
+from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -34,17 +36,6 @@ _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
 _MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE)
 
 
-def folder() -> Path | None:
-    """Return the folder: of the environment's ``PYCRAM_CACHE``, else the user's; None if that is set to nothing."""
-    named = os.environ.get("PYCRAM_CACHE")
-    if named is not None:
-        return Path(named).expanduser() if named else None
-    users = os.environ.get("XDG_CACHE_HOME")
-    with suppress(RuntimeError):  # a user without a home
-        return (Path(users) if users else Path.home() / ".cache") / "pycram"
-    return None
-
-
 def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
     """Return what a mesh is converted to: file name, content and colour RGBA 0..1 of each piece.
 
@@ -57,7 +48,7 @@ def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequen
         AssetError: It can't be read or, of ``convert``, converted.
     """
     content = read_bytes(file)
-    where = folder() if len(content) >= _WORTH else None
+    where = cache_folder() if len(content) >= _WORTH else None
     if where is None:
         return convert()
     entry = where / f"{_name(kind, file, content)}.mesh"
@@ -73,7 +64,7 @@ def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequen
 
 def _name(kind: str, file: Path, content: bytes) -> str:
     digest = sha256(_code())
-    for part in (kind.encode(), file.name.encode(), content, *_beside(file, content)):
+    for part in (kind.encode(), os.fsencode(file.name), content, *_beside(file, content)):
         digest.update(b"%d:" % len(part) + part)
     return digest.hexdigest()
 
@@ -133,7 +124,7 @@ def _write(entry: Path, pieces: Sequence[Piece]) -> None:
     partial = entry.with_name(f"{entry.name}.{os.getpid()}")
     partial.write_bytes(head + b"\n" + contents)
     partial.replace(entry)
-    found = [(of.st_mtime_ns, of.st_size, other) for other in entry.parent.iterdir() if (of := other.stat())]
+    found = [(of.st_mtime_ns, of.st_size, other) for other in entry.parent.glob("*.mesh") if (of := other.stat())]
     total = sum(size for _, size, _ in found)
     for _, size, oldest in sorted(found):
         if total <= _LARGEST:

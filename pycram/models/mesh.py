@@ -23,6 +23,7 @@ from pycram.models.links import DENSITY
 from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, quiet, read_parts, stl
 from pycram.models.store import write_mesh
 from recorder.packages import needed
+from recorder.records import escaped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -234,7 +235,7 @@ def as_urdf(file: Path, color: Sequence[float] | None, decompose: Callable[[byte
         ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
     collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
     ET.SubElement(collision, "mesh", filename=write_mesh(*_collision(file, shape, decompose)).key)
-    return ET.tostring(robot, encoding="unicode")
+    return escaped(ET.tostring(robot, encoding="unicode"))  # pieces have the name of the file
 
 
 def _visuals(

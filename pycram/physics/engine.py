@@ -23,6 +23,7 @@ from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.packages import needed
 from recorder.records import STEPS_PER_SECOND
+from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -54,6 +55,7 @@ _GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 def decompose(source: Path, target: Path) -> None:
     """Split a concave OBJ mesh into convex pieces with V-HACD; the target gets one group per piece."""
+    journal.flush()  # takes seconds
     with silenced(1):
         bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
 
@@ -102,6 +104,7 @@ class Engine:
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
         if not self._window:  # nobody sees them: pictures are drawn from the model itself
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
+        journal.flush()  # a large model takes up to 90 ms, in which a process that is killed writes nothing
         number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}

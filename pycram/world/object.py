@@ -194,7 +194,7 @@ class Object(ReadOnlyAttributes):
         return records.LoadBody(
             body=self.name,
             type=self.type,
-            path=self.path,
+            path=records.escaped(self.path),
             assets=[records.Asset(path=file.name, sha256=file.sha256) for file in model.files],
             position=self.original_pose[0],
             orientation=self.original_pose[1],

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 HINT: Final = "free space or choose another path, and run again"
+CHANGED_HINT: Final = "leave it alone while a plan is recorded, and run again"
 _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems that have none
 
 
@@ -42,14 +43,16 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Opens and locks a new file, or an older recording, which is emptied.
+    """Opens and locks a new file, or an older recording, which is emptied; or a pipe that somebody reads.
 
     Raises:
         RecordingError: it can't be written, another recording is writing it, or it is something else.
     """
     try:
-        file = io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o666), "r+")
+        file = _open(path)
     except OSError as error:
+        if error.errno == errno.ENXIO:
+            raise RecordingError(path, "it is a pipe that nobody reads", "start its reader first") from error
         hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
         raise RecordingError(path, reason(error), hint) from error
     try:
@@ -65,6 +68,75 @@ def open_output(path: Path) -> io.FileIO:
         file.close()
         raise
     return file
+
+
+def _open(path: Path) -> io.FileIO:
+    try:
+        is_pipe = stat.S_ISFIFO(path.stat().st_mode)
+    except OSError:
+        is_pipe = False
+    if not is_pipe:
+        return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666), "r+")
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # else it would wait for a reader
+    os.set_blocking(pipe, True)
+    return io.FileIO(pipe, "w")
+
+
+class Changed(OSError):
+    """Others have deleted, replaced or changed a file while it was written."""
+
+
+class Watched:
+    """A file that nobody but this process may change: who does, is told of.
+
+    Pipes and devices have no content that could change.
+
+    Args:
+        path: where it was opened.
+        file: the open file.
+    """
+
+    def __init__(self, path: Path, file: io.FileIO) -> None:
+        self._path = path.absolute()  # a plan may change the working directory
+        self._number = file.fileno()
+        self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
+
+    def check(self, size: int) -> None:
+        """Checks that it is where it was, and as it was.
+
+        Args:
+            size: what was written so far, in bytes.
+
+        Raises:
+            Changed: it isn't.
+        """
+        if not self.is_regular:
+            return
+        ours = os.fstat(self._number)
+        try:
+            there = self._path.stat()
+        except OSError as error:
+            done = "moved the file away" if ours.st_nlink else "deleted the file"
+            raise Changed(f"somebody has {done} ({reason(error)})") from error
+        if (there.st_dev, there.st_ino) != (ours.st_dev, ours.st_ino):
+            raise Changed("somebody has replaced the file")
+        if ours.st_size != size:
+            done = "truncated the file" if ours.st_size < size else "written to the file"
+            raise Changed(f"somebody has {done}: it has {ours.st_size} bytes instead of {size}")
+
+    def sync(self) -> None:
+        """Waits until all that was written is on the disk."""
+        if self.is_regular:
+            getattr(os, "fdatasync", os.fsync)(self._number)
+
+    def sync_name(self) -> None:
+        """Waits until its folder is on the disk, so that a new file is found in it."""
+        if self.is_regular:
+            folder = os.open(self._path.parent, os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
 
 
 def _empty(path: Path, file: io.FileIO) -> None:

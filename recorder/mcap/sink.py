@@ -1,8 +1,9 @@
 """Writes records into an MCAP file that survives the death of its process.
 
 What isn't in a closed and flushed chunk is lost when a process is killed. So a chunk is closed after 50 records, 50 ms
-after its first record, and at once after a failure and the start or end of the run. Chunks are handed to the operating
-system unbuffered; from there on only a failure of the computer could lose them.
+after its first record, and at once after a failure and the start or end of the run, and before a call that keeps every
+other thread from running (:meth:`McapSink.flush`). Chunks are handed to the operating system unbuffered; from there on
+only a failure of the computer could lose them, and not even that if each is synced.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from recorder.errors import RecordingError
-from recorder.mcap.output_file import HINT, open_output, reason
+from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open_output, reason
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
+from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
 from recorder.tracing.journal import unrecorded
@@ -55,18 +56,26 @@ class McapSink:
         path: the file; an MCAP file that is there is replaced, anything else is not.
         metadata: of the run.
         final_metadata: gives more when the file ends.
+        durable: whether each chunk waits until it is on the disk.
 
     Raises:
         RecordingError: it can't be written.
     """
 
     def __init__(
-        self, path: Path, metadata: Mapping[str, str], final_metadata: Callable[[], Mapping[str, str]] = dict
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        final_metadata: Callable[[], Mapping[str, str]] = dict,
+        *,
+        durable: bool = False,
     ) -> None:
         self.path = path
         self._final_metadata = final_metadata
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
+        self._watched = Watched(path, raw)
+        self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # since the last chunk was closed
         self._lines = Lines()  # of what is in the buffer
@@ -74,7 +83,7 @@ class McapSink:
         self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
-        self._failed: OSError | None = None
+        self._failed: tuple[str, str] | None = None  # why, and what to do
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
@@ -102,8 +111,12 @@ class McapSink:
                 self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
                 if topic not in _PER_WORLD:
                     self._register(topic)
-            self._writer.add_metadata("pycram", software | dict(metadata))
+            texts = {name: escaped(text) for name, text in (software | dict(metadata)).items()}
+            self._writer.add_metadata("pycram", texts)
             self._writer.flush()
+            if self._durable:
+                self._watched.sync()
+                self._watched.sync_name()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
         """Adds a channel; where it names its world, the file's index has the chunks of that world."""
@@ -154,11 +167,21 @@ class McapSink:
 
     def _flush(self) -> None:
         """Packs the buffer, and hands it to the operating system: all at once, which is faster than one by one."""
+        self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
         self._writer.add_messages([*self._messages(buffered)])
         self._lines = Lines()
         self._writer.flush()
+        if self._durable:
+            self._watched.sync()
+
+    def flush(self) -> None:
+        """Hands on what waits; see :class:`recorder.tracing.journal.Sink`."""
+        with self._lock:
+            if self._pending and not self._closed:
+                with self._guarded():
+                    self._flush()
 
     def _messages(self, buffered: list[_Buffered]) -> Iterator[tuple[int, int, int, bytes]]:
         """Buffered messages as the file has them, each line after its record."""
@@ -180,7 +203,7 @@ class McapSink:
         with self._lock, self._guarded():
             self._flush()
             self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
-            self._flush()
+            self._writer.flush()
             if asset.name.endswith(".urdf"):
                 self._frames.add_urdf(asset.sha256, asset.content)
 
@@ -199,6 +222,9 @@ class McapSink:
                     self._flush()
                     self._writer.add_metadata("pycram.end", {"records": str(self._count), **self._final_metadata()})
                     self._writer.finish()
+                    if self._durable:
+                        self._watched.sync()
+                    self._watched.check(self._writer.size)
             finally:
                 self._close_file()
 
@@ -212,7 +238,7 @@ class McapSink:
     def abandon(self) -> None:
         """Stops writing, for a forked child: the file is its parent's."""
         self._closed = True
-        self._failed = OSError("this recording belongs to the parent process")
+        self._failed = "this recording belongs to the parent process", ""
 
     def _flush_periodically(self) -> None:
         """The timer's thread: flushes records within the period."""
@@ -229,7 +255,7 @@ class McapSink:
     def _check(self) -> None:
         """Raises the earlier error, if records were lost by one."""
         if self._failed is not None:
-            raise RecordingError(self.path, str(self._failed), HINT)
+            raise RecordingError(self.path, *self._failed)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
@@ -238,8 +264,11 @@ class McapSink:
         try:
             yield
         except (OSError, ValueError) as error:
-            self._failed = error if isinstance(error, OSError) else OSError(str(error))
-            raise RecordingError(self.path, reason(self._failed), HINT) from error
+            if isinstance(error, OSError):
+                self._failed = reason(error), CHANGED_HINT if isinstance(error, Changed) else HINT
+            else:
+                self._failed = str(error), ""
+            raise RecordingError(self.path, *self._failed) from error
 
 
 def _descriptors(message: type[Message]) -> bytes:

@@ -69,6 +69,11 @@ class McapWriter:
         self._write(MAGIC)
         self._write(_packed(Header(profile="", library=library)))
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far, without the chunk that isn't closed."""
+        return self._at
+
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Adds the definition of a message type, and returns its id."""
         self._schemas.append(Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data))

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from hashlib import sha256
 
+from recorder.records.values import escaped
+
 
 @dataclass(frozen=True)
 class AssetFile:
@@ -14,6 +16,9 @@ class AssetFile:
     name: str
     content: bytes
     media_type: str = "application/octet-stream"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", escaped(self.name))
 
     @cached_property
     def sha256(self) -> str:

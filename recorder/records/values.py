@@ -142,7 +142,7 @@ def failure(error: BaseException, *, trace: bool = True) -> Failure:
             innermost = _innermost(error.__traceback__)
             lines = traceback.format_exception(type(error), error, innermost, limit=-MAX_FRAMES)  # limits the causes'
     return Failure(
-        type=type(error).__qualname__,
+        type=escaped(type(error).__qualname__),
         message=escaped(_message(error)),
         data=arguments(data) if isinstance(data, Mapping) else [],
         traceback=escaped("".join(lines)),
@@ -165,5 +165,8 @@ def format_failure(failure: Failure) -> str:
 
 
 def escaped(text: str) -> str:
-    """A text with lone surrogates as escapes, which a file can hold."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    """A text with lone surrogates as escapes, which a file can hold.
+
+    Python has them for the bytes of names of files, threads and the like that aren't UTF-8.
+    """
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()

@@ -10,6 +10,8 @@ import threading
 from contextvars import ContextVar
 from typing import Final, NamedTuple
 
+from recorder.records import escaped
+
 
 class BranchIdentity(NamedTuple):
     """Identity of a branch of a plan.
@@ -31,7 +33,7 @@ _idents: Final = itertools.count(-1, -1)
 
 def new_branch(name: str) -> BranchIdentity:
     """Return the identity of a new branch of this thread."""
-    return BranchIdentity(threading.get_ident(), next(_idents), name)
+    return BranchIdentity(threading.get_ident(), next(_idents), escaped(name))
 
 
 def current_branch() -> BranchIdentity | None:
@@ -48,7 +50,7 @@ def current_name() -> str:
     """Return the name of the running branch; outside of branches that of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
-        return threading.current_thread().name
+        return escaped(threading.current_thread().name)
     return branch.name
 
 

@@ -14,7 +14,7 @@ from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
-from recorder.records import SourceLine
+from recorder.records import SourceLine, escaped
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_ident
@@ -151,7 +151,10 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
         origin = _origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
         if len(_sites) >= _MAX_CACHED:
             _sites.clear()
-        site = _sites[key] = origin, (file, frame.f_lineno), code
+        named = escaped(file)
+        if named != file:
+            _unescaped[named] = file
+        site = _sites[key] = origin, (named, frame.f_lineno), code
     return site
 
 
@@ -188,6 +191,7 @@ class _Origin(Enum):
 
 
 _origins: Final[dict[str, _Origin]] = {}  # by file
+_unescaped: Final[dict[str, str]] = {}  # files whose names aren't UTF-8, by these as they are recorded
 _sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}  # by a code's id and its instruction
 
 
@@ -223,8 +227,9 @@ class _Callers:
         if callers is None:
             for file in sorted({file for file, _ in lines} - self._attached):
                 self._attached.add(file)
+                source = Path(_unescaped.get(file, file))
                 with suppress(OSError):  # typed at a prompt, or gone
-                    journal.attach([AssetFile(Path(file).name, Path(file).read_bytes(), "text/x-python")])
+                    journal.attach([AssetFile(source.name, source.read_bytes(), "text/x-python")])
             innermost = lines[-1][0] if lines else ""
             callers = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
             if len(self._cache) >= _MAX_CACHED:

@@ -11,12 +11,13 @@ it is deferred
 Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
 calls the handler that was installed before, so a program's own handler is called at the same moments.
 
-In :func:`terminable` a SIGTERM is such an interrupt, too.
+In :func:`terminable` a SIGTERM or SIGHUP is such an interrupt, too, and ends the process in the end.
 """
 
 from __future__ import annotations
 
 import _signal  # type: ignore[import-not-found]  # without the enums of signal, which take as long as to keep a record
+import os
 import signal
 import sys
 import threading
@@ -29,7 +30,19 @@ if TYPE_CHECKING:
     from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
-_SIGTERM: Final = int(signal.SIGTERM)
+_TERMINATING: Final = (int(signal.SIGTERM), int(signal.SIGHUP))
+
+
+class Terminated(SystemExit):
+    """A signal has asked the process to end; it ends with 128 and the signal's number, as shells tell it.
+
+    Attributes:
+        signal: The signal's name.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+        self.signal = signal.Signals(number).name
 
 
 class Host(Protocol):
@@ -48,11 +61,14 @@ _holder = 0  # ident of the main thread; another one in a process that another t
 _open = 0  # number of open sections and scopes in the main thread; our handler is installed while there are any
 _sections = 0  # number of sections among them
 _pending = False
-_terminated = False  # whether the last interrupt was a SIGTERM
+_terminated = 0  # the signal that the last interrupt was, unless that was a Ctrl-C
+_owner = 0  # the process that :func:`terminable` was called in; one that it forks has no recording
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
     global _pending  # noqa: PLW0603  there is one main thread
+    if _handler is _ignore and not _terminated:
+        return
     if threading.get_ident() != _holder:  # forked by another thread: no section is open in this process
         _signal.signal(_SIGINT, _handler)
         _handler(number, frame)
@@ -107,34 +123,68 @@ def leave() -> None:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Interrupt the plan at a SIGTERM as at a Ctrl-C while the block runs, where it would end the process at once.
+    """Interrupt the plan at a SIGTERM or SIGHUP as at a Ctrl-C while the block runs, where it would end the process.
 
-    So a plan that a supervisor stops leaves a whole recording. In other threads than the main one nothing changes, and
-    a program's own handler stays.
+    So a plan that a supervisor stops, or whose terminal is closed, leaves a whole recording. The process ends after the
+    block, also if the plan has caught the interrupt. In other threads than the main one nothing changes, and handlers
+    of the program's own stay.
+
+    Raises:
+        Terminated: There was such a signal.
     """
-    global _terminated  # noqa: PLW0603  as above
-    _terminated = False
-    if threading.current_thread() is not threading.main_thread() or signal.getsignal(_SIGTERM) is not signal.SIG_DFL:
-        yield
-        return
-    signal.signal(_SIGTERM, _on_sigterm)
+    taken = _take()
     try:
         yield
+    except KeyboardInterrupt as interrupt:
+        if taken and _terminated:
+            raise Terminated(_terminated) from interrupt
+        raise
+    else:
+        if taken and _terminated and os.getpid() == _owner:
+            raise Terminated(_terminated)
     finally:
-        signal.signal(_SIGTERM, signal.SIG_DFL)
+        for number, before in taken:
+            if signal.getsignal(number) in (_on_termination, _ignore):  # else the plan has set another one
+                signal.signal(number, before)
 
 
-def _on_sigterm(_: int, frame: FrameType | None) -> None:
+def _take() -> list[tuple[int, signal.Handlers]]:
+    """Install handlers where the program has none of its own; return the signals, and what they did before."""
+    global _terminated, _owner
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    taken = [(number, signal.SIG_DFL) for number in _TERMINATING if signal.getsignal(number) is signal.SIG_DFL]
+    if taken:
+        _terminated, _owner = 0, os.getpid()
+        if signal.getsignal(_SIGINT) is signal.SIG_IGN:  # as in the background; sections need a handler
+            signal.signal(_SIGINT, _ignore)
+            taken.append((_SIGINT, signal.SIG_IGN))
+    for number, before in taken:
+        if before is signal.SIG_DFL:
+            signal.signal(number, _on_termination)
+    return taken
+
+
+def _on_termination(number: int, frame: FrameType | None) -> None:
     global _terminated  # noqa: PLW0603  as above
-    _terminated = True
+    if os.getpid() != _owner:
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+        return
+    _terminated = number
     interrupt = signal.getsignal(_SIGINT)
-    if callable(interrupt):
-        interrupt(_SIGINT, frame)
+    (interrupt if callable(interrupt) else signal.default_int_handler)(_SIGINT, frame)
+
+
+def _ignore(number: int, frame: FrameType | None) -> None:
+    """Ignores a Ctrl-C, but not the signals that are taken for one."""
+    if _terminated:
+        signal.default_int_handler(number, frame)
 
 
 def interrupted_by() -> str:
-    """Name of the signal that an interrupt came from: "SIGINT" or "SIGTERM"."""
-    return "SIGTERM" if _terminated else "SIGINT"
+    """Name of the signal that an interrupt came from: "SIGINT", "SIGTERM" or "SIGHUP"."""
+    return signal.Signals(_terminated or _SIGINT).name
 
 
 def is_pending() -> bool:

@@ -42,6 +42,13 @@ class Sink(Protocol):
     def attach(self, asset: AssetFile) -> None:
         """Takes a file, once per content."""
 
+    def flush(self) -> None:
+        """Makes all safe that was taken.
+
+        Raises:
+            RecordingError: it can't be kept.
+        """
+
     def close(self) -> None:
         """Ends; all that was taken is safe afterwards."""
 
@@ -162,6 +169,17 @@ class Journal:
         for sink in self._sinks:
             sink.write(topic, item, payload)
         return len(payload)
+
+    def flush(self) -> None:
+        """Makes all safe that was appended, unless this thread is just appending.
+
+        Raises:
+            RecordingError: a sink can't keep it.
+        """
+        with Uninterrupted(), self._lock:
+            if not self._writing:
+                for sink in self._sinks:
+                    sink.flush()
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
@@ -300,6 +318,16 @@ def attach(assets: Iterable[AssetFile]) -> None:
     files = list(assets)
     for journal in _listening():
         journal.attach(files)
+
+
+def flush() -> None:
+    """Makes all records of all open journals safe, before native code runs that lets no other thread run for long.
+
+    Raises:
+        RecordingError: a sink can't keep them.
+    """
+    for journal in _open:
+        journal.flush()
 
 
 def register(source: Source) -> None:

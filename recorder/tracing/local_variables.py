@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
-from recorder.records import StackFrame, Variable, failure
+from recorder.records import StackFrame, Variable, escaped, failure
 from recorder.secrets import LEFT_OUT, is_secret
 from recorder.tracing import journal
 from recorder.tracing.call_stack import is_plan, plan_frame
@@ -64,9 +64,9 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
     vars(error)[_MARK] = journal.recording_number(), known.union(id(frame) for frame, _ in frames)
     return [
         StackFrame(
-            file=frame.f_code.co_filename,
+            file=escaped(frame.f_code.co_filename),
             line=line,
-            function=frame.f_code.co_name,
+            function=escaped(frame.f_code.co_name),
             variables=[Variable(name=name, value=value) for name, value in _variables(frame)],
         )
         for frame, line in frames

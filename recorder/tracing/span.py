@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias, cast
 
-from recorder.records import Decision, Task, arguments, failure, to_json
+from recorder.records import Decision, Task, arguments, escaped, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import journal, stack_room
 from recorder.tracing.branch_identity import current_name
@@ -204,7 +204,7 @@ class Span:
             status=status,
             parent=self.parent,
             kind=self.kind,
-            name=self.name,
+            name=escaped(self.name),
             attempt=self.attempt,
             decision=self.decision,
         )

@@ -122,14 +122,16 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
     from recorder.viewer.translator import Translator  # noqa: PLC0415
-    from recorder.viewer.web_page import serve_page  # noqa: PLC0415
+    from recorder.viewer.web_page import WebPage  # noqa: PLC0415
 
+    page: WebPage | None = None
     window: ViewerWindow | None = None
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
     if target.kind is Kind.SERVE:
         absent.set()  # pages end with the plan
-        _print(f"live at {serve_page(stream)}")
+        page = WebPage(stream)
+        _print(f"live at {page.address}")
     else:
         url = target.url
         if target.kind is Kind.SPAWN:
@@ -149,11 +151,15 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     for batch in batches:
         shown = display.show(batch)
         display.lay_out()
-        _deliver(stream, window)
+        if page is not None:
+            page.flush()
+        else:
+            _deliver(stream, window)
         batches.report(shown)
     translator.finish()
     display.lay_out()
-    if target.kind is Kind.SERVE:
+    if page is not None:
+        page.flush()
         batches.report(0)
         threading.Event().wait()  # the page is there until the process of the plan ends
     stream.disconnect()  # waits until the viewer has all

@@ -88,6 +88,9 @@ class RerunSink:
         """Takes a file; see :class:`recorder.tracing.journal.Sink`."""
         self._queue.put(asset, transient=False)
 
+    def flush(self) -> None:
+        """A viewer keeps nothing safe; see :class:`recorder.tracing.journal.Sink`."""
+
     def close(self) -> None:
         """Ends; waits for the viewer up to a timeout."""
         if self._ended.is_set():

@@ -1,115 +1,123 @@
-"""A web page that shows the viewer in browsers of this machine.
+"""A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-It works without a network, and where there is one it contacts nobody there. The viewer's library serves the page, but
-as one that gets a font and examples from elsewhere and reports its use. So browsers get it from a server here: without
-these links, and with a policy that forbids other connections.
+It works without a network, and where there is one it contacts nobody there: what the viewer's page gets from elsewhere,
+a font and examples, is left out, and a policy forbids other connections than to its own server
+(:mod:`recorder.viewer.page_server`). Records reach the page as one file that grows.
 """
 
 from __future__ import annotations
 
+import contextlib
+import html
+import os
 import re
-import shutil
+import tempfile
 import threading
-from http.client import HTTPConnection, HTTPException
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
 import rerun as rr
 
-from recorder.viewer.address import HOST, ViewerGone, address, free_port
+from recorder.viewer.address import ViewerGone, free_port
+from recorder.viewer.page_server import INDEX, RECORDS, PageServer
+from recorder.viewer.viewer_files import read_viewer_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
-_PAGE_PORT: Final = 9090  # of pages, and where these get their records from: not what would be taken for a viewer
-_RECORDS_PORT: Final = 9877
+_PORT: Final = 9090  # of pages
 _MAX_TRIES: Final = 5  # for a free port
-_START_TIMEOUT: Final = 5.0  # s for a server
+_START_TIMEOUT: Final = 5.0  # s for the file to be written
+_PIECE: Final = 1 << 20  # bytes that are sent at once
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
-_HEADERS: Final = ("Content-Type", "Content-Length", "rerun-final-length")  # that are passed on
-_POLICY: Final = (
-    "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
-    "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob: {records}"
-)
 
 
-def serve_page(stream: rr.RecordingStream) -> str:
-    """Serves what a stream gets, and the viewer as a page; returns the page's address.
+class WebPage:
+    """Serves what a stream gets, and the viewer as a page, while this process lives.
 
-    All servers live in this process. Pages that are opened late get everything from the beginning.
+    Pages that are opened late get everything from the beginning.
+
+    Attributes:
+        address: of the page; it holds a token, so only who knows it gets anything.
 
     Raises:
         ViewerGone: nothing can be served.
     """
-    records = _on_free_port(_RECORDS_PORT, lambda port: _serve_records(stream, port))
-    source = _on_free_port(0, lambda port: rr.serve_web_viewer(web_port=port, open_browser=False))
-    page = _on_free_port(_PAGE_PORT, lambda port: Page(port, source, records))
-    return f"http://{HOST}:{page}/?hide_welcome_screen&url={quote(address(records), safe='')}"
 
-
-def _serve_records(stream: rr.RecordingStream, port: int) -> None:
-    stream.set_sinks(rr.GrpcServerSink(bind_ip=HOST, port=port))
-    stream.flush(timeout_sec=_START_TIMEOUT)  # which raises if it hasn't got the port
-
-
-def _on_free_port(preferred: int, serve: Callable[[int], object]) -> int:
-    """Serves on the wanted port, or on another one that is free."""
-    for _ in range(_MAX_TRIES):
-        port = free_port(preferred)
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
         try:
-            serve(port)
-        except (OSError, RuntimeError):  # the latter is the library's type for all errors
-            continue
-        return port
-    raise ViewerGone("the page can't be served: no port is free")
+            self._records = _GrowingFile(stream)
+        except (OSError, RuntimeError) as error:  # the latter is the library's type for all errors
+            raise ViewerGone(f"the page can't be served: {error}") from error
+        server = self._serve()
+        self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
+
+    def _serve(self) -> PageServer:
+        for _ in range(_MAX_TRIES):
+            try:
+                return PageServer(free_port(_PORT), _Files().read, self._records)
+            except OSError:  # somebody has just taken it
+                continue
+        raise ViewerGone("the page can't be served: no port is free")
+
+    def flush(self) -> None:
+        """Sends the pages what the stream has got."""
+        self._stream.flush()
+        self._records.notify()
 
 
-class Page(ThreadingHTTPServer):
-    """Serves the page from threads of its own while this process lives.
+@contextlib.contextmanager
+def private_link(address: str) -> Iterator[str]:
+    """The address of a file that leads browsers to a page, until the end of the block.
 
-    ``source`` is the port of the library's server, ``records`` the one where the page gets its records from.
-
-    Raises:
-        OSError: the port isn't free.
+    Other users see what programs are called with, as browsers are with what they open; they can't read this file.
     """
-
-    daemon_threads = True
-    allow_reuse_address = False  # a port that somebody has isn't free
-
-    def __init__(self, port: int, source: int, records: int) -> None:
-        self.source = source
-        self.policy = _POLICY.format(records=f"http://{HOST}:{records}")
-        super().__init__((HOST, port), _Request)
-        threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
+    with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:  # for its owner only
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}">')
+        file.flush()
+        yield Path(file.name).as_uri()
 
 
-class _Request(BaseHTTPRequestHandler):
-    server: Page
+class _Files:
+    """The files of the page; read when a browser asks for the first, as many pages are never opened."""
 
-    def do_GET(self) -> None:
-        """Passes a file on."""
-        connection = HTTPConnection(HOST, self.server.source)
-        try:
-            connection.request("GET", self.path)
-            reply = connection.getresponse()
-            headers = {name: value for name in _HEADERS if (value := reply.getheader(name)) is not None}
-            page = None
-            if reply.getheader("Content-Type") == "text/html":
-                page = _FOREIGN_LINK.sub(b"", reply.read())
-                headers["Content-Length"] = str(len(page))
-            self.send_response(reply.status)
-            for name, value in (headers | {"Content-Security-Policy": self.server.policy}).items():
-                self.send_header(name, value)
-            self.end_headers()
-            if page is not None:
-                self.wfile.write(page)
-            else:
-                shutil.copyfileobj(reply, self.wfile)
-        except (OSError, HTTPException):
-            self.close_connection = True  # the browser went away, or asked for nonsense
-        finally:
-            connection.close()
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._files: dict[str, bytes] = {}
 
-    def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the library's name
-        """Logs nothing: standard error is the plan's."""
+    def read(self) -> dict[str, bytes]:
+        with self._lock:
+            if not self._files:
+                files = read_viewer_files()
+                files[INDEX] = _FOREIGN_LINK.sub(b"", files[INDEX])
+                self._files = files
+            return self._files
+
+
+class _GrowingFile:
+    """What a stream gets, in a file without a name; see :class:`recorder.viewer.page_server.Records`."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._grown = threading.Condition()
+        with tempfile.TemporaryDirectory(prefix="pycram-page-") as folder:
+            file = Path(folder) / RECORDS
+            stream.set_sinks(rr.FileSink(file))
+            stream.flush(timeout_sec=_START_TIMEOUT)
+            self._file = file.open("rb", buffering=0)
+
+    def notify(self) -> None:
+        """Wakes who waits for more."""
+        with self._grown:
+            self._grown.notify_all()
+
+    def pieces(self) -> Iterator[bytes]:
+        """All from the beginning, and then what comes."""
+        at = 0
+        while True:
+            with self._grown:
+                self._grown.wait_for(lambda at=at: os.fstat(self._file.fileno()).st_size > at)  # type: ignore[misc]
+            piece = os.pread(self._file.fileno(), _PIECE, at)
+            at += len(piece)
+            yield piece

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 _STDOUT, _STDERR = 1, 2
-#: Control characters except newlines and tabs, and characters that change the direction of text.
-_CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069]")
+#: Control characters except newlines and tabs, characters that change the direction of text, and
+#: halves of characters, which stand for bytes that aren't UTF-8.
+_CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
 
 
 def visible(text: str) -> str:

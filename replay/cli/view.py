@@ -65,18 +65,19 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
     from recorder.viewer.rerun_stream import stream_to_viewer  # noqa: PLC0415
-    from recorder.viewer.web_page import serve_page  # noqa: PLC0415
+    from recorder.viewer.web_page import WebPage, private_link  # noqa: PLC0415
     from replay.view.translation import translate  # noqa: PLC0415
 
     with stream_to_viewer() as stream:
-        page = serve_page(stream)
+        page = WebPage(stream)
         translate(logs, stream, max(len(each) for each in logs) - 1)  # pages follow what they are sent, to its end
-        stream.flush()
+        page.flush()
         if wants_json:
-            print_json({"page": page}, flush=True)
+            print_json({"page": page.address}, flush=True)
         else:
-            print_text(page, flush=True)
+            print_text(page.address, flush=True)
         print_message("shown in the browser until Ctrl-C")
-        webbrowser.open(page)
-        threading.Event().wait()
+        with private_link(page.address) as link:
+            webbrowser.open(link)
+            threading.Event().wait()
     return 0

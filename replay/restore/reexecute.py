@@ -40,6 +40,9 @@ class _LastMutation:
     def attach(self, asset: AssetFile) -> None:
         """Ignore a file: the recording has it."""
 
+    def flush(self) -> None:
+        """Nothing waits."""
+
     def close(self) -> None:
         """Do nothing."""
 

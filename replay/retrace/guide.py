@@ -88,6 +88,9 @@ class Guide:
     def attach(self, asset: AssetFile) -> None:
         """Ignore a file: loaded models are compared by their hashes."""
 
+    def flush(self) -> None:
+        """Do nothing: each record is compared at once."""
+
     def close(self) -> None:
         """Report that the plan has ended, where the recording goes on."""
         if not self._ended:

@@ -46,6 +46,9 @@ class _Fork:
     def attach(self, asset: AssetFile) -> None:
         self._file.attach(asset)
 
+    def flush(self) -> None:
+        self._file.flush()
+
     def close(self) -> None:
         self._guide.close()
         self._file.close()

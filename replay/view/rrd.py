@@ -1,7 +1,8 @@
 """Recordings in the Rerun viewer: translated into an ``.rrd`` that is kept beside the recording, and opened.
 
-The same code translates as while the plan runs (:mod:`recorder.viewer`): both show the same. An ``.rrd`` is a cache:
-viewers of other versions may not read it, so it is made again when the recording or the software is newer.
+The same code translates as while the plan runs (:mod:`recorder.viewer`): both show the same. An ``.rrd`` is a cache,
+and lies where others may write. So one is taken only if this user has made it, of this very recording, with this
+software: a folder of the user's own holds the hash of each that was made, under that of what it was made of.
 """
 
 from __future__ import annotations
@@ -9,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import re
 import tempfile
 import threading
 import time
+from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -21,6 +22,7 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
+from recorder.user_folders import cache_folder, is_own
 from recorder.viewer.address import PORT, Kind, Target, ViewerGone, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
 from recorder.viewer.viewer_window import END_TIMEOUT, ViewerWindow
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 
 _LOAD_TIMEOUT: Final = 20.0  # s for the viewer to load a file
 _POLL_PERIOD: Final = 0.1  # s
-_MAGIC: Final = 4  # bytes at the beginning of an .rrd, before the release that wrote it
-_HEADER: Final = 7
 
 
 def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
@@ -76,12 +76,13 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def cached(log: RecordReader, at: int | None = None) -> Path:
-    """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if it isn't there or is older.
+    """The file of a recording for the viewer, kept beside it as ``NAME.mcap.rrd``; made if there is none of ours.
 
     It is a temporary file where beside the recording nothing can be written, and where the step that is looked at
     first is of another world than the beginning.
 
     Raises:
+        ReplayError: it can't be written.
         Damaged: a record makes no sense.
     """
     if at is not None and front_world(log, at) != front_world(log):
@@ -89,19 +90,42 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
         convert([log], file, at)
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
-    software = max(file.stat().st_mtime_ns for file in _sources())
-    newer = beside.exists() and beside.stat().st_mtime_ns > max(log.path.stat().st_mtime_ns, software)
-    if newer and _is_of_this_release(beside):
+    note = _note(log)
+    if note is not None and _is_noted(beside, note):
         return beside
     if not os.access(log.path.parent, os.W_OK):
         beside = temporary_file(beside.name)
     problems = log.problems
     convert([log], beside)
-    made_ns = max(log.written_ns, software) + 1  # a running plan goes on writing what isn't in there
-    if log.problems != problems:
-        made_ns = 0  # damage was found while converting: it is to be reported each time
-    os.utime(beside, ns=(made_ns, made_ns))
+    unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan goes on writing what isn't in there
+    if note is not None and unchanged and log.problems == problems:  # damage is to be reported each time
+        with contextlib.suppress(OSError):
+            note.parent.mkdir(parents=True, exist_ok=True)
+            note.write_text(_hash(beside), encoding="ascii")
     return beside
+
+
+def _note(log: RecordReader) -> Path | None:
+    """The file that holds the hash of what this software makes of a recording; None where the user has no folder."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    made_of = sha256(f"{rr.__version__} {_hash(log.path)}".encode())
+    for source in sorted(Path(recorder.viewer.__file__).parent.glob("*.py")):
+        made_of.update(source.read_bytes())
+    return folder / "rrd" / made_of.hexdigest()
+
+
+def _is_noted(file: Path, note: Path) -> bool:
+    try:
+        return note.read_text(encoding="ascii") == _hash(file)
+    except (OSError, ValueError):  # there is no file, or no note
+        return False
+
+
+def _hash(file: Path) -> str:
+    with file.open("rb") as opened:
+        return file_digest(opened, "sha256").hexdigest()
 
 
 def temporary_file(name: str) -> Path:
@@ -110,27 +134,18 @@ def temporary_file(name: str) -> Path:
     Nobody can replace another user's file there, and several users view the same recordings.
 
     Raises:
-        ReplayError: there can't be such a folder.
+        ReplayError: there can't be such a folder, or it is somebody else's.
     """
     folder = Path(tempfile.gettempdir()) / f"pycram-{os.getuid()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
         raise ReplayError(f"{folder}: can't be made: {error.strerror or error}") from error
+    if folder.is_symlink() or not is_own(folder):
+        raise ReplayError(
+            f"{folder} isn't yours alone: others can change what is in it; set TMPDIR to a folder that is"
+        )
     return folder / name
-
-
-def _is_of_this_release(file: Path) -> bool:
-    """Whether this release of the viewer's library wrote a file; another one may not read it."""
-    with file.open("rb") as opened:
-        written = opened.read(_HEADER)[_MAGIC:]
-    return [*written] == [int(part) for part in re.findall(r"\d+", rr.__version__)[: _HEADER - _MAGIC]]
-
-
-def _sources() -> Iterator[Path]:
-    """Code that an ``.rrd`` depends on."""
-    yield Path(rr.__file__)
-    yield from Path(recorder.viewer.__file__).parent.glob("*.py")
 
 
 def check(url: str | None) -> None:

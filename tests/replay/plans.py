@@ -55,6 +55,8 @@ class Witness:
     def attach(self, asset: object) -> None:
         pass
 
+    def flush(self) -> None: ...
+
     def close(self) -> None:
         pass
 

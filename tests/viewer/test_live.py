@@ -21,7 +21,7 @@ import pytest
 import recorder
 import replay
 from recorder.viewer import live_sink
-from recorder.viewer.address import Kind, Target, answers, free_port
+from recorder.viewer.address import Kind, Target, free_port
 from replay.restore.verify import verify
 from replay.view.rrd import convert
 from tests.viewer.conftest import processes, rows_of, wait_until
@@ -311,10 +311,11 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         while not ("the page stays until Ctrl-C" in "".join(lines) and "live at" in "".join(lines)):
             lines.append(process.stderr.readline())
             assert lines[-1], lines
-        address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/)\?\S*url=(\S+)", "".join(lines))
+        address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/\S+/)\?\S*url=(\S+)", "".join(lines))
         assert address, lines
-        assert answers(urllib.request.unquote(address[2]))
-        with urllib.request.urlopen(address[1]) as page:
+        with urllib.request.urlopen(urllib.request.unquote(address[2]), timeout=100) as records:
+            assert records.read(4) == b"RRF2"
+        with urllib.request.urlopen(address[1], timeout=100) as page:
             assert b"rerun" in page.read().lower()
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=100)

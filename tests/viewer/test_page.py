@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import re
-import threading
-from functools import partial
+import socket
+import urllib.request
+from html.parser import HTMLParser
 from http.client import HTTPConnection
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
+import psutil
 import pytest
 
-from recorder.viewer.web_page import Page
+from recorder.viewer import viewer_files
+from recorder.viewer.page_server import PageServer
+from recorder.viewer.web_page import private_link
 
 if TYPE_CHECKING:
     import subprocess
@@ -63,9 +66,10 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     process = pycram("run", "plan.py", "--rerun=serve", "--", str(demos))
     assert process.stderr is not None
     line = process.stderr.readline()
-    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/\?\S*url=\S+)\n", line)
+    page = re.fullmatch(r"recorder: live at (http://127\.0\.0\.1:\d+/[\w-]{22}/\?\S*url=\S+)\n", line)
     assert page, line
     browser.call("Page.navigate", url=page[1] + "&renderer=webgl")
+    assert {each.laddr.ip for each in listening(process)} == {"127.0.0.1"}, "nobody else is listened to"
     file = tmp_path / "page.png"
     until(lambda: shades(scene(browser.picture(file))) > 12, "robot and kitchen are seen", 300)
     pictures = [scene(browser.picture(file))]
@@ -82,9 +86,16 @@ def test_a_plan_is_seen_in_the_browser_while_it_runs(
     assert process.returncode == 0, rest
     asked = browser.asked()
     assert any(url.endswith(".wasm") for url in asked), "the viewer comes from this machine"
-    assert any("ReadMessages" in url for url in asked), "and so do the records"
+    assert any(url.endswith("/records.rrd") for url in asked), "and so do the records"
     assert {urlsplit(url).hostname for url in asked} == {"127.0.0.1"}, "nobody else is asked, not even for a font"
     assert not browser.errors()
+
+
+def listening(process: subprocess.Popen[str]) -> list[Any]:
+    """The sockets that a process, and those that have come of it, listen on."""
+    parent = psutil.Process(process.pid)
+    sockets = [each for one in (parent, *parent.children(recursive=True)) for each in one.net_connections("inet")]
+    return [each for each in sockets if each.status == psutil.CONN_LISTEN]
 
 
 def differing(a: Image.Image, b: Image.Image) -> float:
@@ -93,56 +104,114 @@ def differing(a: Image.Image, b: Image.Image) -> float:
     return float((abs(grey[0] - grey[1]) > 40).mean())
 
 
-@pytest.fixture(scope="module")
-def library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """The port of a server like the one that the viewer's library has."""
-    folder = tmp_path_factory.mktemp("library")
-    (folder / "index.html").write_text('<link\n rel="preconnect" href="https://x.org" /><link href="icon.ico" />here')
-    (folder / "viewer.wasm").write_bytes(bytes(range(256)) * 1000)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server.server_port
-    server.shutdown()
-    server.server_close()
+FILES = {"index.html": b"a page", "re_viewer.js": b"a program", "re_viewer_bg.wasm": bytes(range(256)) * 1000}
 
 
-class Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: object) -> None: ...  # noqa: A002  the library's name
+class Two:
+    """Records that come in two pieces."""
+
+    def pieces(self) -> Iterator[bytes]:
+        yield b"the first, "
+        yield b"the second"
 
 
 @pytest.fixture(scope="module")
-def page(library: int) -> Iterator[Callable[[str], tuple[HTTPResponse, bytes]]]:
-    """Gets files from the page's server."""
-    served = Page(0, library, 1234)
-
-    def get(path: str) -> tuple[HTTPResponse, bytes]:
-        connection = HTTPConnection("127.0.0.1", served.server_port)
-        connection.request("GET", path)
-        with connection.getresponse() as answer:
-            content = answer.read()
-        connection.close()
-        return answer, content
-
-    yield get
-    served.shutdown()
-    served.server_close()
+def server() -> Iterator[PageServer]:
+    made = PageServer(0, lambda: FILES, Two())
+    yield made
+    made.shutdown()
+    made.server_close()
 
 
-def test_the_page_may_contact_this_machine_only(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
-    answer, content = page("/?url=x")
-    assert content == b'<link href="icon.ico" />here'
+def ask(server: PageServer, path: str, **headers: str) -> tuple[HTTPResponse, bytes]:
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
+    connection.request("GET", path, headers=headers)
+    with connection.getresponse() as answer:
+        content = answer.read()
+    connection.close()
+    return answer, content
+
+
+def test_who_has_the_address_gets_the_page_and_its_records(server: PageServer) -> None:
+    with urllib.request.urlopen(f"{server.address}?url=x", timeout=30) as page:
+        assert page.read() == b"a page"
+    at = f"/{server.token}"
+    assert ask(server, f"{at}/re_viewer_bg.wasm")[1] == FILES["re_viewer_bg.wasm"]
+    assert ask(server, f"{at}/records.rrd")[1] == b"the first, the second"
+    assert ask(server, f"{at}/records.rrd", Origin=f"http://{server.host}")[1] == b"the first, the second"
+    assert ask(server, f"{at}/none.js")[0].status == 404
+
+
+@pytest.mark.parametrize("name", ["", "re_viewer.js", "records.rrd"])
+def test_who_has_no_token_gets_nothing(server: PageServer, name: str) -> None:
+    guesses = (
+        "",
+        "/",
+        "/x/",
+        f"/{server.token[:-1]}/",
+        f"/{server.token}x/",
+        f"/?token={server.token}/",
+        "/%C3%A9/",
+        "//",
+    )
+    for guess in guesses:
+        answer, content = ask(server, f"{guess}{name}")
+        assert (answer.status, content) == (403, b""), guess
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:{port}", "127.0.0.1", "localhost:{port}", ""])
+def test_a_name_that_was_made_to_lead_here_is_refused(server: PageServer, host: str) -> None:
+    answer, content = ask(server, f"/{server.token}/records.rrd", Host=host.format(port=server.server_port))
+    assert (answer.status, content) == (421, b"")
+
+
+@pytest.mark.parametrize("origin", ["http://127.0.0.1:1", "http://localhost:{port}", "https://app.rerun.io", "null"])
+def test_no_other_page_may_read(server: PageServer, origin: str) -> None:
+    answer, content = ask(server, f"/{server.token}/records.rrd", Origin=origin.format(port=server.server_port))
+    assert (answer.status, content) == (403, b"")
+    assert answer.getheader("Access-Control-Allow-Origin") is None
+
+
+def own_addresses() -> list[str]:
+    """Addresses of this machine but 127.0.0.1: of the loopback, and of its cards."""
+    cards = [each.address for card in psutil.net_if_addrs().values() for each in card if each.family == socket.AF_INET]
+    return ["127.0.0.2", *(address for address in cards if address != "127.0.0.1")]
+
+
+@pytest.mark.parametrize("address", own_addresses())
+def test_it_listens_on_the_loopback_alone(server: PageServer, address: str) -> None:
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((address, server.server_port), timeout=30)
+
+
+def test_the_page_may_contact_its_own_server_only(server: PageServer) -> None:
+    answer, _ = ask(server, f"/{server.token}/")
     rules = dict(rule.split(maxsplit=1) for rule in str(answer.getheader("Content-Security-Policy")).split("; "))
-    assert rules["connect-src"] == "'self' data: blob: http://127.0.0.1:1234"
+    assert rules["connect-src"] == "'self' data: blob:"
     assert rules["default-src"] == "'self' data: blob:"
+    assert answer.getheader("Referrer-Policy") == "no-referrer"
 
 
-def test_other_files_are_passed_on_unchanged(page: Callable[[str], tuple[HTTPResponse, bytes]]) -> None:
-    answer, content = page("/viewer.wasm")
-    assert content == bytes(range(256)) * 1000
-    assert answer.getheader("Content-Length") == "256000"
-    assert page("/none.js")[0].status == 404
-
-
-def test_a_port_that_somebody_has_is_refused(library: int) -> None:
+def test_a_port_that_somebody_has_is_refused(server: PageServer) -> None:
     with pytest.raises(OSError, match="in use"):
-        Page(library, library, 1)
+        PageServer(server.server_port, lambda: FILES, Two())
+
+
+def test_the_browser_is_called_with_a_file_that_only_its_user_can_read() -> None:
+    address = "http://127.0.0.1:1234/secret/?a&url=b"
+    with private_link(address) as link:
+        file = Path(link.removeprefix("file://"))
+        assert file.stat().st_mode & 0o777 == 0o600
+        found: list[str] = []
+        parser = HTMLParser()
+        parser.handle_starttag = lambda _, attributes: found.append(dict(attributes).get("content") or "")  # type: ignore[method-assign]
+        parser.feed(file.read_text())
+        assert found == [f"0;url={address}"]
+    assert not file.exists()
+
+
+@pytest.mark.slow
+def test_a_library_whose_program_fails_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_files, "_OPTIONS", ("--no-such-option",))
+    with pytest.raises(viewer_files.ViewerGone, match=r"can't be had \(.+\)"):
+        viewer_files.read_viewer_files()

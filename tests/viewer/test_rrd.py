@@ -18,12 +18,22 @@ from recorder.mcap.sink import McapSink
 from recorder.records import TOPICS, Task
 from recorder.records.asset import AssetFile
 from replay.cli.main import main
+from replay.errors import ReplayError
 from tests.viewer.shown import Shown, in_front, small, view
 
 REPO = Path(__file__).parent.parent.parent
 
 
-def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Path) -> None:
+@pytest.fixture
+def cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's folder for caches."""
+    folder = tmp_path_factory.mktemp("cache")
+    monkeypatch.setenv("PYCRAM_CACHE", str(folder))
+    return folder
+
+
+@pytest.mark.usefixtures("cache")
+def test_a_file_for_the_viewer_is_kept_for_its_recording_alone(tmp_path: Path) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
     log = small(tmp_path / "log.mcap")
@@ -32,21 +42,66 @@ def test_a_file_for_the_viewer_is_kept_until_the_recording_is_newer(tmp_path: Pa
         assert kept == tmp_path / "log.mcap.rrd"
         made = kept.stat().st_mtime_ns
         assert cached(recording).stat().st_mtime_ns == made
-    os.utime(log, ns=(made + 10**9, made + 10**9))
-    with replay.open(log) as recording:
-        assert cached(recording).stat().st_mtime_ns > made
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["log.mcap", "log.mcap.rrd"]
+    with recorder.record(log, overwrite=True), BulletWorld(name="w"):
+        Object("milk", "milk", "milk.stl", [1, 0, 1])
+    os.utime(log, ns=(made - 10**12, made - 10**12))  # another run, of which the date says that it is older
+    with replay.open(log) as recording:
+        rows = Shown(cached(recording)).rows
+    assert "/w/bodies/milk" in rows
+    assert "/w/bodies/cup" not in rows
 
 
-def test_a_file_that_another_release_of_the_viewer_made_is_not_kept(tmp_path: Path) -> None:
+@pytest.mark.usefixtures("cache")
+@pytest.mark.parametrize("planted", ["another's", "changed"])
+def test_a_file_that_this_user_has_not_made_is_not_shown(tmp_path: Path, planted: str) -> None:
     from replay.view.rrd import cached  # noqa: PLC0415
 
+    log, other = small(tmp_path / "log.mcap"), tmp_path / "other.mcap"
+    with recorder.record(other), BulletWorld(name="w"):
+        Object("milk", "milk", "milk.stl", [1, 0, 1])
+    beside = tmp_path / "log.mcap.rrd"
+    with replay.open(log) as recording, replay.open(other) as stranger:
+        content = cached(recording).read_bytes()
+        beside.write_bytes(cached(stranger).read_bytes() if planted == "another's" else content[:-1] + b"x")
+        rows = Shown(cached(recording)).rows
+    assert "/w/bodies/cup" in rows
+    assert "/w/bodies/milk" not in rows
+
+
+def test_a_file_of_an_earlier_release_of_the_software_is_not_kept(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from replay.view import rrd  # noqa: PLC0415
+
     with replay.open(small(tmp_path / "log.mcap")) as recording:
-        kept = cached(recording)
-        content, made = kept.read_bytes(), kept.stat().st_mtime_ns
-        kept.write_bytes(content[:5] + bytes([content[5] - 1]) + content[6:])
-        os.utime(kept, ns=(made, made))  # software is installed with whatever dates
-        assert cached(recording).read_bytes()[:8] == content[:8]
+        made = rrd.cached(recording).stat().st_mtime_ns
+        monkeypatch.setattr(rrd.rr, "__version__", "0.1.0")
+        assert rrd.cached(recording).stat().st_mtime_ns > made
+    assert len(list((cache / "rrd").iterdir())) == 2
+
+
+@pytest.mark.parametrize("whose", ["somebody else's", "everybody's", "a link"])
+def test_a_temporary_folder_that_others_can_write_into_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
+) -> None:
+    from replay.view.rrd import temporary_file  # noqa: PLC0415
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    user = 12345
+    folder = tmp_path / f"pycram-{user}"
+    if whose == "a link":
+        (tmp_path / "theirs").mkdir()
+        folder.symlink_to(tmp_path / "theirs")
+    else:
+        folder.mkdir()
+    if whose == "everybody's":
+        folder.chmod(0o777)
+    elif os.getuid() == 0:  # root's is trusted
+        os.chown(folder, 54321, -1, follow_symlinks=False)
+    monkeypatch.setattr(os, "getuid", lambda: user)
+    with pytest.raises(ReplayError, match=f"pycram-{user} isn't yours alone: .* set TMPDIR"):
+        temporary_file("x.rrd")
 
 
 @pytest.mark.slow
@@ -79,8 +134,9 @@ def test_view_works_where_the_environment_switches_viewers_off(tmp_path: Path, m
 def test_users_of_one_recording_have_temporary_files_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replay.view.rrd import cached  # noqa: PLC0415
+    from replay.view import rrd  # noqa: PLC0415
 
+    monkeypatch.setattr(rrd, "is_own", lambda _: True)  # users are names only here
     log, temporary = small(tmp_path / "log.mcap"), tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(temporary))
@@ -89,7 +145,7 @@ def test_users_of_one_recording_have_temporary_files_of_their_own(
     for user in (1, 2):
         monkeypatch.setattr(os, "getuid", lambda user=user: user)
         with replay.open(log) as recording:
-            file = cached(recording)
+            file = rrd.cached(recording)
         assert file.stat().st_size
         assert file.parent.parent == temporary
         assert file.parent.stat().st_mode & 0o777 == 0o700

@@ -1,8 +1,8 @@
-"""Plans that somebody interrupted, by Ctrl-C or SIGTERM, or whose process ended without closing the recording."""
+"""Plans that somebody interrupted, by Ctrl-C or a signal, or whose process ended without closing the recording."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Run
 from recorder.tasks import State
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from recorder.tasks import Node, Tree
     from replay.explain.causes.case import Case
 
+_NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # no name: of the first releases
+
 
 def find(case: Case) -> Iterator[Interrupted]:
     """Yield by what a plan was interrupted, and while it did what."""
@@ -23,7 +25,7 @@ def find(case: Case) -> Iterator[Interrupted]:
     closed = isinstance(end, Run) and end.phase == Run.FINISHED
     if case.failure.type != (INTERRUPT if closed else ""):  # what failed before is another case
         return
-    by = ("SIGTERM" if end.interrupted_by == "SIGTERM" else "Ctrl-C") if isinstance(end, Run) and closed else ""
+    by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
     tree = subtree(case, 0, len(case.log))
     doing = tuple(pending(case, node, tree, case.step) for node in (_interrupted(tree) if by else stopped(tree)))
     error = next(reversed(case.traced), None)

@@ -3,6 +3,7 @@
 # ruff: noqa: PT012  the blocks under test have bodies
 from __future__ import annotations
 
+import sys
 import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -82,6 +83,42 @@ def test_tracebacks_of_failures_through_many_blocks_are_truncated_in_the_middle(
         assert all("in fails" in text for text in ended)
         most.append(max(text.count("Traceback (most recent") for text in ended))
     assert most == [4, MAX_LEVELS + 1]
+
+
+def test_records_of_nested_blocks_that_fail_grow_with_their_number_only(sink: MemorySink) -> None:
+    def nested(levels: int) -> None:
+        if not levels:
+            fails()
+        with seq:
+            nested(levels - 1)
+
+    sizes = []
+    for levels in (30, 60):
+        before = len(sink.records)
+        with pytest.raises(Unreachable) as raised:
+            nested(levels)
+        assert len(raised.value.leaves) == 1
+        assert "can't reach" in str(raised.value)
+        sizes.append(sum(record.ByteSize() for record in sink.records[before:]))
+    assert sizes[1] < 2.5 * sizes[0]
+
+
+def test_tasks_end_where_the_stack_does(sink: MemorySink) -> None:
+    def nested() -> None:
+        with seq:
+            nested()
+
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(sum(1 for _ in traceback.walk_stack(None)) + 500)
+    try:
+        with pytest.raises(RecursionError):
+            nested()
+    finally:
+        sys.setrecursionlimit(limit)
+    tasks = sink.of(Task)
+    begun, ended = ([task.task for task in tasks if task.phase == phase] for phase in (Task.STARTED, Task.FINISHED))
+    assert len(begun) > 20
+    assert ended == begun[::-1]
 
 
 def test_a_failing_body_lets_branches_of_par_run_and_cancels_those_of_other_blocks() -> None:

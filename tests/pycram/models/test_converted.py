@@ -120,3 +120,23 @@ def test_a_folder_that_can_t_be_written_is_done_without(
     monkeypatch.setenv("PYCRAM_CACHE", str(tmp_path / "file"))
     assert pieces(ball) == before
     assert (tmp_path / "file").read_text() == "no folder"
+
+
+@pytest.mark.parametrize("whose", ["everybody's", "somebody else's"])
+def test_a_folder_that_others_can_write_into_is_not_believed(
+    cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch, whose: str
+) -> None:
+    made = pieces(ball)
+    (entry,) = cache.iterdir()
+    name, content, rgba = made[0]
+    converted._write(entry, [(name, content[:-1] + b"x", rgba)])
+    assert pieces(ball) != made, "in the user's own folder nobody plants anything"
+    if whose == "everybody's":
+        cache.chmod(0o777)
+    elif os.getuid() == 0:
+        os.chown(cache, 54321, -1)
+    else:
+        monkeypatch.setattr(os, "getuid", lambda: 54321)
+    planted = entry.read_bytes()
+    assert pieces(ball) == made
+    assert entry.read_bytes() == planted, "nor is anything kept there"

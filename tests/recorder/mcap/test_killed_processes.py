@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
 import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.physics import engine
 from recorder.records import Run, Task
 from tests.measures import seeded
 
@@ -107,6 +110,23 @@ def output(program: str, file: Path, status: int = 0) -> str:
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert ended.returncode == status, ended.stderr
     return ended.stdout
+
+
+def test_nothing_waits_while_the_engine_loads_a_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It keeps all other threads from running for up to 90 ms, also that which writes the file."""
+    file, load = tmp_path / "x.mcap", engine.bullet.loadURDF
+    kept: list[int] = []
+
+    def looking(*arguments: object, **options: object) -> object:
+        with replay.open(file) as log:
+            kept.append(len(log))
+        return load(*arguments, **options)
+
+    with recorder.record(file, source=__file__) as recording, BulletWorld() as world:
+        monkeypatch.setattr(engine.bullet, "loadURDF", looking)
+        before = recording.length
+        Object("milk", "milk", "milk.stl", world=world)
+    assert kept == [before]
 
 
 def test_a_full_disk_ends_the_plan_with_an_error_and_leaves_a_readable_file(tmp_path: Path) -> None:

@@ -49,6 +49,8 @@ class Times:
     def attach(self, asset: AssetFile) -> None:
         pass
 
+    def flush(self) -> None: ...
+
     def close(self) -> None:
         pass
 

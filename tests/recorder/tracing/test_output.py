@@ -203,6 +203,8 @@ class Talkative:
     def attach(self, asset: AssetFile) -> None:
         print("attached", asset.name)
 
+    def flush(self) -> None: ...
+
     def close(self) -> None:
         print("closed")
 
@@ -237,6 +239,8 @@ class Alarming:
 
     def attach(self, asset: AssetFile) -> None:
         """Nothing."""
+
+    def flush(self) -> None: ...
 
     def close(self) -> None:
         """Nothing."""
