@@ -2,8 +2,8 @@
 
 from pycram.foundation import failures
 from pycram.foundation.failures import *  # noqa: F403  what it exports is listed there
-from pycram.language.block import RunsEarly
+from pycram.language.block import OutlivesTimeout, RunsEarly
 from pycram.language.failures import BranchesFailed, NotCleanedUp
 
-__all__ = ["BranchesFailed", "NotCleanedUp", "RunsEarly"]
+__all__ = ["BranchesFailed", "NotCleanedUp", "OutlivesTimeout", "RunsEarly"]
 __all__ += failures.__all__

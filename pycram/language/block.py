@@ -90,7 +90,28 @@ class RunsEarly(UsageError):
         )
 
 
-export("pycram.failures", RunsEarly)
+class OutlivesTimeout(UsageError):
+    """A branch was added, in the body of a timeout, to a block around that: the deadline wouldn't hold for it.
+
+    Attributes:
+        block: Kind of the block.
+        branch: Name of the branch.
+        file: The plan's file.
+        line: Its line, from 1.
+    """
+
+    def __init__(self, block: str, branch: str) -> None:
+        self.block = block
+        self.branch = branch
+        self.file, self.line = call_site()
+        super().__init__(
+            f"{self.file}:{self.line} adds {branch}, in a timeout, to the {block} block around it, which ends later: "
+            f"the deadline wouldn't hold for {branch}; open the block within the timeout, as in "
+            f"`with timeout(...), {block} as s:`, or have {branch} open the timeout"
+        )
+
+
+export("pycram.failures", RunsEarly, OutlivesTimeout)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +167,7 @@ class Block:
         self.decider: Branch | None = None
         self.state = State.CREATED
         self._around = current_scope()
+        self._opened_in = current_branch()
         self._collected = failures
         self._host = current_block()
         self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
@@ -184,6 +206,7 @@ class Block:
         Raises:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
+            OutlivesTimeout: The body adds it in a timeout that it would outlive.
             RunsEarly: Actions that stand above this one, in a sequence that is read, have not ended.
             PlanFailure: The function failed, in a ``seq`` block.
         """
@@ -206,6 +229,7 @@ class Block:
         span: Span | None = None,
     ) -> Future:
         """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
+        self._refuse_in_timeout(name)
         host = current_block()
         if host is not None and host is not self:
             host._refuse_early(f"add {name} to the {self.name} block around it", self)  # noqa: SLF001  same class
@@ -213,6 +237,15 @@ class Block:
         branch.span.source = current_call_stack()
         self._add(branch)
         return Future(branch)
+
+    def _refuse_in_timeout(self, name: str) -> None:
+        """Refuse a branch that the body adds in a timeout within it; branches may add others as they like."""
+        scope = current_scope()
+        if scope is None or scope is self.scope or current_branch() is not self._opened_in:
+            return
+        within = (scope, *scope.around)
+        if self.scope in within and any(each.has_deadline for each in within[: within.index(self.scope)]):
+            raise OutlivesTimeout(self.name, name)
 
     def _add(self, branch: Branch) -> None:
         with self._closing:

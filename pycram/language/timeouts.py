@@ -1,7 +1,10 @@
 """Timeouts: parts of the plan with a deadline.
 
-At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`). Then it fails with
-:class:`TimedOut`, which a plan may handle or retry after. What has ended by then has succeeded.
+At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if it
+has none before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. What has ended by the
+deadline has succeeded.
+
+A branch of a block around the timeout would outlive it, and is refused in its body (OutlivesTimeout).
 """
 
 from __future__ import annotations
@@ -63,6 +66,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                     raise_if_cancelled()
                     yield
                     settle()
+                    cancel_scope.refuse_late()  # a motion is done as a whole, so it may be long after the deadline
             except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
                     raise TimedOut(limit, clock) from cancelled
@@ -73,7 +77,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 def _timer(seconds: float) -> Iterator[CancelScope]:
     """Yield a scope whose deadline is on the clock."""
     end = time.monotonic() + seconds
-    yield CancelScope(current_scope(), lambda: max(0.0, end - time.monotonic()))
+    yield CancelScope(current_scope(), lambda: end - time.monotonic())
 
 
 @contextmanager
@@ -85,7 +89,7 @@ def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
     if world is None:
         raise NoWorld
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
-    remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
+    remaining: Callable[[], float] = lambda: math.inf if world.sim_step < end else end - world.sim_step  # noqa: E731
     timed = CancelScope(current_scope(), remaining)
     world.time_listeners.add(timed.notify_all)
     try:

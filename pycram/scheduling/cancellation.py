@@ -47,7 +47,7 @@ class CancelScope(Condition):
 
     Args:
         parent: The scope around it, whose cancellation is this one's too.
-        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 once it has passed; None for
+        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 at it, less later; None for
             no deadline.
 
     Raises:
@@ -71,8 +71,18 @@ class CancelScope(Condition):
 
     @property
     def is_overdue(self) -> bool:
-        """Whether the deadline of this very scope has passed."""
+        """Whether the deadline of this very scope has come."""
         return self._remaining is not None and self._remaining() <= 0
+
+    def refuse_late(self) -> None:
+        """Raise Cancelled if the deadline of this very scope was before this moment."""
+        if self._remaining is not None and self._remaining() < 0:
+            raise Cancelled
+
+    @property
+    def has_deadline(self) -> bool:
+        """Whether this very scope has a deadline."""
+        return self._remaining is not None
 
     @property
     def is_cancelled(self) -> bool:
