@@ -46,6 +46,7 @@ class Things:
         self.milk = Object("milk", "milk", "milk.stl", [1, 0, 5], world=world)
         self.spoon = Object("spoon", "spoon", "spoon.stl", [1, 0, 6], world=world)
         self.milk.attach(self.spoon)
+        self.saved = world.save()
         self.event = Event("dinner", "cook")
         self.event += hear
         self.hunger = Fluent(1, "hunger")
@@ -140,6 +141,12 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "time passes": (lambda t: t.world.simulate(0.1), "mutation", "simulate 24 steps"),
     "things come to rest": (Things.settle_down, "mutation", "simulate 12 steps; not all is at rest yet"),
     "a world is reset": (lambda t: t.world.reset(), "mutation", "reset"),
+    "a state is restored": (lambda t: t.world.restore(t.saved), "mutation", "restore what was saved at 0.000 s"),
+    "objects differ from those of a saved state": (
+        lambda t: [t.cup.remove(), t.world.restore(t.saved)],
+        "refusal",
+        r"restore\(world=.*ObjectsChanged: .*cup was removed",
+    ),
     "a hundred changes": (many_changes, "keyframe", "keyframe of world"),
     # --- tasks
     "a motion": (Things.perform, "task", "motion opening-gripper succeeded"),
