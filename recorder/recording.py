@@ -23,7 +23,7 @@ from recorder.records import Run, Task
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
-from recorder.tracing.interrupts import interrupted_by
+from recorder.tracing.interrupts import interrupted_at, interrupted_by
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
@@ -190,7 +190,7 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure_with_frames(error))
         if isinstance(error, KeyboardInterrupt):
-            end.interrupted_by = interrupted_by()
+            end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
     try:
         with span.running() as tasks:
             for began in reversed(tasks):

@@ -20,7 +20,7 @@ from pycram.event import Event
 from pycram.failures import PlanFailure, UsageError
 from pycram.fluent import Fluent
 from pycram.fluents import world as world_fluents
-from pycram.language import failure_handling, finally_, par, timeout
+from pycram.language import failure_handling, finally_, in_thread, par, timeout
 from pycram.process_module import ProcessModule
 from pycram.reasoning.queries.query import Verdict, query
 from recorder.records import TOPICS, Mutation
@@ -155,6 +155,7 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a branch": (lambda _: par(hear, hear), "task", "branch hear"),
     "an attempt": (lambda _: failure_handling(1).run(hear), "task", "attempt"),
     "a timeout": (lambda _: hurry(), "task", "timeout"),
+    "a worker": (lambda _: in_thread(hear), "task", "in-thread hear succeeded"),
     "a cleanup": (lambda _: clean_up(), "task", "cleanup"),
     "a wait": (lambda t: (t.hunger == 1).wait_for(), "task", "wait hunger == 1"),
     "a motion fails": (lambda t: t.perform("placing"), "task", "motion placing failed .*DesignatorError"),

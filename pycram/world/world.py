@@ -90,7 +90,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        self.time_listeners: set[Callable[[], None]] = set()  # called, without a lock, when simulated time has passed
+        # called in this order, without a lock, when simulated time has passed; a set's order would be that of addresses
+        self.time_listeners: dict[Callable[[], None], None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))

@@ -85,6 +85,7 @@ class Span:
         result: what it returned; set while it runs.
         error: what it failed with, where that isn't raised; set while it runs.
         decision: how it was decided; set while it runs, or before.
+        checkpoint: where the clock or a worker thread decided it, as records have it; set while it runs.
     """
 
     kind: str
@@ -98,6 +99,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     decision: Decision | None = None
+    checkpoint: int = 0
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
@@ -207,6 +209,7 @@ class Span:
             name=self.name,
             attempt=self.attempt,
             decision=self.decision,
+            checkpoint=self.checkpoint,
         )
 
     def _emit(self, record: Task) -> None:
