@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 import tempfile
 import threading
@@ -22,8 +23,13 @@ _CACHED_DOCUMENTS: Final = 64
 def folder() -> Path:
     """Return the store's folder, which is removed at the end of the process."""
     made = Path(tempfile.mkdtemp(prefix="pycram-models-"))
-    atexit.register(shutil.rmtree, made, ignore_errors=True)
+    atexit.register(_remove, made, os.getpid())
     return made
+
+
+def _remove(made: Path, process: int) -> None:
+    if os.getpid() == process:  # a forked child that ends leaves its parent's models alone
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def write(name: str, content: bytes) -> Path:

@@ -24,6 +24,7 @@ from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
 
 class Sink(Protocol):
@@ -165,6 +166,15 @@ class Journal:
         for sink in self._sinks:
             sink.write(topic, item, payload)
         return len(payload)
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        """Keeps it and its sinks from moving while the block runs, for a fork (:mod:`recorder.tracing.forking`)."""
+        with ExitStack() as held:
+            held.enter_context(self._lock)
+            for sink in self._sinks:
+                held.enter_context(getattr(sink, "lock", None) or nullcontext())
+            yield
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
@@ -404,6 +414,27 @@ def close_journal(journal: Journal) -> None:
     with _registry:
         forget_journal(journal)
     journal.close()
+
+
+@contextmanager
+def still() -> Iterator[None]:
+    """Keeps all open journals from moving while the block runs, for a fork."""
+    with _registry, ExitStack() as held:
+        for journal in _open:
+            held.enter_context(journal.still())
+        yield
+
+
+def paths() -> list[Path]:
+    """The files of the journals that record this context."""
+    sinks = [sink for journal in _listening() for sink in journal._sinks]  # noqa: SLF001  same module
+    return [sink.path for sink in sinks if hasattr(sink, "path")]
+
+
+def forget_all() -> None:
+    """Ends recording to all journals without touching their sinks: in a forked child, they are its parent's."""
+    global _open  # noqa: PLW0603  see open_journal
+    _open = ()
 
 
 def forget_journal(journal: Journal) -> None:
