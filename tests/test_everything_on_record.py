@@ -22,6 +22,7 @@ from pycram.fluent import Fluent
 from pycram.fluents import world as world_fluents
 from pycram.language import failure_handling, finally_, in_thread, par, timeout
 from pycram.process_module import ProcessModule
+from pycram.projection import project
 from pycram.reasoning.queries.query import Verdict, query
 from recorder.records import TOPICS, Mutation
 from recorder.records.text import text_of
@@ -155,6 +156,11 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a branch": (lambda _: par(hear, hear), "task", "branch hear"),
     "an attempt": (lambda _: failure_handling(1).run(hear), "task", "attempt"),
     "a timeout": (lambda _: hurry(), "task", "timeout"),
+    "a projection": (
+        lambda t: project(t.cup.set_position, [0, 0, 1]),
+        "task",
+        "projection Object.set_position succeeded",
+    ),
     "a worker": (lambda _: in_thread(hear), "task", "in-thread hear succeeded"),
     "a cleanup": (lambda _: clean_up(), "task", "cleanup"),
     "a wait": (lambda t: (t.hunger == 1).wait_for(), "task", "wait hunger == 1"),

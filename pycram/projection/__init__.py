@@ -34,6 +34,7 @@ from recorder import records
 from recorder.recording import record
 from recorder.records import format_error
 from recorder.tracing import forking, journal
+from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Cancelled, Span
 
 if TYPE_CHECKING:
@@ -189,7 +190,8 @@ def _project_all(
     _refuse_impossible()
     running: dict[int, tuple[_Projection, ExitStack]] = {}
     outcomes: dict[int, Outcome] = {}
-    cores, following, needed = len(os.sched_getaffinity(0)), 0, len(actions)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    following, needed = 0, len(actions)
     with ExitStack() as ending:
         while following < needed or running:
             while following < needed and len(running) < cores:
@@ -250,8 +252,9 @@ class _Projection:
         self._task = Span("projection", name, parameters={} if memory is None else {"memory": memory})
         tasks.push(self._interrupted)
         self._task.start()  # not as the current task: several run at once
-        self.child = Child(partial(_answer, action, self._task, self._recording), memory)
-        tasks.callback(self.child.kill)
+        with Uninterrupted():  # no child without its end
+            self.child = Child(partial(_answer, action, self._task, self._recording), memory)
+            tasks.callback(self.child.kill)
 
     def outcome(self, limit: float | None) -> Outcome | None:
         """Return how it ended; None as long as it hasn't. What takes longer than the limit in s is ended."""

@@ -6,7 +6,6 @@ import contextlib
 import ctypes
 import os
 import random
-import resource
 import select
 import signal
 import sys
@@ -94,7 +93,10 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int, memory: int | N
             signal.signal(number, signal.SIG_DFL)
         if memory is not None:
             _limit(memory)
-        sys.stdin = sys.stdout = sys.stderr = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
+        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
+        for descriptor in range(3):  # also what native code and handlers of logging print
+            os.dup2(nothing.fileno(), descriptor)
+        sys.stdin = sys.stdout = sys.stderr = nothing
         begin_alone()
         nothing_open()
         forget_claims()
@@ -115,6 +117,8 @@ def _die_with(parent: int) -> None:
 
 
 def _limit(memory: int) -> None:
+    import resource  # noqa: PLC0415  only systems that can fork have it
+
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory

@@ -129,6 +129,8 @@ class Span:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
         record = self._record(_FINISHED, status)
+        if self.checkpoint:
+            record.checkpoint = self.checkpoint
         record.duration_ns = time.perf_counter_ns() - self._start_ns if self._start_ns else 0
         recorded = journal.recording()
         if recorded:
@@ -209,7 +211,6 @@ class Span:
             name=self.name,
             attempt=self.attempt,
             decision=self.decision,
-            checkpoint=self.checkpoint,
         )
 
     def _emit(self, record: Task) -> None:
