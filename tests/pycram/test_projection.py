@@ -18,9 +18,10 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import MotionDesignator
+from pycram.designator import Designator, MotionDesignator
 from pycram.failures import BadArgument, PlanFailure, Unreachable
 from pycram.language import in_thread, par, timeout, try_in_order
+from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
 from pycram.projection import NotProjectable, Outcome, ProjectionDied, project, project_all
 from pycram.scheduling.locks import LockHeld
@@ -28,6 +29,7 @@ from pycram.scheduling.schedule import seed_order
 from pycram.world.snapshot import take_snapshot
 from recorder.records import Mutation, Task
 from replay.restore.verify import verify
+from tests.pycram.language.gates import Gate
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -165,26 +167,54 @@ def test_in_a_branch_the_others_stand_still_in_the_copy(world: BulletWorld, cup:
         assert len(moved) == 5
 
 
+class Holding(ProcessModule):
+    """Does what its designator says, with the left arm."""
+
+    def resources(self, designator: Designator) -> Resources:
+        return Resources(moves={"left-arm"})
+
+    def _execute(self, designator: Designator) -> object:
+        return designator.reference()["act"]()
+
+
+def test_what_other_branches_claim_is_free_in_the_copy(world: BulletWorld) -> None:
+    gate, module = Gate(), Holding()
+    holding, moving = (MotionDesignator([("type", "holding"), ("act", act)]) for act in (gate.pass_through, lambda: 7))
+
+    def imagine() -> Outcome:
+        try:
+            return project(ProcessModule.perform, moving, timeout=60)
+        finally:
+            gate.open()
+
+    with (
+        MotionDesignator.resolvers.added(lambda designator: [dict(designator.description)]),
+        ProcessModule.resolvers.added(lambda _: module),
+        par as s,
+    ):
+        s(ProcessModule.perform, holding)
+        imagined = s(imagine)
+    assert imagined.result().result == 7
+    assert s.branches[0].result()
+
+
 @pytest.mark.slow
-def test_a_motion_can_be_imagined_while_another_one_waits_for_the_robot(scene: BulletWorld) -> None:
+def test_an_imagined_pick_up_ends_as_the_real_one(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
-    pick_up = MotionDesignator([("type", "pick-up"), ("object", milk), ("arm", "left")])
-    looking = MotionDesignator([("type", "looking"), ("target", milk.get_position())])
-    with par as s:
-        s(ProcessModule.perform, looking)
-        s(ProcessModule.perform, looking)
-        imagined = s(project, ProcessModule.perform, pick_up)
-    outcome = imagined.result()
-    assert isinstance(outcome, Outcome)
-    before = take_snapshot(milk)
-    assert not milk.attachments
-    if outcome.succeeded:
-        ProcessModule.perform(pick_up)
-        assert milk.attachments
-    else:
-        with pytest.raises(type(outcome.failure)):
+    for arm in ("left", "right"):
+        saved = scene.save()
+        pick_up = MotionDesignator([("type", "pick-up"), ("object", milk), ("arm", arm)])
+        outcome = project(ProcessModule.perform, pick_up)
+        assert not milk.attachments
+        raised: PlanFailure | None = None
+        try:
             ProcessModule.perform(pick_up)
-        assert take_snapshot(milk) == before
+        except PlanFailure as failure:
+            raised = failure
+        assert str(outcome.failure) == str(raised)
+        assert outcome.state is not None
+        assert outcome.state.command == scene.save().command
+        scene.restore(saved)
 
 
 def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> None:
