@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
 from pycram.models import robot_urdfs
+from pycram.scheduling.schedule import seed_order
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, versions
@@ -219,6 +220,7 @@ def run(
     code = _SUCCEEDED
     error: BaseException | None = None
     seed_random_numbers(seed)
+    seed_order(seed)
     try:
         recorded = record(
             file,

@@ -24,7 +24,7 @@ from recorder.records import Run, Task, escaped
 from recorder.records.asset import AssetFile
 from recorder.tracing import journal, span
 from recorder.tracing.branch_identity import current_name
-from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_by, terminable
+from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_at, interrupted_by, terminable
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
@@ -249,7 +249,7 @@ def _append_end(log: Journal, title: str, start: int, error: BaseException | Non
     if error is not None and not succeeded:
         end.failure.CopyFrom(failure_with_frames(error))
         if isinstance(error, KeyboardInterrupt):
-            end.interrupted_by = interrupted_by()
+            end.interrupted_by, end.checkpoint = interrupted_by(), interrupted_at()
     try:
         with span.running() as tasks:
             for began in reversed(tasks):

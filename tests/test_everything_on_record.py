@@ -20,8 +20,9 @@ from pycram.event import Event
 from pycram.failures import PlanFailure, UsageError
 from pycram.fluent import Fluent
 from pycram.fluents import world as world_fluents
-from pycram.language import failure_handling, finally_, par, timeout
+from pycram.language import failure_handling, finally_, in_thread, par, timeout
 from pycram.process_module import ProcessModule
+from pycram.projection import project
 from pycram.reasoning.queries.query import Verdict, query
 from recorder.records import TOPICS, Mutation
 from recorder.records.text import text_of
@@ -46,6 +47,7 @@ class Things:
         self.milk = Object("milk", "milk", "milk.stl", [1, 0, 5], world=world)
         self.spoon = Object("spoon", "spoon", "spoon.stl", [1, 0, 6], world=world)
         self.milk.attach(self.spoon)
+        self.saved = world.save()
         self.event = Event("dinner", "cook")
         self.event += hear
         self.hunger = Fluent(1, "hunger")
@@ -140,6 +142,12 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "time passes": (lambda t: t.world.simulate(0.1), "mutation", "simulate 24 steps"),
     "things come to rest": (Things.settle_down, "mutation", "simulate 12 steps; not all is at rest yet"),
     "a world is reset": (lambda t: t.world.reset(), "mutation", "reset"),
+    "a state is restored": (lambda t: t.world.restore(t.saved), "mutation", "restore what was saved at 0.000 s"),
+    "objects differ from those of a saved state": (
+        lambda t: [t.cup.remove(), t.world.restore(t.saved)],
+        "refusal",
+        r"restore\(world=.*ObjectsChanged: .*cup was removed",
+    ),
     "a hundred changes": (many_changes, "keyframe", "keyframe of world"),
     # --- tasks
     "a motion": (Things.perform, "task", "motion opening-gripper succeeded"),
@@ -148,6 +156,12 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a branch": (lambda _: par(hear, hear), "task", "branch hear"),
     "an attempt": (lambda _: failure_handling(1).run(hear), "task", "attempt"),
     "a timeout": (lambda _: hurry(), "task", "timeout"),
+    "a projection": (
+        lambda t: project(t.cup.set_position, [0, 0, 1]),
+        "task",
+        "projection Object.set_position succeeded",
+    ),
+    "a worker": (lambda _: in_thread(hear), "task", "in-thread hear succeeded"),
     "a cleanup": (lambda _: clean_up(), "task", "cleanup"),
     "a wait": (lambda t: (t.hunger == 1).wait_for(), "task", "wait hunger == 1"),
     "a motion fails": (lambda t: t.perform("placing"), "task", "motion placing failed .*DesignatorError"),

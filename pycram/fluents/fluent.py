@@ -38,6 +38,7 @@ from pycram.foundation.names import export, qualified_name
 from pycram.foundation.refusals import refusing
 from pycram.language.body import await_turn
 from pycram.scheduling.future import unwrap
+from pycram.scheduling.schedule import scheduler
 from recorder.tracing.span import span
 
 if TYPE_CHECKING:
@@ -196,6 +197,8 @@ class Fluent:
         values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
         with span("wait", self.name, values | ({} if limit is None else {"timeout": limit})) as task:
             task.result = happened = first_value(self.expression, limit) is not None
+            if not happened:
+                task.checkpoint = scheduler().checkpoints
             return happened
 
     # --- pulses ----------------------------------------------------------------------------------------------------

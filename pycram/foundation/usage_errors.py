@@ -11,7 +11,7 @@ from pycram.foundation.error_families import UsageError
 from recorder.suggestions import nearest, suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
 
@@ -152,6 +152,26 @@ class ChangeRefused(UsageError):
         super().__init__(f"{change} was tried inside the query {query}; queries leave no trace")
         self.change = change
         self.query = query
+
+
+class ObjectsChanged(UsageError):
+    """A state of a world can't be restored, as it was saved with other objects.
+
+    Attributes:
+        world: name of the world.
+        added: names of the objects that were loaded since.
+        removed: names of those that were removed since.
+    """
+
+    def __init__(self, world: str, added: Sequence[str], removed: Sequence[str]) -> None:
+        changes = ((added, "loaded"), (removed, "removed"))
+        since = " and ".join(
+            f"{', '.join(names)} {'were' if names[1:] else 'was'} {how}" for names, how in changes if names
+        )
+        super().__init__(f"a state of {world} has the same objects when it is restored, but {since} since it was saved")
+        self.world = world
+        self.added = tuple(added)
+        self.removed = tuple(removed)
 
 
 class DisplayError(UsageError):

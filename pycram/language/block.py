@@ -34,7 +34,7 @@ from pycram.language.actions import Result, name_of, run
 from pycram.language.attempts import Retry
 from pycram.language.body import current_block, in_block, leave_body
 from pycram.language.branch import Branch
-from pycram.language.failures import BlockClosed, BranchesFailed, leaves_uncleaned
+from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, leaves_uncleaned
 from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled
 from pycram.scheduling.future import Future
 from pycram.scheduling.locks import LockHeld, refuse_held
@@ -103,6 +103,7 @@ class Block:
         self.decider: Branch | None = None
         self.state = State.CREATED
         self._around = current_scope()
+        self._opened_in = current_branch()
         self._collected = failures
         self._host = current_block()
         self._changed = Condition()  # notified when a branch ends, and of the progress of a body that is read
@@ -141,6 +142,7 @@ class Block:
         Raises:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
+            OutlivesTimeout: The body adds it in a timeout that it would outlive.
             RunsEarly: Actions that stand above this one, in a sequence that is read, have not ended.
             PlanFailure: The function failed, in a ``seq`` block.
         """
@@ -163,6 +165,7 @@ class Block:
         span: Span | None = None,
     ) -> Future:
         """Add a branch, with the arguments of a :class:`Branch`; return a future of its result."""
+        self._refuse_in_timeout(name)
         host = current_block()
         if host is not None and host is not self:
             host._refuse_early(f"add {name} to the {self.name} block around it", self)  # noqa: SLF001  same class
@@ -170,6 +173,15 @@ class Block:
         branch.span.source = current_call_stack()
         self._add(branch)
         return Future(branch)
+
+    def _refuse_in_timeout(self, name: str) -> None:
+        """Refuse a branch that the body adds in a timeout within it; branches may add others as they like."""
+        scope = current_scope()
+        if scope is None or scope is self.scope or current_branch() is not self._opened_in:
+            return
+        within = (scope, *scope.around)
+        if self.scope in within and any(each.has_deadline for each in within[: within.index(self.scope)]):
+            raise OutlivesTimeout(self.name, name)
 
     def _add(self, branch: Branch) -> None:
         with self._closing:

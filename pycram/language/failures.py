@@ -57,6 +57,27 @@ class RunsEarly(UsageError):
         )
 
 
+class OutlivesTimeout(UsageError):
+    """A branch was added, in the body of a timeout, to a block around that: the deadline wouldn't hold for it.
+
+    Attributes:
+        block: Kind of the block.
+        branch: Name of the branch.
+        file: The plan's file.
+        line: Its line, from 1.
+    """
+
+    def __init__(self, block: str, branch: str) -> None:
+        self.block = block
+        self.branch = branch
+        self.file, self.line = call_site()
+        super().__init__(
+            f"{self.file}:{self.line} adds {branch}, in a timeout, to the {block} block around it, which ends later: "
+            f"the deadline wouldn't hold for {branch}; open the block within the timeout, as in "
+            f"`with timeout(...), {block} as s:`, or have {branch} open the timeout"
+        )
+
+
 class BranchesFailed(PlanFailure):
     """A block of the plan language failed: one failure that carries those of all its branches.
 
@@ -187,4 +208,4 @@ def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]
     return combined
 
 
-export("pycram.failures", BranchesFailed, NotCleanedUp, RunsEarly)
+export("pycram.failures", BranchesFailed, NotCleanedUp, OutlivesTimeout, RunsEarly)

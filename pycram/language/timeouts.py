@@ -1,7 +1,10 @@
 """Timeouts: parts of the plan with a deadline.
 
-At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`). Then it fails with
-:class:`TimedOut`, which a plan may handle or retry after. What has ended by then has succeeded.
+At the deadline, the part is cancelled, and stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if it
+has none before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. What has ended by the
+deadline has succeeded.
+
+A branch of a block around the timeout would outlive it, and is refused in its body (OutlivesTimeout).
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.body import sequential
 from pycram.language.nesting import scope
 from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
+from pycram.scheduling.schedule import scheduler
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span
 
@@ -57,14 +61,16 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     clock = "simulated" if simulated else "wall"
     with sequential() as settle, (_simulated_timer if simulated else _timer)(limit) as cancel_scope:
         outer = current_scope()
-        with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}):
+        with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}) as task:
             try:
                 with entered(cancel_scope):
                     raise_if_cancelled()
                     yield
                     settle()
+                    cancel_scope.refuse_late()  # a motion is done as a whole, so it may be long after the deadline
             except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
+                    task.checkpoint = 0 if simulated else cancel_scope.struck or scheduler().checkpoints
                     raise TimedOut(limit, clock) from cancelled
                 raise
 
@@ -73,7 +79,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 def _timer(seconds: float) -> Iterator[CancelScope]:
     """Yield a scope whose deadline is on the clock."""
     end = time.monotonic() + seconds
-    yield CancelScope(current_scope(), lambda: max(0.0, end - time.monotonic()))
+    yield CancelScope(current_scope(), lambda: end - time.monotonic())
 
 
 @contextmanager
@@ -85,10 +91,10 @@ def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
     if world is None:
         raise NoWorld
     end = world.sim_step + round(seconds * STEPS_PER_SECOND)
-    remaining: Callable[[], float] = lambda: 0.0 if world.sim_step >= end else math.inf  # noqa: E731
+    remaining: Callable[[], float] = lambda: math.inf if world.sim_step < end else end - world.sim_step  # noqa: E731
     timed = CancelScope(current_scope(), remaining)
-    world.time_listeners.add(timed.notify_all)
+    world.time_listeners[timed.notify_all] = None
     try:
         yield timed
     finally:
-        world.time_listeners.discard(timed.notify_all)
+        world.time_listeners.pop(timed.notify_all, None)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from pycram.foundation.names import qualified_name
 from pycram.motions.environments import current_environment
 from pycram.motions.requests import performing
-from pycram.motions.resources import ResourceQueue, Ticket
+from pycram.motions.resources import ResourceQueue, Ticket, forget_tickets
 from pycram.scheduling.cancellation import Binding, checkpoint
 from pycram.scheduling.future import branches_in
 from recorder.records import Decision
@@ -111,6 +111,13 @@ def decision_of(designator: Designator) -> Decision | None:
     """Return how the motion was decided that carries a designator out in this context; None if none does."""
     carried_out, decision = _decided.get()
     return decision if carried_out is designator else None
+
+
+def forget_motions() -> None:
+    """Forget all motions that run or wait, in a forked child; what this context does is part of none."""
+    _queues.clear()
+    _parts.set(MappingProxyType({}))
+    forget_tickets()
 
 
 def _queue_of(world: BulletWorld) -> ResourceQueue:

@@ -18,7 +18,7 @@ from pycram.language.actions import run
 from pycram.language.body import current_block
 from pycram.motions.designator import Designator, DesignatorError, unfinished
 from pycram.motions.environments import Chosen, current_environment, module_for
-from pycram.motions.motion import Motion, decision_of
+from pycram.motions.motion import Motion, decision_of, forget_motions
 from pycram.motions.requests import performing
 from pycram.motions.resolvers import Resolvers
 from pycram.motions.resources import ResourceQueue, Resources, Ticket
@@ -118,6 +118,12 @@ class ProcessModule(ABC):
         except BaseException:
             motion.leave()
             raise
+
+
+def forget_claims() -> None:
+    """Claim nothing of any robot or module any more: in a forked child, no motion but this branch's goes on."""
+    forget_motions()
+    _inner_queues.set({})
 
 
 @refusing(name="perform")

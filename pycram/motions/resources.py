@@ -164,6 +164,11 @@ class ResourceQueue:
 _around: ContextVar[tuple[Ticket, ...]] = ContextVar("pycram_tickets", default=())
 
 
+def forget_tickets() -> None:
+    """Make this context part of no motion."""
+    _around.set(())
+
+
 class Ticket:
     """A motion's place in a queue, taken with :meth:`enqueue` and given up with :meth:`leave`.
 

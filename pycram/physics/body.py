@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -43,6 +43,7 @@ class Body:
         offset: pose of the base's centre of mass in the base link's frame; None if they coincide.
         indices: indices of the movable joints, in order.
         gain: share of a joint's error that its motor corrects in a step.
+        targets: positions that the motors of its joints keep, by name.
     """
 
     id: int
@@ -51,3 +52,4 @@ class Body:
     offset: Pose | None
     indices: tuple[int, ...]
     gain: float
+    targets: dict[str, float] = field(default_factory=dict)

@@ -165,15 +165,23 @@ class Engine:
 
     def pose(self, body: Body) -> Pose:
         """Return the pose of the base link in the world."""
-        pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
+        pose = self.center_pose(body)
         if body.offset is None:
             return pose
         return geometry.multiply(pose, geometry.invert(body.offset))
 
     def set_pose(self, body: Body, pose: Pose) -> None:
         """Put the base link at a pose, at rest."""
-        at, turn = pose if body.offset is None else geometry.multiply(pose, body.offset)
-        bullet.resetBasePositionAndOrientation(body.id, at, turn, physicsClientId=self._client)
+        self.set_center_pose(body, pose if body.offset is None else geometry.multiply(pose, body.offset))
+
+    def center_pose(self, body: Body) -> Pose:
+        """Return the pose of the base's centre of mass in the world, without the rounding of :meth:`pose`."""
+        pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
+        return pose
+
+    def set_center_pose(self, body: Body, pose: Pose) -> None:
+        """Put the base's centre of mass at a pose, at rest."""
+        bullet.resetBasePositionAndOrientation(body.id, *pose, physicsClientId=self._client)
 
     def velocity(self, body: Body) -> tuple[float, ...]:
         """Return linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
@@ -215,7 +223,13 @@ class Engine:
             physicsClientId=self._client,
         )
 
+    def set_targets(self, body: Body, targets: Mapping[str, float]) -> None:
+        """Have the motors of joints keep positions (rad or m, by name) that they aren't at."""
+        for name, position in targets.items():
+            self._hold(body, body.joints[name], position)
+
     def _hold(self, body: Body, joint: Joint, position: float) -> None:
+        body.targets[joint.name] = position
         bullet.setJointMotorControl2(
             body.id,
             joint.index,

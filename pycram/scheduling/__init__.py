@@ -6,7 +6,8 @@ checkpoint:
 - before a motion, and before a change of a world that isn't part of a motion;
 - in a wait for what doesn't hold yet: for a fluent, a part of the robot, a result, the end of a block.
 
-So the same plan runs in the same order each time, and no other branch changes anything between two checkpoints.
+Who is next is drawn from the run's seed: the same plan runs in the same order each time with the same seed. No other
+branch changes anything between two checkpoints.
 Threads of the plan's own, the clock of a world in real time and the workers of ``in_thread`` run in parallel, in no
 fixed order.
 

@@ -15,7 +15,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
 from pycram.scheduling.locks import is_held
-from pycram.scheduling.schedule import Condition, Waiter, scheduler
+from pycram.scheduling.schedule import Condition, Waiter, schedule_alone, scheduler
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class CancelScope(Condition):
 
     Args:
         parent: The scope around it, whose cancellation is this one's too.
-        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 once it has passed; None for
+        remaining: Returns a lower bound of the seconds by the clock until its deadline, 0 at it, less later; None for
             no deadline.
 
     Raises:
@@ -57,6 +57,7 @@ class CancelScope(Condition):
         around: The scopes around it, from the inside out; without itself, as reference cycles are freed late.
         cancel_called: Whether this very scope has been cancelled.
         deadlines: ``remaining`` of this and all scopes around it that have a deadline.
+        struck: The checkpoint of its thread, from 1, at which its deadline was first seen to have come; 0: none yet.
     """
 
     def __init__(self, parent: CancelScope | None = None, remaining: Callable[[], float] | None = None) -> None:
@@ -68,11 +69,22 @@ class CancelScope(Condition):
         self.deadlines: tuple[Callable[[], float], ...] = known if remaining is None else (remaining, *known)
         self._remaining = remaining
         self.cancel_called = False
+        self.struck = 0
 
     @property
     def is_overdue(self) -> bool:
-        """Whether the deadline of this very scope has passed."""
+        """Whether the deadline of this very scope has come."""
         return self._remaining is not None and self._remaining() <= 0
+
+    def refuse_late(self) -> None:
+        """Raise Cancelled if the deadline of this very scope was before this moment."""
+        if self._remaining is not None and self._remaining() < 0:
+            raise Cancelled
+
+    @property
+    def has_deadline(self) -> bool:
+        """Whether this very scope has a deadline."""
+        return self._remaining is not None
 
     @property
     def is_cancelled(self) -> bool:
@@ -128,6 +140,14 @@ def uninterruptible() -> Iterator[None]:
         yield
 
 
+def begin_alone() -> None:
+    """Make this context one in which nothing can be cancelled from outside: in a forked child, it goes on alone."""
+    _scope.set(None)
+    _uninterruptible.set(False)
+    body.set(None)
+    schedule_alone()
+
+
 class Body(Protocol):
     """The body of a block of the plan, as far as changes of worlds in it are concerned."""
 
@@ -169,8 +189,13 @@ def checkpoint() -> None:
 
 def raise_if_cancelled() -> None:
     """Raise Cancelled if the branch is cancelled; other branches don't run."""
+    thread = scheduler()
+    thread.checkpoints += 1
     scope = _scope.get()
     if scope is not None and scope.is_cancelled:
+        for each in (scope, *scope.around):
+            if not each.struck and each.is_overdue:
+                each.struck = thread.checkpoints
         raise Cancelled
 
 

@@ -1,5 +1,9 @@
 """The scheduler of a thread: which of its branches runs next, and what wakes those that wait.
 
+With a seed, the next one is drawn from all that are ready: another seed takes the plan through another order, the same
+one through the same, in any process and under any load. Without a seed, it is the one that has been ready longest.
+What a clock or another thread decides comes at a checkpoint that no seed knows; its number is on record.
+
 A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
 ready. If none is, the thread sleeps until another thread rings its bell or the first deadline has passed. The code
 outside of all branches takes turns with them; a thread without branches just sleeps.
@@ -13,12 +17,15 @@ from __future__ import annotations
 
 import _thread
 import math
+import random
 import sys
 import threading
 import time
 from collections import OrderedDict
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from greenlet import getcurrent, greenlet
@@ -110,9 +117,27 @@ class _Branch:
 Ready: TypeAlias = "Waiter | _Branch"
 
 
-def schedule(ready: OrderedDict[Ready, None]) -> Ready:
-    """Remove and return what runs next: what has been ready longest. Nothing else decides the order of a plan."""
-    return ready.popitem(last=False)[0]
+def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None) -> Ready:
+    """Remove and return what runs next: drawn, or ready longest. Nothing else decides the order of a plan."""
+    if dice is None or len(ready) == 1:
+        return ready.popitem(last=False)[0]
+    drawn = next(islice(ready, int(dice.random() * len(ready)), None))
+    del ready[drawn]
+    return drawn
+
+
+_seed: int | None = None
+
+
+def seed_order(seed: int | None) -> None:
+    """Draw the order of this thread's branches from a seed from now on, and that of threads that begin later.
+
+    Args:
+        seed: The seed; None for the order in which branches became ready.
+    """
+    global _seed  # noqa: PLW0603  of the run, which is the process's
+    _seed = seed
+    scheduler().draw_from(seed)
 
 
 class Condition:
@@ -137,17 +162,30 @@ class Scheduler:
     Attributes:
         branches: Those that haven't ended, in the order in which they were added.
         joining: Whether the code outside of all branches, interrupted by Ctrl-C, waits for their ends.
+        checkpoints: How many there were in this thread, where branches stop that are cancelled.
     """
 
     def __init__(self) -> None:
         self.branches: dict[_Branch, None] = {}
         self.joining = False
+        self.checkpoints = 0
+        self.draw_from(_seed)
+        self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self._deadlines: dict[Waiter, float] = {}
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
         self._loop: greenlet | None = None
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
+
+    def draw_from(self, seed: int | None) -> None:
+        """Draw the order from a seed from now on; None for the order in which branches became ready."""
+        self._dice = None if seed is None else random.Random(f"order {seed}")  # not that of the plan's own
+
+    def continue_order(self, other: Scheduler) -> None:
+        """Draw what another scheduler would draw next."""
+        self.checkpoints = other.checkpoints
+        self._dice = copy(other._dice)
 
     def begin(
         self, name: str, context: Context, action: Callable[[], None], failed: Callable[[BaseException], None]
@@ -169,11 +207,9 @@ class Scheduler:
             self._ready.pop(branch, None)
             raise
 
-    def add(self, ready: Ready, *, first: bool = False) -> None:
-        """Append to what is ready, unless it is, or move it to the front; from any thread."""
+    def add(self, ready: Ready) -> None:
+        """Append to what is ready, unless it is; from any thread."""
         self._ready[ready] = None
-        if first:
-            self._ready.move_to_end(ready, last=False)
         self.ring()
 
     def ring(self) -> None:
@@ -232,8 +268,12 @@ class Scheduler:
         try:
             while self.branches:
                 self._wake_overdue()
-                if self._ready:
-                    schedule(self._ready).resume()
+                first, self._first = self._first, None
+                if first is not None and first in self._ready:
+                    self._ready.pop(first)
+                    first.resume()
+                elif self._ready:
+                    schedule(self._ready, self._dice).resume()
                 else:
                     self._sleep()
         except BaseException:
@@ -282,7 +322,8 @@ class Scheduler:
             names = ", ".join(branch.name for branch in list(self.branches))
             sys.stderr.write(f"waiting for {names} to get to the next action; Ctrl-\\ ends the process at once\n")
         if self._outside is not None:
-            self.add(self._outside, first=True)
+            self._first = self._outside
+            self.add(self._outside)
         self.ring()
 
 
@@ -308,3 +349,12 @@ _local = _Local()
 def scheduler() -> Scheduler:
     """Return the scheduler of this thread."""
     return _local.scheduler
+
+
+def schedule_alone() -> None:
+    """Give this thread a scheduler of its own, which knows none of its branches, in a forked child.
+
+    The code that runs is outside of all branches for it, and the order is drawn on from where it is.
+    """
+    before, _local.scheduler = _local.scheduler, Scheduler()
+    _local.scheduler.continue_order(before)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.locks import refuse_held
-from pycram.scheduling.schedule import Condition
+from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tracing.branch_identity import current_name
+from recorder.tracing.span import span
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +20,8 @@ Result = TypeVar("Result")
 
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
     """Call a function in a worker thread, in the branch's context, while other branches run; return its result.
+
+    It is a task of its own on record, with what it returned, and at which checkpoint of the plan it came.
 
     For what blocks outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long calculation that
     releases the interpreter lock. A branch that is cancelled meanwhile stops when the function has returned: give it a
@@ -42,13 +45,17 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
         ended.notify_all()
 
     name = f"{current_name()} {getattr(function, '__name__', 'function')}"
+    task = span("in-thread", getattr(function, "__name__", "function"))
     # a daemon: only Ctrl-C outside of all branches abandons it, and then the process may end
-    threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
-    join(ended, lambda: bool(results or errors))
-    try:
-        if errors:
-            raise errors[0]
-        raise_if_cancelled()
-        return results[0]
-    finally:
-        errors.clear()  # the error's traceback refers to this frame
+    with task:
+        threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
+        join(ended, lambda: bool(results or errors))
+        task.checkpoint = scheduler().checkpoints
+        try:
+            if errors:
+                raise errors[0]
+            raise_if_cancelled()
+            task.result = results[0]
+            return results[0]
+        finally:
+            errors.clear()  # the error's traceback refers to this frame

@@ -4,7 +4,8 @@ The carrier is the object whose ``attach`` was called; of a thing and a robot or
 body keeps its full pose relative to the carrier's link whenever the carrier, its joints or the carrier's own carrier
 move; no simulation is needed. In simulation a fixed constraint of the engine keeps it there.
 
-:func:`attach` and :func:`detach` are transactions; :func:`renew` and :func:`end` are parts of other transactions.
+:func:`attach` and :func:`detach` are transactions; :func:`put_back`, :func:`renew` and :func:`end` are parts of other
+transactions.
 """
 
 from __future__ import annotations
@@ -99,6 +100,18 @@ def detach(side: Object, other: Object) -> None:
             raise AttachmentError(side.name, other.name, "they are not attached to each other")
         command.detach_body.carrier, command.detach_body.body = attachment.carrier.name, attachment.body.name
         end(attachment, transaction)
+
+
+def put_back(carrier: Object, body: Object, saved: records.Attachment, transaction: Transaction) -> None:
+    """Let an object carry another one as it did before, both at their poses of then, as part of a transaction."""
+    held = carrier.attachments.get(body)
+    if held is not None:
+        carrier.world.engine.unfix(held.constraint)
+    x, y, z = saved.position
+    i, j, k, w = saved.orientation
+    _hold(carrier, saved.carrier_link, body, saved.body_link, transaction, ((x, y, z), (i, j, k, w)))
+    if held is None:
+        transaction.fire(carrier.world.get_attachment_event(), carrier, body)
 
 
 def renew(body: Object, transaction: Transaction) -> None:

@@ -17,7 +17,7 @@ from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.physics.engine import Engine
 from pycram.physics.window import checked_display
 from pycram.scheduling.cancellation import uninterruptible
-from pycram.world import current, settling, simulation
+from pycram.world import current, saved_state, settling, simulation
 from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.world.lock import WorldLock
+    from pycram.world.saved_state import SavedState
     from recorder.tracing.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
@@ -89,7 +90,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        self.time_listeners: set[Callable[[], None]] = set()  # called, without a lock, when simulated time has passed
+        # called in this order, without a lock, when simulated time has passed; a set's order would be that of addresses
+        self.time_listeners: dict[Callable[[], None], None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
         self._manipulation = Event("manipulation", self.name, self._envelope, ("object",))
@@ -353,6 +355,18 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 transaction.mark_modified(body)
                 if body.is_environment:
                     transaction.fire(self._manipulation, body)
+
+    def save(self) -> SavedState:
+        """Return the state of all objects as it is now, for :meth:`restore`; :mod:`pycram.world.saved_state`."""
+        return saved_state.save(self)
+
+    def restore(self, saved: SavedState) -> None:
+        """Put everything back to a saved state: one change, and one record. Time and colours stay.
+
+        Raises:
+            ObjectsChanged: Objects were loaded or removed since.
+        """
+        saved_state.restore(self, saved)
 
     # --- recording and end -------------------------------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
+from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ class McapSink:
         self._wake = threading.Event()
         self._ended = threading.Event()
         # a daemon, so that a plan which never closes its recording can end
-        self._timer = threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True)
+        self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
         try:
             self._begin(metadata)
         except BaseException:
@@ -234,6 +235,11 @@ class McapSink:
         with contextlib.suppress(OSError, ValueError):
             self._file.close()
         raw.close()
+
+    @property
+    def lock(self) -> threading.Lock:
+        """Held while anything changes in it; for a fork, see :mod:`recorder.tracing.forking`."""
+        return self._lock
 
     def abandon(self) -> None:
         """Stops writing, for a forked child: the file is its parent's."""

@@ -50,8 +50,9 @@ class Failure(_message.Message):
     def __init__(self, type: _Optional[str] = ..., message: _Optional[str] = ..., data: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., traceback: _Optional[str] = ..., frames: _Optional[_Iterable[_Union[StackFrame, _Mapping]]] = ...) -> None: ...
 
 class Decision(_message.Message):
-    __slots__ = ("resolver", "solution", "known", "complete", "environment", "module", "chooser", "registered_for")
+    __slots__ = ("resolver", "checkpoint", "solution", "known", "complete", "environment", "module", "chooser", "registered_for")
     RESOLVER_FIELD_NUMBER: _ClassVar[int]
+    CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
     SOLUTION_FIELD_NUMBER: _ClassVar[int]
     KNOWN_FIELD_NUMBER: _ClassVar[int]
     COMPLETE_FIELD_NUMBER: _ClassVar[int]
@@ -60,6 +61,7 @@ class Decision(_message.Message):
     CHOOSER_FIELD_NUMBER: _ClassVar[int]
     REGISTERED_FOR_FIELD_NUMBER: _ClassVar[int]
     resolver: str
+    checkpoint: int
     solution: int
     known: int
     complete: bool
@@ -67,7 +69,7 @@ class Decision(_message.Message):
     module: str
     chooser: str
     registered_for: str
-    def __init__(self, resolver: _Optional[str] = ..., solution: _Optional[int] = ..., known: _Optional[int] = ..., complete: bool = ..., environment: _Optional[str] = ..., module: _Optional[str] = ..., chooser: _Optional[str] = ..., registered_for: _Optional[str] = ...) -> None: ...
+    def __init__(self, resolver: _Optional[str] = ..., checkpoint: _Optional[int] = ..., solution: _Optional[int] = ..., known: _Optional[int] = ..., complete: bool = ..., environment: _Optional[str] = ..., module: _Optional[str] = ..., chooser: _Optional[str] = ..., registered_for: _Optional[str] = ...) -> None: ...
 
 class Candidate(_message.Message):
     __slots__ = ("names", "count", "reason", "data")
@@ -281,6 +283,38 @@ class Reset(_message.Message):
     __slots__ = ()
     def __init__(self) -> None: ...
 
+class SavedBody(_message.Message):
+    __slots__ = ("body", "position", "orientation", "velocity", "joint_positions", "joint_velocities", "joint_targets")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    ORIENTATION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    JOINT_POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    JOINT_VELOCITIES_FIELD_NUMBER: _ClassVar[int]
+    JOINT_TARGETS_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    position: _containers.RepeatedScalarFieldContainer[float]
+    orientation: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    joint_positions: _containers.RepeatedScalarFieldContainer[float]
+    joint_velocities: _containers.RepeatedScalarFieldContainer[float]
+    joint_targets: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, body: _Optional[str] = ..., position: _Optional[_Iterable[float]] = ..., orientation: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., joint_positions: _Optional[_Iterable[float]] = ..., joint_velocities: _Optional[_Iterable[float]] = ..., joint_targets: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Restore(_message.Message):
+    __slots__ = ("sim_step", "bodies", "attachments", "gravity", "robot")
+    SIM_STEP_FIELD_NUMBER: _ClassVar[int]
+    BODIES_FIELD_NUMBER: _ClassVar[int]
+    ATTACHMENTS_FIELD_NUMBER: _ClassVar[int]
+    GRAVITY_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    sim_step: int
+    bodies: _containers.RepeatedCompositeFieldContainer[SavedBody]
+    attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
+    gravity: _containers.RepeatedScalarFieldContainer[float]
+    robot: str
+    def __init__(self, sim_step: _Optional[int] = ..., bodies: _Optional[_Iterable[_Union[SavedBody, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., gravity: _Optional[_Iterable[float]] = ..., robot: _Optional[str] = ...) -> None: ...
+
 class Drag(_message.Message):
     __slots__ = ("body", "link", "sim_step")
     BODY_FIELD_NUMBER: _ClassVar[int]
@@ -314,7 +348,7 @@ class Effect(_message.Message):
     def __init__(self, bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., removed: _Optional[_Iterable[str]] = ..., attached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., detached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., samples: _Optional[_Iterable[_Union[Sample, _Mapping]]] = ...) -> None: ...
 
 class Mutation(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "effect", "source_file", "source_line", "callers", "drags")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "restore", "effect", "source_file", "source_line", "callers", "drags")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -337,6 +371,7 @@ class Mutation(_message.Message):
     SET_ROBOT_FIELD_NUMBER: _ClassVar[int]
     SIMULATE_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
+    RESTORE_FIELD_NUMBER: _ClassVar[int]
     EFFECT_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
@@ -364,12 +399,13 @@ class Mutation(_message.Message):
     set_robot: SetRobot
     simulate: Simulate
     reset: Reset
+    restore: Restore
     effect: Effect
     source_file: str
     source_line: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
     drags: _containers.RepeatedCompositeFieldContainer[Drag]
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ...) -> None: ...
 
 class Keyframe(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot")
@@ -406,7 +442,7 @@ class Keyframe(_message.Message):
     def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
 
 class Task(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers", "decision", "began_ns")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers", "decision", "began_ns", "checkpoint")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Task.Phase]
@@ -457,6 +493,7 @@ class Task(_message.Message):
     CALLERS_FIELD_NUMBER: _ClassVar[int]
     DECISION_FIELD_NUMBER: _ClassVar[int]
     BEGAN_NS_FIELD_NUMBER: _ClassVar[int]
+    CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -481,7 +518,8 @@ class Task(_message.Message):
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
     decision: Decision
     began_ns: int
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., decision: _Optional[_Union[Decision, _Mapping]] = ..., began_ns: _Optional[int] = ...) -> None: ...
+    checkpoint: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Task.Phase, str]] = ..., status: _Optional[_Union[Task.Status, str]] = ..., parent: _Optional[int] = ..., kind: _Optional[str] = ..., name: _Optional[str] = ..., parameters: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., solution: _Optional[_Iterable[_Union[Argument, _Mapping]]] = ..., result_json: _Optional[str] = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., attempt: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., decision: _Optional[_Union[Decision, _Mapping]] = ..., began_ns: _Optional[int] = ..., checkpoint: _Optional[int] = ...) -> None: ...
 
 class HandlerCall(_message.Message):
     __slots__ = ("handler",)
@@ -734,7 +772,7 @@ class Origin(_message.Message):
     def __init__(self, recording: _Optional[str] = ..., step: _Optional[int] = ..., wall_time_ns: _Optional[int] = ...) -> None: ...
 
 class Run(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "interrupted_by")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "name", "succeeded", "failure", "duration_ns", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program", "origin", "by_program", "interrupted_by", "checkpoint")
     class Phase(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         PHASE_UNSPECIFIED: _ClassVar[Run.Phase]
@@ -770,6 +808,7 @@ class Run(_message.Message):
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     BY_PROGRAM_FIELD_NUMBER: _ClassVar[int]
     INTERRUPTED_BY_FIELD_NUMBER: _ClassVar[int]
+    CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -795,4 +834,5 @@ class Run(_message.Message):
     origin: Origin
     by_program: bool
     interrupted_by: str
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., interrupted_by: _Optional[str] = ...) -> None: ...
+    checkpoint: int
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., phase: _Optional[_Union[Run.Phase, str]] = ..., name: _Optional[str] = ..., succeeded: bool = ..., failure: _Optional[_Union[Failure, _Mapping]] = ..., duration_ns: _Optional[int] = ..., arguments: _Optional[_Iterable[str]] = ..., directory: _Optional[str] = ..., seed: _Optional[str] = ..., hash_seed: _Optional[str] = ..., plan: _Optional[_Union[Revision, _Mapping]] = ..., pycram: _Optional[_Union[Revision, _Mapping]] = ..., host: _Optional[str] = ..., cpu: _Optional[str] = ..., program: _Optional[str] = ..., origin: _Optional[_Union[Origin, _Mapping]] = ..., by_program: bool = ..., interrupted_by: _Optional[str] = ..., checkpoint: _Optional[int] = ...) -> None: ...

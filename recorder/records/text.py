@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
+    STEPS_PER_SECOND,
     Event,
     Fluent,
     Keyframe,
@@ -210,6 +211,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
     "set_color": lambda command: command.body,
     "set_robot": lambda command: command.body,
     "simulate": _simulated,
+    "restore": lambda command: f"what was saved at {command.sim_step / STEPS_PER_SECOND:.3f} s",
 }
 
 

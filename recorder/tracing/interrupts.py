@@ -48,6 +48,10 @@ class Terminated(SystemExit):
 class Host(Protocol):
     """Runs code that must not be interrupted just anywhere; called in the main thread only."""
 
+    @property
+    def checkpoints(self) -> int:
+        """How many checkpoints there were in the main thread."""
+
     def defers(self, frame: FrameType) -> bool:
         """Whether a Ctrl-C that arrives in this frame has to wait until the host raises it."""
 
@@ -63,6 +67,7 @@ _sections = 0  # number of sections among them
 _pending = False
 _terminated = 0  # the signal that the last interrupt was, unless that was a Ctrl-C
 _owner = 0  # the process that :func:`terminable` was called in; one that it forks has no recording
+_checkpoint = 0  # of the host, at which the last interrupt was raised
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
@@ -77,7 +82,18 @@ def _on_sigint(number: int, frame: FrameType | None) -> None:
             _host.interrupt()
         _pending = True
     else:
+        _note_checkpoint()
         _handler(number, frame)
+
+
+def _note_checkpoint() -> None:
+    global _checkpoint  # noqa: PLW0603  as above
+    _checkpoint = _host.checkpoints if _host is not None else 0
+
+
+def interrupted_at() -> int:
+    """The checkpoint of the host at which the last interrupt was raised, from 1; 0: outside of all."""
+    return _checkpoint
 
 
 def _defers(frame: FrameType) -> bool:
@@ -196,6 +212,7 @@ def raise_pending() -> None:
     """Raise a deferred Ctrl-C, unless a section is open; for code of the main thread that may be interrupted here."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
+        _note_checkpoint()
         _handler(_SIGINT, sys._getframe(1))  # noqa: SLF001  inspect.currentframe() gives no other
 
 

@@ -24,6 +24,7 @@ from recorder.tracing.worlds import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
 
 
 class Sink(Protocol):
@@ -180,6 +181,15 @@ class Journal:
             if not self._writing:
                 for sink in self._sinks:
                     sink.flush()
+
+    @contextmanager
+    def still(self) -> Iterator[None]:
+        """Keeps it and its sinks from moving while the block runs, for a fork (:mod:`recorder.tracing.forking`)."""
+        with ExitStack() as held:
+            held.enter_context(self._lock)
+            for sink in self._sinks:
+                held.enter_context(getattr(sink, "lock", None) or nullcontext())
+            yield
 
     def close(self) -> None:
         """Closes every sink; the first error is raised when all are closed."""
@@ -401,6 +411,27 @@ def close_journal(journal: Journal) -> None:
     with _registry:
         forget_journal(journal)
     journal.close()
+
+
+@contextmanager
+def still() -> Iterator[None]:
+    """Keeps all open journals from moving while the block runs, for a fork."""
+    with _registry, ExitStack() as held:
+        for journal in _open:
+            held.enter_context(journal.still())
+        yield
+
+
+def paths() -> list[Path]:
+    """The files of the journals that record this context."""
+    sinks = [sink for journal in _listening() for sink in journal._sinks]  # noqa: SLF001  same module
+    return [sink.path for sink in sinks if hasattr(sink, "path")]
+
+
+def forget_all() -> None:
+    """Ends recording to all journals without touching their sinks: in a forked child, they are its parent's."""
+    global _open  # noqa: PLW0603  see open_journal
+    _open = ()
 
 
 def forget_journal(journal: Journal) -> None:

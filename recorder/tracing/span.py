@@ -85,6 +85,7 @@ class Span:
         result: what it returned; set while it runs.
         error: what it failed with, where that isn't raised; set while it runs.
         decision: how it was decided; set while it runs, or before.
+        checkpoint: where the clock or a worker thread decided it, as records have it; set while it runs.
     """
 
     kind: str
@@ -98,6 +99,7 @@ class Span:
     result: object = None
     error: BaseException | None = None
     decision: Decision | None = None
+    checkpoint: int = 0
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
@@ -127,6 +129,8 @@ class Span:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
         record = self._record(_FINISHED, status)
+        if self.checkpoint:
+            record.checkpoint = self.checkpoint
         record.duration_ns = time.perf_counter_ns() - self._start_ns if self._start_ns else 0
         recorded = journal.recording()
         if recorded:

@@ -21,6 +21,7 @@ from multiprocessing import Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
 from recorder.viewer.address import Kind, Target
 from recorder.viewer.live_process import Status
@@ -72,7 +73,7 @@ class RerunSink:
         self._connection, child_end = Pipe()
         with child_end:
             self._process = _start(child_end, live, title)
-        self._thread = threading.Thread(target=self._run, name="live viewer", daemon=True)
+        self._thread = own(threading.Thread(target=self._run, name="live viewer", daemon=True))
         self._thread.start()
 
     def final_metadata(self) -> dict[str, str]:
@@ -102,7 +103,7 @@ class RerunSink:
         behind = not settled and self._hand_over()
         served = self._target.kind is Kind.SERVE
         if served and (behind or settled) and self._process.poll() is None:
-            atexit.register(_stop, self._process)
+            atexit.register(_stop, self._process, os.getpid())
         elif not behind:
             _stop(self._process)  # frees the thread, if it still waits
         self._thread.join()
@@ -118,7 +119,7 @@ class RerunSink:
 
     def _hand_over(self) -> bool:
         """Sends the rest to the process, and unblocks the thread; returns whether the process took it."""
-        sender = threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True)
+        sender = own(threading.Thread(target=self._give_rest, name="rest for the viewer", daemon=True))
         sender.start()
         sender.join(_HAND_OVER_TIMEOUT)
         if sender.is_alive():  # the process doesn't read any more
@@ -166,7 +167,9 @@ class RerunSink:
         self._process.wait()
 
 
-def _stop(process: subprocess.Popen[bytes]) -> None:
+def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
+    if owner not in (None, os.getpid()):  # a forked child's end isn't that of its parent's viewer
+        return
     with process:  # waits for it, and closes the pipe
         process.kill()
 

@@ -158,6 +158,8 @@ class Scene:
             bodies[loaded.body] = self._load(record.world, loaded, now)
         if isinstance(record, Keyframe):
             self.robots[record.world] = record.robot
+        elif record.HasField("restore"):
+            self.robots[record.world] = record.restore.robot
         elif record.HasField("set_robot"):
             self.robots[record.world] = record.set_robot.body
         elif record.HasField("set_color") and record.set_color.body in bodies:

@@ -138,6 +138,7 @@ def _headline(change: Blame) -> str:
         "hand": "was dragged by hand in the window",
         "physics": "moved in simulation",
         "reset": "moved when the world was reset",
+        "restored": "moved when a saved state was restored",
     }
     if isinstance(change.before, float) and isinstance(change.after, float):
         before, after = formatting.apart(change.before, change.after)

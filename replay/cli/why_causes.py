@@ -222,6 +222,7 @@ def _change(change: Change) -> str:
         "joints": f"joints of {name} moved",
         "gravity": "gravity was set",
         "reset": f"{name} moved when the world was reset",
+        "restored": f"{name} moved when a saved state was restored",
     }
     by = f" by {size}" if change.distance and size and not change.joint else ""
     return words.get(change.how, f"{name} changed") + by + _by(change)

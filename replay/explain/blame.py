@@ -56,8 +56,8 @@ class Blame:
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
         how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
-            in), "hand" (somebody dragged it in the window), "physics", "reset", "removed", or "before" (the recording
-            began later).
+            in), "hand" (somebody dragged it in the window), "physics", "reset", "restored" (a saved state), "removed",
+            or "before" (the recording began later).
         before: its pose or value before; None if it wasn't there.
         after: its pose or value after; None if it was removed.
         distance: how far it moved: m, or of a revolute joint rad.
@@ -320,6 +320,8 @@ def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachmen
         return "hand" if any(drag.body == body for drag in record.drags) else "physics", []
     if record.HasField("reset"):
         return "reset", []
+    if record.HasField("restore"):
+        return "restored", []
     cause = commanded(record)
     if cause == body:
         return "command", []

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
+from pycram.world import saved_state
 from recorder.records import Keyframe, Mutation
 from recorder.tracing.journal import Journal, unrecorded
 from replay.errors import Damaged, NotRestored
@@ -184,5 +185,6 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),
     "simulate": lambda world, command: world.simulate_steps(command.steps),
     "reset": lambda world, _: world.reset(),
+    "restore": saved_state.put_back,
     "close_world": lambda world, _: world.exit(),
 }

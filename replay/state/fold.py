@@ -170,6 +170,8 @@ class WorldBuilder:
             self.facts["realtime"] = record.set_realtime.enabled
         elif command == "set_robot":
             self.facts["robot"] = record.set_robot.body
+        elif command == "restore":
+            self.facts |= {"gravity": _vector(record.restore.gravity), "robot": record.restore.robot}
         elif command == "set_color":
             painted = self.bodies.get(record.set_color.body)
             if painted is not None:

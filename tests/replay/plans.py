@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import AttachmentError
+from pycram.failures import AttachmentError, ObjectsChanged
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry
 from recorder.records import Keyframe, Mutation
@@ -17,6 +17,7 @@ from recorder.records import Keyframe, Mutation
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pycram.world.saved_state import SavedState
     from recorder.records import Record
 
 THINGS = ("milk", "bowl", "cup", "apple", "spoon")
@@ -69,6 +70,7 @@ class RandomPlan:
         self.witness = witness
         self.changes = changes
         self.numbers = 0
+        self.saved: dict[str, SavedState] = {}
 
     def run(self) -> None:
         for world in self.go():
@@ -111,8 +113,9 @@ class RandomPlan:
             self.paint,
             self.reset,
             self.ask,
+            self.save_or_restore,
         )
-        weights = (3, 3, 3, 2, 4, 3, 4, 4, 2, 3, 3, 1, 1, 0.3, 3)
+        weights = (3, 3, 3, 2, 4, 3, 4, 4, 2, 3, 3, 1, 1, 0.3, 3, 3)
         self.dice.choices(actions, weights)[0](world)
 
     def thing(self, world: BulletWorld) -> Object | None:
@@ -186,6 +189,13 @@ class RandomPlan:
 
     def reset(self, world: BulletWorld) -> None:
         world.reset()
+
+    def save_or_restore(self, world: BulletWorld) -> None:
+        if world.name not in self.saved or self.dice.random() < 0.3:
+            self.saved[world.name] = world.save()
+            return
+        with contextlib.suppress(ObjectsChanged):
+            world.restore(self.saved.pop(world.name))
 
     def ask(self, world: BulletWorld) -> None:
         body, other = self.thing(world), self.dice.choice(world.objects)

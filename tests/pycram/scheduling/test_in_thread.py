@@ -59,8 +59,9 @@ def test_a_worker_acts_as_part_of_its_branch() -> None:
         names.append(current_name())
         with span("motion", "in the worker"):
             names.append(tasks.current().parent.name)
+            assert tasks.current().parent.parent.name.endswith("<lambda>")
 
     with par as s:
         s(lambda: in_thread(work))
     (branch,) = s.branches
-    assert names == [f"par-1 {branch.name} work", branch.name]
+    assert names == [f"par-1 {branch.name} work", "work"]

@@ -25,6 +25,7 @@ from tests.conftest import MemorySink, furnish
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from pycram.world.saved_state import SavedState
     from recorder.records import Record
 
 #: PyBullet's functions that change no world, beside those that get something; whatever else there is counts as a change.
@@ -84,6 +85,7 @@ class Plan:
     def __init__(self, seed: int, world: BulletWorld) -> None:
         self.dice, self.world = random.Random(seed), world
         self.number = 0
+        self.saved: list[SavedState] = []
 
     def body(self) -> Object:
         return self.dice.choice(self.world.objects)
@@ -121,6 +123,8 @@ class Plan:
                 lambda: world.simulate(dice.choice((-1, 0, 0.02, 0.1))),
                 lambda: world.settle(0.1),
                 lambda: world.reset() if dice.random() < 0.2 else None,
+                lambda: self.saved.append(world.save()),
+                lambda: world.restore(self.saved.pop()) if self.saved else None,
                 lambda: btr.stable(self.thing()),
                 lambda: btr.visible(self.thing(), "wide_stereo_optical_frame"),
                 lambda: btr.reachable(self.thing(), world.robot, LEFT),

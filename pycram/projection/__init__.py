@@ -1,0 +1,369 @@
+"""Projection: an action is done for real in a forked copy of the process, to see how it would end (thesis 6.3; CRAM).
+
+The copy goes on from this very moment, with the plan, its worlds and its random numbers, to the same bits as this
+process would; other branches of the plan stand still in it. The outcome comes back; nothing else does. In this process
+nothing runs meanwhile, so a plan that looks ahead takes the same order each time.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
+from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+
+from pycram.foundation import checks
+from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
+from pycram.foundation.names import export
+from pycram.language.actions import name_of, run
+from pycram.projection.child import Child, wait
+from pycram.scheduling.locks import refuse_held
+from pycram.world import saved_state
+from pycram.world.current import current, open_worlds
+from pycram.world.object import Object
+from pycram.world.saved_state import SavedState
+from pycram.world.world import BulletWorld
+from recorder import records
+from recorder.recording import record
+from recorder.records import format_error
+from recorder.tracing import forking, journal
+from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.span import Cancelled, Span
+
+if TYPE_CHECKING:
+    from pathlib import Path
+    from types import TracebackType
+
+__all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectionDied", "project", "project_all"]
+
+Result: TypeAlias = Any
+Action: TypeAlias = Callable[..., Result]
+#: An action without arguments, or one with them, as in ``(pick_up, milk, "left")``.
+Candidate: TypeAlias = "Action | tuple[Any, ...]"
+
+
+class NotProjectable(UsageError):
+    """A projection was asked for where the process can't be copied.
+
+    Attributes:
+        cause: Why not, and what to do.
+    """
+
+    def __init__(self, cause: str) -> None:
+        super().__init__(f"an action can't be projected here: {cause}")
+        self.cause = cause
+
+
+class ProjectionDied(PlanFailure):
+    """The process that did a projected action ended without an answer.
+
+    Attributes:
+        action: Name of the action.
+        cause: What ended it.
+    """
+
+    def __init__(self, action: str, cause: str) -> None:
+        super().__init__(f"the projection of {action} {cause}")
+        self.action = action
+        self.cause = cause
+
+
+class ProjectedError(PlanFailure):
+    """A projected action failed with an error that can't leave its process.
+
+    Attributes:
+        error: The error, as text.
+    """
+
+    def __init__(self, error: str) -> None:
+        super().__init__(error)
+        self.error = error
+
+
+export("pycram.projection", NotProjectable, ProjectionDied, ProjectedError)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a projected action ended.
+
+    Attributes:
+        action: Its name.
+        succeeded: Whether it would succeed.
+        result: What it would return, objects being those of this process; its text, if it can't leave its process.
+        failure: What it would raise; a ProjectionDied if it crashed, took too long or needed too much memory.
+        duration: Simulated time that it would take in the current world, in s.
+        state: The current world's state at its end, for ``world.restore(outcome.state)``; None if there is none.
+        recording: The file with all that it did; None if nothing is recorded.
+    """
+
+    action: str
+    succeeded: bool
+    result: Result = None
+    failure: BaseException | None = None
+    duration: float = 0.0
+    state: SavedState | None = None
+    recording: Path | None = None
+
+    def __bool__(self) -> bool:
+        return self.succeeded
+
+    def __record__(self) -> object:
+        """Return what the projection's task has as its result."""
+        return {
+            "succeeded": self.succeeded,
+            "result": self.result,
+            "failure": None if self.failure is None else format_error(self.failure),
+            "duration": self.duration,
+            "recording": None if self.recording is None else str(self.recording),
+        }
+
+
+def project(
+    action: Action, *args: object, timeout: float | None = None, memory: float | None = None, **kwargs: object
+) -> Outcome:
+    """Do an action in a copy of this process, and return how it ends.
+
+    Args:
+        action: A function of the plan.
+        args: Its arguments.
+        timeout: Seconds by the clock after which the copy is ended; None for no limit.
+        memory: Megabytes that the copy may need beside what it shares; None for no limit.
+        kwargs: The action's keyword arguments.
+
+    Raises:
+        NotProjectable: A world has a window or runs in real time, threads of the plan's own run, or nothing can fork.
+        BadArgument: The action isn't callable, or a limit is wrong.
+        LockHeld: The caller holds a lock.
+    """
+    names = [_name(action)]
+    (outcome,) = _project_all([partial(action, *args, **kwargs)], names, "all", timeout, memory)
+    return outcome
+
+
+def project_all(
+    candidates: Sequence[Candidate],
+    until: Literal["first", "all"] = "first",
+    *,
+    timeout: float | None = None,
+    memory: float | None = None,
+) -> list[Outcome]:
+    """Do actions in copies of this process, as many at once as it has cores, and return how they end, in their order.
+
+    Args:
+        candidates: Actions, in the order of preference.
+        until: "first" ends with the first candidate that succeeds, whoever ends earlier: its outcome is the last one
+            then, and those after it are not waited for. "all" does all.
+        timeout: Seconds by the clock for each; None for no limit.
+        memory: Megabytes for each; None for no limit.
+
+    Raises:
+        NotProjectable: See :func:`project`.
+        BadArgument: A candidate isn't callable, or an argument is wrong.
+        LockHeld: The caller holds a lock.
+    """
+    if until not in ("first", "all"):
+        raise BadArgument("until", until, '"first" or "all"')
+    calls: list[tuple[Any, ...]] = [each if isinstance(each, tuple) else (each,) for each in candidates]
+    names = [_name(call[0] if call else None) for call in calls]
+    return _project_all([partial(call[0], *call[1:]) for call in calls], names, until, timeout, memory)
+
+
+def _name(action: object) -> str:
+    if not callable(action):
+        raise BadArgument("action", action, "a function of the plan, or a tuple of one and its arguments")
+    return name_of(action)
+
+
+def _project_all(
+    actions: Sequence[Action], names: Sequence[str], until: str, timeout: float | None, memory: float | None
+) -> list[Outcome]:
+    limit = None if timeout is None else checks.number("timeout", timeout)
+    room = None if memory is None else round(checks.number("memory", memory) * 1e6)
+    _refuse_impossible()
+    running: dict[int, tuple[_Projection, ExitStack]] = {}
+    outcomes: dict[int, Outcome] = {}
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    following, needed = 0, len(actions)
+    with ExitStack() as ending:
+        while following < needed or running:
+            while following < needed and len(running) < cores:
+                tasks = ending.enter_context(ExitStack())
+                running[following] = _Projection(actions[following], names[following], room, tasks), tasks
+                following += 1
+            wait([projection.child for projection, _ in running.values()], _time_left(running, limit))
+            for number, (projection, tasks) in list(running.items()):
+                outcome = projection.outcome(limit)
+                if outcome is None and number < needed:
+                    continue
+                del running[number]
+                with tasks:
+                    projection.end(outcome)  # without one, an earlier candidate is good enough
+                if outcome is None:
+                    continue
+                outcomes[number] = outcome
+                if until == "first" and outcome.succeeded:
+                    needed = min(needed, number + 1)
+    return [outcomes[number] for number in sorted(outcomes) if number < needed]
+
+
+def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float | None:
+    if limit is None:
+        return None
+    return max(0.0, min(projection.child.began for projection, _ in running.values()) + limit - time.monotonic())
+
+
+def _refuse_impossible() -> None:
+    refuse_held()
+    if not hasattr(os, "fork"):
+        raise NotProjectable("this system can't copy a process (os.fork)")
+    for world in open_worlds():
+        if world.mode == "GUI":
+            raise NotProjectable(f"{world.name} has a window, which a copy can't have; open it with BulletWorld()")
+        if world.realtime:
+            raise NotProjectable(f"{world.name} runs in real time; call set_realtime(False) before")
+    threads = [thread.name for thread in forking.others()]
+    if threads:
+        raise NotProjectable(
+            f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; branches of `with par` "
+            "are copied, in_thread(...) has to end before"
+        )
+
+
+_numbers: Final = threading.local()
+
+
+class _Projection:
+    """One action that is done in a child, as a task of this process."""
+
+    def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack) -> None:
+        self._name = name
+        self._memory = memory
+        self._world = current()
+        self._recording = _path()
+        self._began = self._world.sim_step if self._world is not None else 0
+        self._task = Span("projection", name, parameters={} if memory is None else {"memory": memory})
+        tasks.push(self._interrupted)
+        self._task.start()  # not as the current task: several run at once
+        with Uninterrupted():  # no child without its end
+            self.child = Child(partial(_answer, action, self._task, self._recording), memory)
+            tasks.callback(self.child.kill)
+
+    def outcome(self, limit: float | None) -> Outcome | None:
+        """Return how it ended; None as long as it hasn't. What takes longer than the limit in s is ended."""
+        if not self.child.ended:
+            if limit is None or time.monotonic() < self.child.began + limit:
+                return None
+            self.child.kill()
+            return self._died(f"took longer than {limit:g} s")
+        if not self.child.received:
+            return self._died(_end(self.child.status))
+        succeeded, result, failure, steps, state = _Unpickler(BytesIO(self.child.received)).load()
+        if isinstance(failure, MemoryError) and self._memory is not None:
+            return self._died(f"needed more than {self._memory / 1e6:g} MB")
+        saved = None
+        if self._world is not None and state:
+            command = records.Restore.FromString(state)
+            names = {body.body for body in command.bodies}
+            saved = SavedState(self._world, tuple(o for o in self._world.objects if o.name in names), command)
+        duration = (steps - self._began) / records.STEPS_PER_SECOND
+        return Outcome(self._name, succeeded, result, failure, duration, saved, self._recording)
+
+    def _died(self, cause: str) -> Outcome:
+        return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
+
+    def end(self, outcome: Outcome | None) -> None:
+        """Record its end; without an outcome, nobody wants to know it any more."""
+        self._task.result = outcome
+        self._task.finish(None if outcome is not None else Cancelled())
+
+    def _interrupted(
+        self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None
+    ) -> None:
+        self._task.finish(error)
+
+
+def _end(status: int) -> str:
+    if os.WIFSIGNALED(status):
+        return f"was ended by {signal.Signals(os.WTERMSIG(status)).name}"
+    return f"ended its process with exit code {os.WEXITSTATUS(status)}"
+
+
+def _path() -> Path | None:
+    """Return where the next projection is recorded: beside the recording that runs."""
+    beside = next(iter(journal.paths()), None)
+    if beside is None:
+        return None
+    number = 1
+    taken = {each.name for each in beside.parent.glob(f"{beside.stem}.projection-*")} | getattr(
+        _numbers, "given", set()
+    )
+    while (name := f"{beside.stem}.projection-{number}{beside.suffix}") in taken:
+        number += 1
+    _numbers.given = {*getattr(_numbers, "given", ()), name}
+    return beside.with_name(name)
+
+
+# --- in the child -----------------------------------------------------------------------------------------------------
+
+
+def _answer(action: Action, task: Span, recording: Path | None) -> bytes:
+    """Do the action, and return its outcome."""
+    failure: BaseException | None = None
+    result: Result = None
+    try:
+        with task.entered(), _recorded(task.name, recording):
+            result = run(action)
+    except BaseException as error:  # noqa: BLE001  told to the parent
+        failure = error.with_traceback(None)
+    world = current()
+    steps = world.sim_step if world is not None else 0
+    state = saved_state.save(world).command.SerializeToString() if world is not None else b""
+    rest = steps, state
+    succeeded = failure is None
+    for answer in (
+        (succeeded, result, failure, *rest),
+        (succeeded, repr(result), None if failure is None else ProjectedError(format_error(failure)), *rest),
+    ):
+        try:
+            return _pickled(answer)
+        except Exception:  # noqa: BLE001, S112  of a user's own types: then as text
+            continue
+    return b""
+
+
+def _recorded(name: str, recording: Path | None) -> AbstractContextManager[object]:
+    return nullcontext() if recording is None else record(recording, name=name, arguments=(), output=True)
+
+
+def _pickled(answer: object) -> bytes:
+    file = BytesIO()
+    _Pickler(file).dump(answer)
+    _Unpickler(BytesIO(file.getvalue())).load()  # else the parent would find out
+    return file.getvalue()
+
+
+class _Pickler(pickle.Pickler):
+    """Refers to objects and worlds by their names."""
+
+    def persistent_id(self, value: object) -> tuple[str, ...] | None:
+        if isinstance(value, Object):
+            return value.world.name, value.name
+        return (value.name,) if isinstance(value, BulletWorld) else None
+
+
+class _Unpickler(pickle.Unpickler):
+    """Finds objects and worlds by their names; one that isn't in this process is its name."""
+
+    def persistent_load(self, names: tuple[str, ...]) -> object:
+        world = next((each for each in open_worlds() if each.name == names[0]), None)
+        if world is None or len(names) == 1:
+            return world or names[0]
+        return next(iter(world.get_objects_by_name(names[1])), names[1])

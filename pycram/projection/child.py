@@ -1,0 +1,125 @@
+"""Forked children: processes that go on with the plan on their own, send one answer, and never outlive their parent."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import random
+import select
+import signal
+import sys
+import time
+from typing import TYPE_CHECKING, Final, NoReturn
+
+from pycram.language.nesting import nothing_open
+from pycram.motions.process_module import forget_claims
+from pycram.scheduling.cancellation import begin_alone
+from recorder.tracing import forking
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+_PR_SET_PDEATHSIG: Final = 1
+_BLOCK: Final = 1 << 20  # bytes that are read at once
+_CRASHED: Final = 70
+
+
+class Child:
+    """A forked process that calls a function, from its start to its answer.
+
+    Args:
+        answer: Called in the child; what it returns is the answer.
+        memory: Bytes that the child may take beside what it starts with; None for no limit.
+
+    Attributes:
+        received: What it has sent so far.
+        ended: Whether it has ended.
+        status: How, as ``os.waitpid`` tells it.
+    """
+
+    def __init__(self, answer: Callable[[], bytes], memory: int | None = None) -> None:
+        self.received = bytearray()
+        self.ended = False
+        self.status = 0
+        self.began = time.monotonic()
+        self._reading, writing = os.pipe()
+        parent, dice = os.getpid(), random.getstate()  # which Python seeds again in a child
+        try:
+            self.pid = forking.fork()
+        except BaseException:
+            os.close(self._reading)
+            os.close(writing)
+            raise
+        if not self.pid:
+            random.setstate(dice)
+            _run(answer, writing, parent, memory)
+        os.close(writing)
+
+    def fileno(self) -> int:
+        """Return what to wait at for its answer."""
+        return self._reading
+
+    def read(self) -> None:
+        """Take what it has sent; at its end, take note of how it ended."""
+        part = os.read(self._reading, _BLOCK)
+        self.received += part
+        if not part:
+            self._reap()
+
+    def kill(self) -> None:
+        """End it at once, if it runs."""
+        if not self.ended:
+            os.kill(self.pid, signal.SIGKILL)
+            self._reap()
+
+    def _reap(self) -> None:
+        os.close(self._reading)
+        _, self.status = os.waitpid(self.pid, 0)
+        self.ended = True
+
+
+def wait(children: Sequence[Child], timeout: float | None) -> None:
+    """Take what the first of the children send; return after the timeout in s if none does."""
+    for child in select.select(children, (), (), timeout)[0]:
+        child.read()
+
+
+def _run(answer: Callable[[], bytes], writing: int, parent: int, memory: int | None) -> NoReturn:
+    """Be the child: nothing of the parent's is written to, closed or cleaned up."""
+    try:
+        _die_with(parent)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+        if memory is not None:
+            _limit(memory)
+        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
+        for descriptor in range(3):  # also what native code and handlers of logging print
+            os.dup2(nothing.fileno(), descriptor)
+        sys.stdin = sys.stdout = sys.stderr = nothing
+        begin_alone()
+        nothing_open()
+        forget_claims()
+        text = answer()
+        while text:
+            text = text[os.write(writing, text) :]
+    except BaseException:  # noqa: BLE001  the answer tells errors of the action; this is the child's own
+        os._exit(_CRASHED)
+    os._exit(0)
+
+
+def _die_with(parent: int) -> None:
+    """Have the kernel end this process with its parent."""
+    with contextlib.suppress(OSError, AttributeError):  # only Linux has it
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(_CRASHED)
+
+
+def _limit(memory: int) -> None:
+    import resource  # noqa: PLC0415  only systems that can fork have it
+
+    with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process
+        pages = int(file.read().split()[0])
+    limit = pages * resource.getpagesize() + memory
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))

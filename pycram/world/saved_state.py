@@ -1,0 +1,143 @@
+"""Saved states: what a world's objects were like at one moment, and how a world gets that back.
+
+A state has the pose and velocity of each object, the positions and velocities of its joints and what their motors keep,
+the attachments, gravity, and which object is the robot: all to the last bit, but for orientations of what has moved,
+which the engine normalises again (2e-16 at most). What the solver knows of contacts isn't in
+it, so the future after it is a likely one. Simulated time never goes back, and colours stay, as in a reset.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
+from pycram.world import attachment
+from pycram.world.read_only import update
+from recorder import records
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from pycram.world.object import Object
+    from pycram.world.transaction import Transaction
+    from pycram.world.world import BulletWorld
+
+_AT_REST: Final = (0.0,) * 6
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SavedState:
+    """The state of a world at one moment, for ``world.restore(saved)``.
+
+    Attributes:
+        world: The world.
+        objects: Those that it had.
+        command: The record of its restoring.
+    """
+
+    world: BulletWorld
+    objects: tuple[Object, ...]
+    command: records.Restore
+
+    def __repr__(self) -> str:
+        return f"<state of {self.world.name} at {self.command.sim_step / records.STEPS_PER_SECOND:.3f} s>"
+
+
+def save(world: BulletWorld) -> SavedState:
+    """Return the present state of a world.
+
+    Raises:
+        WorldClosed: It has ended.
+    """
+    with world.lock:
+        if world.closed:
+            raise WorldClosed(world.name, "save its state")
+        command = records.Restore(
+            sim_step=world.sim_step,
+            bodies=[_state_of(body) for body in world.objects],
+            attachments=[held.record() for body in world.objects for held in body.carried],
+            gravity=world.gravity,
+            robot=world.robot.name if world.robot else "",
+        )
+        return SavedState(world, tuple(world.objects), command)
+
+
+def restore(world: BulletWorld, saved: SavedState) -> None:
+    """Give a world a saved state back, as one transaction.
+
+    Raises:
+        BadArgument: It is none of this world.
+        ObjectsChanged: Objects were loaded or removed since.
+    """
+    if not isinstance(saved, SavedState) or saved.world is not world:
+        raise BadArgument("saved", saved, f"what save() of {world.name} has returned")
+    put_back(world, saved.command, saved.objects)
+
+
+def put_back(world: BulletWorld, command: records.Restore, objects: Collection[Object] | None = None) -> None:
+    """Give a world a recorded state; with objects, those of then, one that was loaded again is another one."""
+    with world.transactions.begin(records.Mutation(restore=command)) as transaction:
+        present = world.objects if objects is None else [body for body in world.objects if body in objects]
+        bodies = {body.name: body for body in present}
+        added = [body.name for body in world.objects if body not in present]
+        removed = [state.body for state in command.bodies if state.body not in bodies]
+        if added or removed:
+            raise ObjectsChanged(world.name, added, removed)
+        saved = {(held.carrier, held.body): held for held in command.attachments}
+        kept = {}
+        for body in world.objects:
+            for held in body.carried:
+                pair = held.carrier.name, held.body.name
+                if pair in saved and _has_same_links(held.record(), saved[pair]):
+                    kept[pair] = held.record()
+                else:
+                    attachment.end(held, transaction)
+        for state in command.bodies:
+            _put(bodies[state.body], state, transaction)
+        for pair, wanted in saved.items():
+            if kept.get(pair) != wanted:
+                attachment.put_back(bodies[wanted.carrier], bodies[wanted.body], wanted, transaction)
+        x, y, z = command.gravity
+        world.engine.set_gravity((x, y, z))
+        update(world, gravity=(x, y, z))
+        world._robot = bodies.get(command.robot)  # noqa: SLF001  as set_robot does, in one record with the rest
+
+
+def _has_same_links(one: records.Attachment, other: records.Attachment) -> bool:
+    return (one.carrier_link, one.body_link) == (other.carrier_link, other.body_link)
+
+
+def _state_of(body: Object) -> records.SavedBody:
+    engine, handle = body.world.engine, body.handle
+    (position, orientation), velocity = engine.center_pose(handle), engine.velocity(handle)
+    positions, velocities = engine.joints(handle)
+    return records.SavedBody(
+        body=body.name,
+        position=position,
+        orientation=orientation,
+        velocity=velocity if velocity != _AT_REST else (),
+        joint_positions=positions,
+        joint_velocities=velocities,
+        joint_targets=[handle.targets[name] for name in handle.joints],
+    )
+
+
+def _put(body: Object, state: records.SavedBody, transaction: Transaction) -> None:
+    """Put an object to a state, unless it has it: then the solver keeps what it knows of its contacts."""
+    if _state_of(body) == state:
+        return
+    engine, handle = body.world.engine, body.handle
+    x, y, z = state.position
+    i, j, k, w = state.orientation
+    engine.set_center_pose(handle, ((x, y, z), (i, j, k, w)))
+    if state.velocity:
+        engine.set_velocity(handle, state.velocity[:])
+    joints = handle.joints
+    positions = dict(zip(joints, state.joint_positions, strict=True))
+    engine.set_joints(handle, positions, dict(zip(joints, state.joint_velocities, strict=True)))
+    targets = dict(zip(joints, state.joint_targets, strict=True))
+    engine.set_targets(handle, {name: target for name, target in targets.items() if target != positions[name]})
+    transaction.mark_modified(body)
+    if body.is_environment:
+        transaction.fire(body.world.get_manipulation_event(), body)

@@ -1,0 +1,40 @@
+"""Forks of a process that records: the one place where threads of ours are parked for one.
+
+Only the forking thread lives on in the child. Our other threads (those that flush a file, or feed a viewer) belong to
+the parent's recordings, which the child leaves alone. So it is enough that none of them holds a lock at that moment.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+import weakref
+from typing import Final
+
+from recorder.tracing import journal
+
+_own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
+
+
+def own(thread: threading.Thread) -> threading.Thread:
+    """Mark a thread as ours: one that a forked child does without."""
+    _own.add(thread)
+    return thread
+
+
+def others() -> list[threading.Thread]:
+    """All threads that a forked child would lack but ours."""
+    return [
+        thread for thread in threading.enumerate() if thread is not threading.current_thread() and thread not in _own
+    ]
+
+
+def fork() -> int:
+    """Fork while our threads are parked; returns 0 in the child, where no journal is open any more."""
+    with journal.still(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
+        child = os.fork()
+    if not child:
+        journal.forget_all()
+    return child

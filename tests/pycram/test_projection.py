@@ -1,0 +1,307 @@
+"""Projection: an action done in a copy of the process ends as it would here, and leaves nothing here but its outcome."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import recorder
+import replay
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import Designator, MotionDesignator
+from pycram.failures import BadArgument, PlanFailure, Unreachable
+from pycram.language import in_thread, par, timeout, try_in_order
+from pycram.motions.resources import Resources
+from pycram.process_module import ProcessModule
+from pycram.projection import NotProjectable, Outcome, ProjectionDied, project, project_all
+from pycram.scheduling.locks import LockHeld
+from pycram.scheduling.schedule import seed_order
+from pycram.world.snapshot import take_snapshot
+from recorder.records import Mutation, Task
+from replay.restore.verify import verify
+from tests.pycram.language.gates import Gate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.conftest import MemorySink
+
+REPO = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def cup(world: BulletWorld) -> Object:
+    Object("floor", "environment", "plane.urdf", world=world)
+    return Object("cup", "cup", "cup.stl", [0, 0, 0.3], world=world)
+
+
+@pytest.fixture(autouse=True)
+def _no_child_is_left() -> Iterator[None]:
+    yield
+    seed_order(None)
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def drop(cup: Object, height: float) -> tuple[Object, list[float]]:
+    """Drop a cup from a random place."""
+    cup.set_position([random.random(), 0, height])
+    cup.world.simulate(0.4)
+    return cup, cup.get_position()
+
+
+def test_what_is_imagined_happens_to_the_same_bits_and_nothing_has_happened_here(
+    world: BulletWorld, cup: Object, sink: MemorySink
+) -> None:
+    before, dice, records = take_snapshot(cup), random.getstate(), len(sink.of(Mutation))
+    imagined = project(drop, cup, height=0.5)
+    assert imagined.succeeded
+    assert imagined
+    assert imagined.failure is None
+    assert imagined.duration == pytest.approx(0.4)
+    assert (take_snapshot(cup), random.getstate(), len(sink.of(Mutation)), world.sim_step) == (before, dice, records, 0)
+    assert imagined.state is not None
+    saved = world.save()
+    body, at = drop(cup, 0.5)
+    assert imagined.result == (cup, at)
+    assert imagined.result[0] is cup
+    assert body is cup
+    done = world.engine.center_pose(cup.handle)[0]
+    world.restore(saved)
+    world.restore(imagined.state)
+    assert world.engine.center_pose(cup.handle)[0] == done
+
+
+def fails(cup: Object) -> None:
+    cup.world.simulate(0.1)
+    raise Unreachable("left", cup.get_position(), 0.2)
+
+
+def test_a_failure_comes_back_with_its_data(cup: Object) -> None:
+    outcome = project(fails, cup)
+    assert not outcome
+    assert isinstance(outcome.failure, Unreachable)
+    assert outcome.failure.arm == "left"
+    assert outcome.duration == pytest.approx(0.1)
+
+    class Unknown(Exception):
+        """A plan's own, which no other process can know."""
+
+    def raises() -> None:
+        raise Unknown("why not")
+
+    assert "why not" in str(project(raises).failure)
+    assert project(lambda: (i for i in ()), timeout=60).result.startswith("<generator")
+
+
+def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
+    for action, limits, cause in (
+        (lambda: os._exit(3), {}, "exit code 3"),
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), {}, "SIGKILL"),
+        (lambda: cup.world.simulate(10_000), {"timeout": 0.2}, "longer than 0.2 s"),
+        (lambda: bytearray(10**9), {"memory": 100}, "more than 100 MB"),
+    ):
+        outcome = project(action, **limits)
+        assert isinstance(outcome.failure, ProjectionDied)
+        assert cause in outcome.failure.cause
+        assert not outcome.succeeded
+    assert isinstance(project(sys.exit, 0).failure, SystemExit)
+    assert project(cup.get_position).succeeded
+
+
+def test_the_first_that_succeeds_is_the_first_of_the_candidates(cup: Object) -> None:
+    def slow() -> str:
+        cup.world.simulate(1)
+        return "slow"
+
+    def never() -> None:
+        cup.world.simulate(10_000)
+
+    outcomes = project_all([(fails, cup), slow, lambda: "quick", never])
+    assert [outcome.succeeded for outcome in outcomes] == [False, True]
+    assert outcomes[-1].result == "slow"
+    outcomes = project_all([slow, (cup.set_position, [1, 1, 1]), (fails, cup)], until="all")
+    assert [outcome.succeeded for outcome in outcomes] == [True, True, False]
+    assert [outcome.succeeded for outcome in project_all([(fails, cup)] * 3)] == [False] * 3
+    assert project_all([]) == []
+
+
+def test_in_a_branch_the_others_stand_still_in_the_copy(world: BulletWorld, cup: Object) -> None:
+    moved: list[str] = []
+
+    def other() -> None:
+        for number in range(5):
+            moved.append(f"{number} in {os.getpid()}")
+            cup.set_position([0, 0, 1 + number])
+
+    def imagined() -> tuple[list[str], list[float]]:
+        with par as s:  # blocks, timeouts and failures work in the copy as they do here
+            s(world.simulate, 0.1)
+            s(world.simulate, 0.1)
+        with pytest.raises(PlanFailure), timeout(0.1, simulated=True):
+            world.simulate(1)
+        with try_in_order as t:
+            t(fails, cup)
+            t(cup.get_position)
+        return moved[:], cup.get_position()
+
+    for seed in (None, 1, 2):
+        seed_order(seed)
+        moved.clear()
+        with par as s:
+            s(other)
+            outcome = s(project, imagined)
+        seen, at = outcome.result().result
+        assert seen == moved[: len(seen)]
+        assert at[2] < 6
+        assert len(moved) == 5
+
+
+class Holding(ProcessModule):
+    """Does what its designator says, with the left arm."""
+
+    def resources(self, designator: Designator) -> Resources:
+        return Resources(moves={"left-arm"})
+
+    def _execute(self, designator: Designator) -> object:
+        return designator.reference()["act"]()
+
+
+def test_what_other_branches_claim_is_free_in_the_copy(world: BulletWorld) -> None:
+    gate, module = Gate(), Holding()
+    holding, moving = (MotionDesignator([("type", "holding"), ("act", act)]) for act in (gate.pass_through, lambda: 7))
+
+    def imagine() -> Outcome:
+        try:
+            return project(ProcessModule.perform, moving, timeout=60)
+        finally:
+            gate.open()
+
+    with (
+        MotionDesignator.resolvers.added(lambda designator: [dict(designator.description)]),
+        ProcessModule.resolvers.added(lambda _: module),
+        par as s,
+    ):
+        s(ProcessModule.perform, holding)
+        imagined = s(imagine)
+    assert imagined.result().result == 7
+    assert s.branches[0].result()
+
+
+@pytest.mark.slow
+def test_an_imagined_pick_up_ends_as_the_real_one(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    for arm in ("left", "right"):
+        saved = scene.save()
+        pick_up = MotionDesignator([("type", "pick-up"), ("object", milk), ("arm", arm)])
+        outcome = project(ProcessModule.perform, pick_up)
+        assert not milk.attachments
+        raised: PlanFailure | None = None
+        try:
+            ProcessModule.perform(pick_up)
+        except PlanFailure as failure:
+            raised = failure
+        assert str(outcome.failure) == str(raised)
+        assert outcome.state is not None
+        assert outcome.state.command == scene.save().command
+        scene.restore(saved)
+
+
+def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "plan.mcap", output=True), BulletWorld() as world:
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 0.3], world=world)
+        outcome = project(drop, cup, 0.5)
+        project(fails, cup)
+        project(print, "in the copy")
+    with replay.open(tmp_path / "plan.mcap") as log:
+        assert verify(log).exact
+        tasks = [task for task in log.records(Task) if task.kind == "projection" and task.phase == Task.FINISHED]
+        assert [task.name for task in tasks] == ["drop", "fails", "print"]
+        assert '"succeeded":true' in tasks[0].result_json
+        assert "Unreachable" in tasks[1].result_json
+        assert not list(log.records("output"))
+    assert outcome.recording == tmp_path / "plan.projection-1.mcap"
+    with replay.open(outcome.recording) as log:
+        steps = [record for record in log.records(Mutation) if record.HasField("simulate")]
+        assert [record.simulate.steps for record in steps] == [96]
+        began = [task for task in log.records(Task) if task.kind == "projection" and task.began_ns]
+        assert len(began) == 1  # whose part it is
+    with replay.open(tmp_path / "plan.projection-3.mcap") as log:
+        assert [record.text for record in log.records("output")] == ["in the copy"]
+
+
+@contextmanager
+def running_thread() -> Iterator[None]:
+    release = threading.Event()
+    thread = threading.Thread(target=release.wait, name="my thread")
+    thread.start()
+    try:
+        yield
+    finally:
+        release.set()
+        thread.join()
+
+
+def test_what_can_not_be_projected_is_said_before(world: BulletWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    with running_thread(), pytest.raises(NotProjectable, match="lack the thread my thread; branches of `with par`"):
+        project(world.simulate, 1)
+    with pytest.raises(NotProjectable, match="MainThread"):
+        in_thread(project, world.simulate, 1)
+    with world.lock, pytest.raises(LockHeld):
+        project(world.simulate, 1)
+    for wrong in (3, "simulate"):
+        with pytest.raises(BadArgument):
+            project(wrong)  # type: ignore[arg-type]
+    with pytest.raises(BadArgument):
+        project_all([world.reset], until="some")  # type: ignore[arg-type]
+    world.set_realtime(True)
+    with pytest.raises(NotProjectable, match="real time"):
+        project(world.simulate, 1)
+    world.set_realtime(False)
+    monkeypatch.delattr(os, "fork")
+    with pytest.raises(NotProjectable, match=r"os\.fork"):
+        project(world.simulate, 1)
+
+
+DYING = """
+import os, sys, time
+from pycram.bullet_world import BulletWorld
+from pycram.projection import project
+def imagined():
+    with open(sys.argv[1], "w") as file:
+        file.write(str(os.getpid()))
+    time.sleep(600)
+with BulletWorld():
+    project(imagined)
+"""
+
+
+@pytest.mark.slow
+def test_a_copy_dies_with_its_parent_and_leaves_its_models(tmp_path: Path) -> None:
+    file = tmp_path / "pid"
+    parent = subprocess.Popen([sys.executable, "-c", DYING, str(file)], cwd=REPO)
+    while not (file.is_file() and file.read_text()):
+        assert parent.poll() is None
+        time.sleep(0.01)  # until the copy has come so far
+    parent.kill()
+    parent.wait()
+    child, deadline = Path("/proc") / file.read_text(), time.monotonic() + 60
+    while child.exists() and "zombie" not in (child / "status").read_text():
+        assert time.monotonic() < deadline, "it outlives its parent"
+    code = (
+        "import os, sys; from pycram.bullet_world import *; from pycram.models import store\n"
+        "w = BulletWorld(); Object('cup', 'cup', 'cup.stl')\n"
+        "if not os.fork(): sys.exit()\n"
+        "os.wait(); assert store.folder().is_dir(); Object('bowl', 'bowl', 'bowl.stl')"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=REPO, check=True, timeout=100)
