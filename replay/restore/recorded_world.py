@@ -8,7 +8,7 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from pycram.models import load
+from pycram.models import recorded
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
@@ -55,7 +55,7 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     missing = next((name for name in names if name not in log.assets), None)
     if missing is not None:
         raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
-    return load.restore(((name, log.assets[name]) for name in names), Loading.of(loaded))
+    return recorded.restore(((name, log.assets[name]) for name in names), Loading.of(loaded))
 
 
 @cache
