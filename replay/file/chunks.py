@@ -27,6 +27,11 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
+_MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
+_FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+MAX_STEP: Final = 1 << 40
+"""Numbers of steps are below it; others are damage."""
+_MAX_DIGITS: Final = 9  # of the number of a world's lifetime
 _OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
 _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
@@ -52,6 +57,8 @@ class Chunks:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
+        self._inflated: dict[int, int] = {}  # bytes of the chunks that were read
+        self._total = 0  # of all of these
         self.damaged: dict[int, str] = {}
         self.refresh(0)
 
@@ -122,6 +129,10 @@ class Chunks:
         except DecodeError:
             return list(self.records(number))
 
+    def misplaced(self, number: int, record: Record) -> None:
+        """Note that a record of a chunk has a step that can't be."""
+        self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
+
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
         """Yield the mutations and keyframes of a chunk, with the worlds that their channels are for."""
         entries = self._load(number)
@@ -174,6 +185,7 @@ class Chunks:
         entries = _Entries()
         try:
             contents = self._index.contents(number)
+            self._weigh(number, len(contents))
             if text not in contents:
                 return entries
             self._divide(contents, entries)
@@ -185,6 +197,17 @@ class Chunks:
         if len(self._cache) > _CACHED:
             self._cache.popitem(last=False)
         return entries
+
+    def _weigh(self, number: int, size: int) -> None:
+        """Refuse a chunk with which all that were read have many more bytes than a recording of the file's size.
+
+        Raises:
+            ValueError: they have.
+        """
+        self._total += size - self._inflated.get(number, 0)
+        self._inflated[number] = size
+        if self._total > _FREE and self._total > _MAX_RATIO * self._index.size:
+            raise ValueError(f"the chunks inflate to more than {_MAX_RATIO} times the file")
 
     def _divide(self, contents: bytes, entries: _Entries) -> None:
         channels, payloads = entries.channels.append, entries.payloads.append
@@ -201,10 +224,14 @@ class Chunks:
     def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
         if at not in entries.decoded:
             try:
-                entries.decoded[at] = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
+                record: Record | None = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
             except DecodeError as error:
                 self.damaged.setdefault(number, str(error))
-                entries.decoded[at] = None
+                record = None
+            if record is not None and not 0 <= record.seq < MAX_STEP:
+                self.misplaced(number, record)
+                record = None
+            entries.decoded[at] = record
         return entries.decoded[at]
 
 
@@ -221,4 +248,5 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
     """Return the world of a channel and the number of its lifetime; None if it has none."""
     lifetime = metadata.get("life", "")
-    return (metadata["world"], int(lifetime)) if "world" in metadata and lifetime.isdecimal() else None
+    known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
+    return (metadata["world"], int(lifetime)) if known else None

@@ -7,6 +7,7 @@ the file may be open or damaged. No record is decoded.
 from __future__ import annotations
 
 import io
+import os
 import zlib
 from collections import defaultdict
 from typing import BinaryIO, Final
@@ -17,6 +18,7 @@ from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, Met
 
 from replay.errors import LogClosed
 from replay.file.mcap_format import (
+    CHUNK_INDEX,
     DAMAGE,
     DATA_END,
     FOOTER,
@@ -86,11 +88,20 @@ class Index:
 
         Raises:
             LogClosed: the file was closed.
+            EOFError: it is not in the file.
         """
         if self._file.closed:
             raise LogClosed(self._file.name)
+        size = self.size
+        if not (0 <= extent.offset <= size and extent.length >= 0):
+            raise EOFError(f"byte {extent.offset} is not in the file, or {extent.length} bytes are no length")
         self._file.seek(extent.offset)
-        return self._file.read(extent.length)
+        return self._file.read(min(extent.length, size - extent.offset))
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return os.fstat(self._file.fileno()).st_size
 
     def contents(self, number: int) -> bytes:
         """Return a chunk's messages, decompressed and checked against their sum.
@@ -158,10 +169,14 @@ class Index:
             opcode, length = LENGTH.unpack_from(summary, at)
             at += HEADER
             if opcode == Opcode.CHUNK_INDEX:  # by far the most
+                if length < CHUNK_INDEX.size:
+                    raise EOFError
                 starts.append(at)
             else:
                 self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[at : at + length])))
             at += length
+        if at != len(summary):
+            raise EOFError
         self.chunks.take_summary(summary, starts)
         if not checked:
             for number in range(len(self.chunks)):

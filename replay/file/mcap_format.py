@@ -6,16 +6,12 @@ chunk on demand.
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
-from zstandard import ZstdDecompressor
+from zstandard import ZstdDecompressor, frame_content_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -26,9 +22,10 @@ LENGTH: Final = struct.Struct("<BQ")  # these two
 DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
-_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
 _MAP_LENGTH: Final = struct.Struct("<I")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
+MAX_INFLATED: Final = 64 << 20  # bytes of a chunk, decompressed; recorders close them at about 1 MiB
 #: What a damaged file can raise in the libraries that decode it.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 
@@ -57,7 +54,9 @@ class ChunkExtent(NamedTuple):
 
     def ids(self) -> Iterator[int]:
         """Return the ids of the channels that have messages in this chunk."""
-        return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(self.channels or b""))
+        channels = self.channels or b""
+        whole = channels[: len(channels) - len(channels) % CHANNEL_OFFSET.size]
+        return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
 
 
 class ChunkTable:
@@ -91,7 +90,7 @@ class ChunkTable:
             if isinstance(item, ChunkExtent):
                 yield item.channels
             else:
-                first = item + _CHUNK_INDEX.size
+                first = item + CHUNK_INDEX.size
                 (length,) = _MAP_LENGTH.unpack_from(summary, first - _MAP_LENGTH.size)
                 yield summary[first : first + length] or None
 
@@ -102,8 +101,8 @@ class ChunkTable:
         item = self._items[number]
         if isinstance(item, ChunkExtent):
             return item
-        _, _, offset, size, length = _CHUNK_INDEX.unpack_from(self._summary, item)
-        first = item + _CHUNK_INDEX.size
+        _, _, offset, size, length = CHUNK_INDEX.unpack_from(self._summary, item)
+        first = item + CHUNK_INDEX.size
         return ChunkExtent(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
 
 
@@ -113,7 +112,10 @@ def describe(error: Exception) -> str:
 
 
 class Decompressor:
-    """Decompresses chunks one after the other; not for several threads at once."""
+    """Decompresses chunks one after the other; not for several threads at once.
+
+    Nothing takes more memory than a chunk's head says, and that is bounded: a few kB can claim to be GB.
+    """
 
     def __init__(self) -> None:
         self._zstd = ZstdDecompressor()
@@ -125,11 +127,27 @@ class Decompressor:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
+        if size > MAX_INFLATED:
+            raise ValueError(f"it has {size} bytes by its head; chunks have up to {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
-        if chunk[CHUNK_HEAD.size : start] != b"zstd":  # other recorders may choose; ours takes this
-            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(io.BytesIO(chunk))), validate_crc=True)
-            return stream.read(size)
-        data = self._zstd.decompress(memoryview(chunk)[start + 8 :], max_output_size=size)
+        compressed = int.from_bytes(chunk[start : start + 8], "little")
+        data = self._inflated(chunk[CHUNK_HEAD.size : start], memoryview(chunk)[start + 8 :][:compressed], size)
+        if len(data) != size:
+            raise ValueError(f"it has {len(data)} bytes, by its head {size}")
         if crc and zlib.crc32(data) != crc:
             raise ValueError("its checksum differs")
         return data
+
+    def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
+        if compression == b"zstd":  # ours; other recorders may choose
+            if frame_content_size(data) > size:
+                raise ValueError(f"it inflates to {frame_content_size(data)} bytes, by its head to {size}")
+            return self._zstd.decompress(data, max_output_size=size)
+        if compression == b"lz4":
+            from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  seldom needed
+
+            inflated: bytes = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+            return inflated
+        if not compression:
+            return bytes(data)
+        raise ValueError(f"its compression {compression[:16]!r} is unknown")

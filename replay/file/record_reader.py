@@ -188,6 +188,8 @@ class RecordReader:
             for record in self._chunks.whole(number) if kind is None else self._chunks.records(number, kind):
                 if start <= record.seq < end:
                     yield record
+                elif not 0 <= record.seq < self._steps:
+                    self._chunks.misplaced(number, record)
 
     @overload
     def backwards(self, start: int, kind: type[R], *, naming: str = "") -> Iterator[R]: ...

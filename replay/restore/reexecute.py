@@ -87,12 +87,15 @@ class Reexecution:
         Raises:
             PycramError: it can't be made.
             NotRestored: its world isn't there.
+            Damaged: it contradicts the world's clock.
         """
         command = record.WhichOneof("command") or ""
         if command == "set_realtime":  # what it simulated is recorded as simulate commands
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
+        if command == "simulate":
+            _check_clock(self._log, self.worlds[record.world], record)
         self._last.record = None
         with unrecorded(*([self._journal] if observed else [])):
             if command == "open_world":
@@ -113,6 +116,13 @@ class Reexecution:
             repeated.callers.extend(record.callers)
             _keep_what_follows(record, repeated)
         return repeated
+
+
+def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
+    """Refuse to simulate another time than a world's clock tells: it could be years."""
+    if world.sim_step + record.simulate.steps != record.sim_step:
+        cause = f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
+        raise Damaged(log.path, f"step {record.seq}", cause)
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation) -> None:

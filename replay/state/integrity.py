@@ -121,8 +121,8 @@ class Integrity:
     def _check_task(self, record: Task) -> str:
         number, before = record.task, self._phases.get(record.task)
         if record.phase not in _AFTER.get(before, ()):
-            last = "never started" if before is None else f"was {Task.Phase.Name(before).lower()} before"
-            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {last}"
+            last = "never started" if before is None else f"was {_word(before)} before"
+            return f"task {number} is {_word(record.phase)}, but it {last}"
         if before is None:
             if record.parent and record.parent not in self._names:
                 return f"the parent of task {number} never started"
@@ -165,6 +165,11 @@ def _plain(world: World) -> Plain:
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     return data | {"attachments": dict(sorted(pairs.items()))}
+
+
+def _word(phase: Task.Phase) -> str:
+    """Return a phase as a word; one of a newer release as its number."""
+    return Task.Phase.Name(phase).lower() if phase in Task.Phase.values() else f"in phase {phase}"
 
 
 def files_problem(log: RecordReader) -> Problem | None:

@@ -1,0 +1,357 @@
+"""A stranger's recording does no harm: whatever it says, a verb ends soon, with little memory, and opens nothing else."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import lz4.frame
+import pytest
+import zstandard
+from google.protobuf.descriptor import FieldDescriptor
+from mcap.data_stream import RecordBuilder
+from mcap.records import AttachmentIndex, Chunk, ChunkIndex
+
+import replay.restore.ask
+import replay.restore.render
+import replay.restore.verify
+from recorder.mcap.writer import McapWriter
+from recorder.packages import versions
+from recorder.records import Keyframe, LoadBody, Mutation, Query, Run, Task
+from tests.replay import forked, hostile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mcap.records import McapRecord
+
+    from recorder.records import Record
+
+GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
+ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
+READING: Final = (
+    ["info"],
+    ["log"],
+    ["log", "--json"],
+    ["tree"],
+    ["tree", "--json"],
+    ["tree", "--svg"],
+    ["tree", "--dot"],
+    ["show", "30"],
+    ["state", "last", "--json"],
+    ["diff", "9", "last"],
+    ["blame", "milk"],
+    ["why"],
+)
+MOVED: Final = 60  # a step of the golden recording that moves the cereal
+
+
+@pytest.fixture(scope="module", autouse=True)
+def warm() -> None:
+    """What a process does once, it does before it forks."""
+    versions()
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return hostile.rewritten(GOLDEN, tmp_path_factory.mktemp("sound") / "run.mcap")
+
+
+def end(verb: list[str], file: Path, folder: Path) -> forked.Ended:
+    name, *rest = verb
+    return forked.run([name, str(file), *(str(folder / each) if each == "x.png" else each for each in rest)], folder)
+
+
+def check(file: Path, folder: Path, *verbs: list[str], damaged: bool = True, says: str = "") -> None:
+    for verb in verbs:
+        ended = end(verb, file, folder)
+        assert ended.well, (verb, ended)
+        if damaged:
+            assert ended.code == 3 or (verb == ["verify"] and ended.code == 1), (verb, ended)
+        assert says in ended.output, (verb, ended.output[-2000:])
+
+
+def test_a_sound_copy_is_sound(sound: Path, tmp_path: Path) -> None:
+    """What the others make of it is what they find."""
+    check(sound, tmp_path, ["verify"], damaged=False, says="sound ")
+    check(sound, tmp_path, ["info"], damaged=False, says="complete     yes")
+
+
+# --- models -----------------------------------------------------------------------------------------------------------
+
+CUBE: Final = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+STL: Final = b"\0" * 80 + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
+ENTITIES: Final = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10 if n else "x" * 1000}">' for n in range(10))
+MESHES: Final[dict[str, tuple[str, bytes]]] = {
+    "far index": ("x.obj", CUBE + b"f 1 2 99999999\n"),
+    "negative index": ("x.obj", CUBE + b"f -1 -2 -99999999\n"),
+    "index in a long line": ("x.obj", CUBE + b"#" + b" " * 8190 + b"f 1 2 99999999\n"),
+    "numbers that are none": ("x.obj", CUBE + b"v nan nan nan\nf 5 1 2\n"),
+    "empty OBJ": ("x.obj", b"\n"),
+    "materials elsewhere": ("x.obj", b"mtllib /etc/passwd\n" + CUBE),
+    "empty file": ("x.stl", b""),
+    "cut STL": ("x.stl", STL[:-9]),
+    "lying STL": ("x.stl", STL[:80] + struct.pack("<I", 85_899_346) + STL[84:]),
+    "far STL": ("x.stl", STL[:96] + struct.pack("<f", 3e38) + STL[100:]),
+    "empty COLLADA": ("x.dae", b"<COLLADA/>"),
+    "COLLADA of entities": ("x.dae", f"<!DOCTYPE a [{ENTITIES}]><COLLADA>&e9;</COLLADA>".encode()),
+    "unknown type": ("x.vrml", b"x"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", MESHES)
+def test_a_mesh_that_would_end_the_process_is_damage(what: str, tmp_path: Path) -> None:
+    name, content = MESHES[what]
+
+    def change(records: list[Record], assets: dict[str, bytes]) -> None:
+        mesh = next(key for key in assets if key.endswith(".obj"))
+        hostile.replace_file(records, assets, mesh, content, name)
+
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change), tmp_path, *ENGINE)
+
+
+def urdf(change: Callable[[bytes, dict[str, bytes]], bytes]) -> Callable[[list[Record], dict[str, bytes]], None]:
+    def changed(records: list[Record], assets: dict[str, bytes]) -> None:
+        model = next(key for key in assets if key.endswith("carton.urdf"))
+        text = change(assets[model], assets)
+        assert text != assets[model]
+        hostile.replace_file(records, assets, model, text)
+
+    return changed
+
+
+def named(text: bytes, name: str) -> bytes:
+    """A model with another name of its first mesh."""
+    before, _, rest = text.partition(b'filename="')
+    return before + b'filename="' + name.encode() + b'"' + rest.partition(b'"')[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["{folder}/there.obj", "../there.obj", "there.obj", "http://127.0.0.1:9/x.obj", "{folder}/pipe.obj"])
+def test_a_model_names_no_file_but_those_of_its_recording(name: str, tmp_path: Path) -> None:
+    (tmp_path / "there.obj").write_bytes(CUBE)
+    os.mkfifo(tmp_path / "pipe.obj")
+    model = urdf(lambda text, _: named(text, name.format(folder=tmp_path)))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+
+
+@pytest.mark.slow
+def test_a_model_names_no_file_of_another_body(tmp_path: Path) -> None:
+    """It is in the recording, but the record that loads the body doesn't list it."""
+    other = "plan.py"
+    model = urdf(lambda text, assets: named(text, next(key for key in assets if key.endswith(other))))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+
+
+TEXTS: Final[dict[str, Callable[[bytes], bytes]]] = {
+    "no number": lambda text: text.replace(b'<mass value="', b'<mass value="nan'),
+    "a huge number": lambda text: text.replace(b'xyz="', b'xyz="1e300 0 0" old="'),
+    "no XML": lambda text: text[:-20],
+    "entities": lambda text: f"<!DOCTYPE robot [{ENTITIES}]>".encode() + text.replace(b"</robot>", b"&e9;</robot>"),
+    "a texture": lambda text: text.replace(b"<material ", b'<material><texture filename="/dev/zero"/></material><material '),
+    "deep": lambda text: text.replace(b"<geometry>", b"<geometry>" * 50_000).replace(b"</geometry>", b"</geometry>" * 50_000),
+    "another encoding": lambda text: b'<?xml version="1.0" encoding="utf-16"?>' + text,
+    "many joints": lambda text: text.replace(
+        b"</robot>",
+        b"".join(
+            b'<link name="l%d"/><joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>' % (n, n, n - 1, n)
+            for n in range(1, 300)
+        ).replace(b'"l0"', b'"carton"')
+        + b"</robot>",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", TEXTS)
+def test_a_model_that_makes_no_sense_is_damage(what: str, tmp_path: Path) -> None:
+    model = urdf(lambda text, _: TEXTS[what](text))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE)
+
+
+@pytest.mark.parametrize("path", ["..", "a/..", "x\0y.obj", "x" * 300 + ".obj"])
+def test_a_file_with_a_name_that_is_none_is_damage(path: str, tmp_path: Path) -> None:
+    def change(records: list[Record], assets: dict[str, bytes]) -> None:
+        mesh = next(key for key in assets if key.endswith(".obj"))
+        hostile.replace_file(records, assets, mesh, assets[mesh], path.rpartition("/")[2])
+
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change), tmp_path, ENGINE[1])
+
+
+# --- bombs ------------------------------------------------------------------------------------------------------------
+
+
+def packed(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+class Bomb(McapWriter):
+    """A writer whose next chunk is what it isn't."""
+
+    def inflate(self, compression: str, data: bytes, size: int) -> None:
+        chunk = Chunk(compression, data, 0, 0, 0, size)
+        at, content = self._at, packed(chunk)
+        self._write(content)
+        self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0}, 0, size))
+
+
+MEGABYTE: Final = 1 << 20
+GIGABYTE: Final = 1 << 30
+BOMBS: Final[dict[str, Callable[[], tuple[str, bytes, int]]]] = {
+    "as it claims": lambda: ("zstd", zstandard.compress(bytes(GIGABYTE)), GIGABYTE),
+    "more than it claims": lambda: ("zstd", zstandard.compress(bytes(GIGABYTE)), 1000),
+    "without a size": lambda: ("zstd", unsized(), 1000),
+    "lz4": lambda: ("lz4", lz4.frame.compress(bytes(GIGABYTE // 4)), 1000),
+    "lz4, as it claims": lambda: ("lz4", lz4.frame.compress(bytes(GIGABYTE // 4)), GIGABYTE // 4),
+    "not compressed": lambda: ("", b"x" * 1000, GIGABYTE),
+    "unknown": lambda: ("brotli", b"x" * 1000, 1000),
+}
+
+
+def unsized() -> bytes:
+    compressor = zstandard.ZstdCompressor(write_content_size=False)
+    return compressor.compress(bytes(GIGABYTE // 4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", BOMBS)
+def test_a_chunk_inflates_to_no_more_than_it_claims_and_that_is_bounded(what: str, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "pycram")
+        begin(writer)
+        writer.inflate(*BOMBS[what]())
+        writer.flush()
+        writer.finish()
+    check(file, tmp_path, ["info"], ["log"], says="chunk 1 is damaged")
+    file.write_bytes(file.read_bytes()[:-30])  # without an index: scanned
+    check(file, tmp_path, ["info"], says="chunk 1 is damaged")
+
+
+def begin(writer: McapWriter) -> None:
+    run, task = (writer.add_schema(kind.DESCRIPTOR.full_name, "protobuf", b"") for kind in (Run, Task))
+    writer.add_channel("/run", "protobuf", run)
+    writer.add_channel("/task", "protobuf", task)
+    writer.add_messages([(1, 0, 0, Run(phase=Run.STARTED, name="x", wall_time_ns=1).SerializeToString())])
+    writer.flush()
+
+
+@pytest.mark.slow
+def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
+    """Each is as large as a recorder's; a hundred of them have 100 MB of tasks in a few kB."""
+    file = tmp_path / "x.mcap"
+    payload = Task(seq=1, task=1, phase=Task.STARTED).SerializeToString()
+    message = struct.pack("<BQHIQQ", 5, 22 + len(payload), 2, 1, 1, 1) + payload
+    chunk = message * (MEGABYTE // len(message))
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "pycram")
+        begin(writer)
+        for _ in range(100):
+            writer.inflate("zstd", zstandard.compress(chunk), len(chunk))
+        writer.finish()
+    assert file.stat().st_size < MEGABYTE / 10
+    check(file, tmp_path, ["info"], ["tree"], ["why"], says="inflate to more than")
+
+
+# --- what records say -------------------------------------------------------------------------------------------------
+
+
+def first(records: list[Record], kind: type[Any]) -> Any:
+    return next(record for record in records if type(record) is kind)
+
+
+def tasks(records: list[Record], count: int) -> None:
+    """Tasks in each other in place of what the plan did."""
+    start = first(records, Run)
+    records[1:] = [
+        Task(seq=n, task=n, parent=n - 1, phase=Task.STARTED, status=Task.RUNNING, name=f"t{n}", kind="motion", wall_time_ns=start.wall_time_ns)
+        for n in range(1, count)
+    ]
+
+
+def all_fields(message: Any, kind: int, value: Any) -> None:
+    for part in hostile.parts(message):
+        for field, held in part.ListFields():
+            if field.cpp_type == kind:
+                if hasattr(held, "append"):
+                    held[:] = [value] * len(held)
+                else:
+                    setattr(part, field.name, value)
+
+
+def changed(kind: type[Any], **fields: object) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """Fields of the first record of a kind, and its place in the recording, are others."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for name, value in fields.items():
+            setattr(first(records, kind), name, value)
+
+    return change
+
+
+def every(kind: int, value: object) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """All numbers, texts, ... of what moves and asks are another one."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for record in records[6:]:
+            all_fields(record, kind, value)
+
+    return change
+
+
+DOUBLE, TEXT, ENUM = FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_STRING, FieldDescriptor.CPPTYPE_ENUM
+
+
+def jsons(text: str) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """Every value that is JSON is a text."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for record in records:
+            for part in hostile.parts(record):
+                for field, _held in part.ListFields():
+                    if field.name == "json" or field.name.endswith("_json"):
+                        setattr(part, field.name, text)
+
+    return change
+
+
+def swapped(records: list[Record], _: dict[str, bytes]) -> None:
+    """Times that are 3e9 s apart."""
+    for record in records[70:]:
+        record.wall_time_ns += 3_000_000_000_000_000_000
+        record.monotonic_ns += 3_000_000_000_000_000_000
+
+
+SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
+    "tasks in each other": lambda records, _: tasks(records, 20_000),
+    "unknown phases": every(ENUM, 99),
+    "negative phases": every(ENUM, -1),
+    "deep JSON": jsons("[" * 100_000),
+    "sound but deep JSON": jsons("[" * 900 + "]" * 900),
+    "large numbers": jsons("9" * 4200),
+    "more digits than Python reads": jsons("9" * 5000),
+    "numbers that JSON doesn't have": jsons("[NaN, 1e999, -Infinity]"),
+    "no JSON": jsons("{'a': object}"),
+    "another type": jsons('{"object": [], "pairs": {"": 3}, "share": "x"}'),
+    "times": swapped,
+    "NaN": every(DOUBLE, float("nan")),
+    "far": every(DOUBLE, 1e30),
+    "too far": every(DOUBLE, 1e300),
+    "control characters": every(TEXT, "\x1b[2J\u202e\x00"),
+    "long": every(TEXT, "x" * 100_000),
+    "nothing": every(TEXT, ""),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", SAID)
+def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", SAID[what])
+    check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
