@@ -1,4 +1,4 @@
-"""Models from a recording, which a stranger may have written: checked as models from disk are, and nothing else is read.
+"""Models from a recording, which a stranger may have written: checked as models from disk are; nothing else is read.
 
 A recorded URDF was canonical when it was written. It names meshes as ``<sha256>/<file name>``, each a file that its
 record lists; whatever names anything else was written by no recorder. What a file contains can't be told from its

@@ -75,8 +75,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report(str(error), USAGE)  # such as a full disk
     except KeyboardInterrupt:
         return _INTERRUPTED
-    except Exception as error:  # noqa: BLE001  no file may cause one: whatever it is, it is ours
-        return _report(_own_error(error), INTERNAL)
     return code
 
 
@@ -152,6 +150,10 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
         return _report(str(error), INCOMPLETE)
     except ReplayError as error:
         return _report(str(error), USAGE)
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001  no recording may cause one: whatever it is, it is ours
+        return _report(_own_error(error), INTERNAL)
     if problems:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
     return code

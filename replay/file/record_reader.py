@@ -245,9 +245,12 @@ class RecordReader:
 
     def check(self) -> str:
         """Read everything once, and return :attr:`problems`."""
+        last = -1
         for number in range(len(self._chunks)):
-            for _ in self._chunks.records(number):
-                pass  # what is damaged is noted on the way
+            for record in self._chunks.records(number):  # what is damaged is noted on the way
+                if not last < record.seq < self._steps:
+                    self._chunks.misplaced(number, record)
+                last = record.seq
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]

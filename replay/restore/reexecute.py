@@ -121,7 +121,9 @@ class Reexecution:
 def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
     """Refuse to simulate another time than a world's clock tells: it could be years."""
     if world.sim_step + record.simulate.steps != record.sim_step:
-        cause = f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
+        cause = (
+            f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
+        )
         raise Damaged(log.path, f"step {record.seq}", cause)
 
 

@@ -285,7 +285,7 @@ def _numbers(values: Sequence[float]) -> Sequence[float]:
         ValueError: one is larger, or isn't finite.
     """
     numbers = values[:]
-    if numbers and not (-FAR <= min(numbers) and max(numbers) <= FAR and math.isfinite(sum(numbers))):
+    if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
         raise ValueError(f"the numbers {numbers[:4]} are not finite, or beyond {FAR:g}")
     return numbers
 

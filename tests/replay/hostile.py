@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import random
 import struct
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 from google.protobuf.descriptor import FieldDescriptor
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from google.protobuf.message import Message
+    from mcap.data_stream import RecordBuilder
+    from mcap.records import McapRecord
 
     from recorder.records import Record
 
@@ -56,11 +59,20 @@ def rewritten(
     target: Path,
     change: Callable[[list[Record], dict[str, bytes]], None] | None = None,
     metadata: Mapping[str, str] | None = None,
+    channels: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write a copy of a recording after a change of its records and its attached files by name, and with metadata."""
+    """Write a copy of a recording after a change of its records and its attached files by name.
+
+    Args:
+        sound: the recording.
+        target: the copy.
+        change: changes records and files.
+        metadata: of the run, to be added.
+        channels: metadata of channels, to be added.
+    """
     with replay.open(sound) as log:
         records, assets, values = list(log), dict(log.assets), dict(log.metadata) | dict(metadata or {})
-        channels = [(channel.topic, dict(channel.metadata)) for channel in log._index.channels.values()]
+        made = [(channel.topic, dict(channel.metadata)) for channel in log._index.channels.values()]
     if change is not None:
         change(records, assets)
     with target.open("wb") as file:
@@ -68,8 +80,9 @@ def rewritten(
         ids: dict[tuple[type[Record], str], int] = {}
         for kind, topic in TOPICS.items():
             schema = writer.add_schema(kind.DESCRIPTOR.full_name, "protobuf", b"")
-            for of in [{}, *(values for name, values in channels if name == topic and values)]:
-                ids[kind, of.get("world", "")] = writer.add_channel(topic, "protobuf", schema, of)
+            for of in [{}, *(values for name, values in made if name == topic and values)]:
+                named = of | dict(channels or {})
+                ids[kind, of.get("world", "")] = writer.add_channel(topic, "protobuf", schema, named)
         writer.add_metadata("pycram", values)
         for name, content in assets.items():
             writer.add_attachment(0, name, "", content)
@@ -80,6 +93,22 @@ def rewritten(
                 writer.flush()
         writer.finish()
     return target
+
+
+@contextmanager
+def lying(kind: type[McapRecord], lie: Callable[[Any], None]) -> Iterator[None]:
+    """Change what recordings that are written meanwhile have of a kind in their index."""
+    write = kind.write
+
+    def written(index: McapRecord, stream: RecordBuilder) -> None:
+        lie(index)
+        write(index, stream)
+
+    kind.write = written  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        kind.write = write  # type: ignore[method-assign]
 
 
 def replace_file(records: list[Record], assets: dict[str, bytes], name: str, content: bytes, file: str = "") -> None:

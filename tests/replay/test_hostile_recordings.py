@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import random
 import struct
+import tempfile
 import zlib
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,12 +17,16 @@ from google.protobuf.descriptor import FieldDescriptor
 from mcap.data_stream import RecordBuilder
 from mcap.records import AttachmentIndex, Chunk, ChunkIndex
 
+import replay
+import replay.cli.info
 import replay.restore.ask
 import replay.restore.render
 import replay.restore.verify
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import Keyframe, LoadBody, Mutation, Query, Run, Task
+from recorder.records import BodyState, Mutation, Picture, Query, Run, Task
+from replay.cli.main import main
+from tests.measures import seeded
 from tests.replay import forked, hostile
 
 if TYPE_CHECKING:
@@ -47,7 +52,12 @@ READING: Final = (
     ["blame", "milk"],
     ["why"],
 )
-MOVED: Final = 60  # a step of the golden recording that moves the cereal
+USING: Final = (
+    *ENGINE,
+    ["restore", "-9", "--exact", "--json"],
+    ["ask", "-8", "stable(milk)"],
+    ["ask", "-8", "visible(milk, [1.5, 0, 0.5])"],
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,14 +66,11 @@ def warm() -> None:
     versions()
 
 
-@pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return hostile.rewritten(GOLDEN, tmp_path_factory.mktemp("sound") / "run.mcap")
-
-
 def end(verb: list[str], file: Path, folder: Path) -> forked.Ended:
     name, *rest = verb
-    return forked.run([name, str(file), *(str(folder / each) if each == "x.png" else each for each in rest)], folder)
+    return forked.run(
+        [name, str(file), *(str(folder / each) if each.startswith("x.") else each for each in rest)], folder
+    )
 
 
 def check(file: Path, folder: Path, *verbs: list[str], damaged: bool = True, says: str = "") -> None:
@@ -75,8 +82,9 @@ def check(file: Path, folder: Path, *verbs: list[str], damaged: bool = True, say
         assert says in ended.output, (verb, ended.output[-2000:])
 
 
-def test_a_sound_copy_is_sound(sound: Path, tmp_path: Path) -> None:
+def test_a_sound_copy_is_sound(tmp_path: Path) -> None:
     """What the others make of it is what they find."""
+    sound = hostile.rewritten(GOLDEN, tmp_path / "x.mcap")
     check(sound, tmp_path, ["verify"], damaged=False, says="sound ")
     check(sound, tmp_path, ["info"], damaged=False, says="complete     yes")
 
@@ -132,7 +140,9 @@ def named(text: bytes, name: str) -> bytes:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["{folder}/there.obj", "../there.obj", "there.obj", "http://127.0.0.1:9/x.obj", "{folder}/pipe.obj"])
+@pytest.mark.parametrize(
+    "name", ["{folder}/there.obj", "../there.obj", "there.obj", "http://127.0.0.1:9/x.obj", "{folder}/pipe.obj"]
+)
 def test_a_model_names_no_file_but_those_of_its_recording(name: str, tmp_path: Path) -> None:
     (tmp_path / "there.obj").write_bytes(CUBE)
     os.mkfifo(tmp_path / "pipe.obj")
@@ -153,13 +163,18 @@ TEXTS: Final[dict[str, Callable[[bytes], bytes]]] = {
     "a huge number": lambda text: text.replace(b'xyz="', b'xyz="1e300 0 0" old="'),
     "no XML": lambda text: text[:-20],
     "entities": lambda text: f"<!DOCTYPE robot [{ENTITIES}]>".encode() + text.replace(b"</robot>", b"&e9;</robot>"),
-    "a texture": lambda text: text.replace(b"<material ", b'<material><texture filename="/dev/zero"/></material><material '),
-    "deep": lambda text: text.replace(b"<geometry>", b"<geometry>" * 50_000).replace(b"</geometry>", b"</geometry>" * 50_000),
+    "a texture": lambda text: text.replace(
+        b"<material ", b'<material><texture filename="/dev/zero"/></material><material '
+    ),
+    "deep": lambda text: text.replace(b"<geometry>", b"<geometry>" * 50_000).replace(
+        b"</geometry>", b"</geometry>" * 50_000
+    ),
     "another encoding": lambda text: b'<?xml version="1.0" encoding="utf-16"?>' + text,
     "many joints": lambda text: text.replace(
         b"</robot>",
         b"".join(
-            b'<link name="l%d"/><joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>' % (n, n, n - 1, n)
+            b'<link name="l%d"/><joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>'
+            % (n, n, n - 1, n)
             for n in range(1, 300)
         ).replace(b'"l0"', b'"carton"')
         + b"</robot>",
@@ -199,7 +214,7 @@ class Bomb(McapWriter):
         chunk = Chunk(compression, data, 0, 0, 0, size)
         at, content = self._at, packed(chunk)
         self._write(content)
-        self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0}, 0, size))
+        self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0, 2: 0}, 0, size))
 
 
 MEGABYTE: Final = 1 << 20
@@ -271,7 +286,16 @@ def tasks(records: list[Record], count: int) -> None:
     """Tasks in each other in place of what the plan did."""
     start = first(records, Run)
     records[1:] = [
-        Task(seq=n, task=n, parent=n - 1, phase=Task.STARTED, status=Task.RUNNING, name=f"t{n}", kind="motion", wall_time_ns=start.wall_time_ns)
+        Task(
+            seq=n,
+            task=n,
+            parent=n - 1,
+            phase=Task.STARTED,
+            status=Task.RUNNING,
+            name=f"t{n}",
+            kind="motion",
+            wall_time_ns=start.wall_time_ns,
+        )
         for n in range(1, count)
     ]
 
@@ -355,3 +379,110 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
 def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", SAID[what])
     check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [-1, 2**63 - 1, 2**39])
+@pytest.mark.parametrize("place", [3, -1])
+def test_a_step_that_can_not_be_is_damage(number: int, place: int, tmp_path: Path) -> None:
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        records[place].seq = number
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    check(file, tmp_path, ["info"], ["log"])
+    check(file, tmp_path, *READING[2:], *ENGINE, damaged=False)
+
+
+@pytest.mark.parametrize(
+    "values", [{"life": "9" * 5000, "world": "w"}, {"plan": "x" * 200_000}, {"pybullet": "9" * 5000}]
+)
+def test_metadata_of_many_digits_harms_nobody(values: dict[str, str], tmp_path: Path) -> None:
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", metadata=values, channels=values)
+    check(file, tmp_path, ["info"], ["log"], ["state", "last"], damaged=False)
+
+
+PLACES: Final = (0, 8, 2**31, 2**62, 2**64 - 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [ChunkIndex, AttachmentIndex])
+@pytest.mark.parametrize("field", ["offset", "length"])
+def test_an_index_that_lies_harms_nobody(kind: type[Any], field: str, tmp_path: Path) -> None:
+    """The summary's checksum is right."""
+    name = {ChunkIndex: {"offset": "chunk_start_offset", "length": "chunk_length"}}.get(kind, {}).get(field, field)
+    for place in PLACES:
+        with hostile.lying(kind, lambda index, place=place: setattr(index, name, place)):
+            file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap")
+        check(file, tmp_path, ["info"], damaged=field == "offset")
+        check(file, tmp_path, ["log"], ["state", "last"], ENGINE[1], damaged=False)
+
+
+def test_a_simulation_of_years_is_damage(tmp_path: Path) -> None:
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        record = next(record for record in records if isinstance(record, Mutation) and record.HasField("simulate"))
+        record.simulate.steps = 2**62
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    check(file, tmp_path, ["verify"], ["restore", "-9", "--exact", "--json"], says="and ends at")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [9e8, 1e30, float("nan")])
+def test_a_question_about_what_is_far_away_ends(far: float, tmp_path: Path) -> None:
+    """The engine's own loops can't be ended."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for state in (part for part in hostile.parts(records[-8]) if isinstance(part, BodyState) and part.position):
+            state.position[0] = far
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    with replay.open(file) as log:
+        moved = next(iter(log[len(log) - 8].effect.bodies)).body
+    for question in (f"stable({moved})", f"visible({moved}, [1.5, 0, 0.5])", f"contact({moved}, floor)"):
+        check(file, tmp_path, ["ask", "-8", question], damaged=far != 9e8)
+
+
+def test_a_picture_is_no_larger_than_it_says(tmp_path: Path) -> None:
+    pixels = zlib.compress(bytes(GIGABYTE // 4))
+    for width, height in ((4, 4), (2**31 - 1, 2**31 - 1), (-1, -1), (0, 0)):
+
+        def change(records: list[Record], _: dict[str, bytes], size: tuple[int, int] = (width, height)) -> None:
+            query = first(records, Query)
+            query.picture.CopyFrom(Picture(width=size[0], height=size[1], bodies=["milk"], pixels=pixels))
+
+        file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+        check(file, tmp_path, ["view", "--save", "x.rrd"], damaged=(width, height) != (4, 4))
+
+
+def test_an_error_of_our_own_is_said_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing that a file says may lead here; where it does, the traceback is kept for us."""
+
+    def broken(*_: object) -> int:
+        raise ZeroDivisionError("nobody foresaw it")
+
+    monkeypatch.setattr(replay.cli.info, "run", broken)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert main(["info", str(GOLDEN)]) == 4
+    told = capsys.readouterr()
+    (kept,) = tmp_path.glob("pycram-replay-*.txt")
+    assert "an error of PyCRAM's own" in told.err
+    assert str(kept) in told.err
+    assert "Traceback" not in told.err
+    assert "nobody foresaw it" in kept.read_text()
+    assert "Traceback" in kept.read_text()
+
+
+# --- anything ---------------------------------------------------------------------------------------------------------
+
+
+@seeded("mutations of a small recording", range(20_000), 50)
+def test_mutations_harm_nobody(seeds: range, tmp_path: Path) -> None:
+    """Each through a verb that uses the engine and two that only read."""
+    for seed in seeds:
+        file = hostile.mutated(GOLDEN, tmp_path / "x.mcap", seed)
+        dice = random.Random(seed)
+        for verb in (dice.choice(USING), *dice.sample(READING, 2)):
+            ended = end(verb, file, tmp_path)
+            assert ended.well, (seed, verb, ended)
