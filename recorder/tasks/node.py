@@ -35,7 +35,7 @@ class State(IntEnum):
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
-        unknown._name_, unknown._value_ = str(value), value
+        unknown._name_, unknown._value_ = str(value), value  # type: ignore[assignment]
         return unknown
 
     @property

@@ -144,7 +144,7 @@ class Decompressor:
                 raise ValueError(f"it inflates to {frame_content_size(data)} bytes, by its head to {size}")
             return self._zstd.decompress(data, max_output_size=size)
         if compression == b"lz4":
-            from lz4.frame import LZ4FrameDecompressor  # noqa: PLC0415  seldom needed
+            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415  seldom needed
 
             inflated: bytes = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
             return inflated
