@@ -27,8 +27,8 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
-_MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
-_FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
+FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
 MAX_STEP: Final = 1 << 40
 """Numbers of steps are below it; others are damage."""
 _MAX_DIGITS: Final = 9  # of the number of a world's lifetime
@@ -206,8 +206,8 @@ class Chunks:
         """
         self._total += size - self._inflated.get(number, 0)
         self._inflated[number] = size
-        if self._total > _FREE and self._total > _MAX_RATIO * self._index.size:
-            raise ValueError(f"the chunks inflate to more than {_MAX_RATIO} times the file")
+        if self._total > FREE and self._total > MAX_RATIO * self._index.size:
+            raise ValueError(f"the chunks inflate to more than {MAX_RATIO} times the file")
 
     def _divide(self, contents: bytes, entries: _Entries) -> None:
         channels, payloads = entries.channels.append, entries.payloads.append

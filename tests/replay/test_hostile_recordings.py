@@ -25,7 +25,13 @@ import replay.restore.verify
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import BodyState, Mutation, Picture, Query, Run, Task
+from recorder.records.values import MAX_DIGITS, MAX_NESTING
+from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
+from replay.explain.task_tree import MAX_DEPTH
+from replay.file.chunks import FREE, MAX_RATIO, MAX_STEP
+from replay.file.mcap_format import MAX_INFLATED
+from replay.state.fold import FAR
 from tests.measures import seeded
 from tests.replay import forked, hostile
 
@@ -472,6 +478,21 @@ def test_an_error_of_our_own_is_said_as_one(
     assert "Traceback" not in told.err
     assert "nobody foresaw it" in kept.read_text()
     assert "Traceback" in kept.read_text()
+
+
+def test_the_bounds_are_those_of_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "damaged_recordings.md").read_text()
+    for bound in (
+        f"up to {MAX_INFLATED >> 20} MiB",
+        f"{MAX_RATIO} times the file, or {FREE >> 20} MiB",
+        f"2^{MAX_STEP.bit_length() - 1}",
+        f"up to {FAR:.0e} m, rad".replace("+0", ""),
+        f"{MAX_DEPTH:,} |",
+        f"2^{MAX_PIXELS.bit_length() - 1}",
+        f"more than {MAX_DIGITS} digits",
+        f"more than {MAX_NESTING} deep",
+    ):
+        assert bound in page
 
 
 # --- anything ---------------------------------------------------------------------------------------------------------
