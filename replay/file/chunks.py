@@ -53,6 +53,7 @@ class Chunks:
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
         self.damaged: dict[int, str] = {}
+        index.arrange(kinds_of(index))
         self.refresh(0)
 
     def __len__(self) -> int:
@@ -173,10 +174,14 @@ class Chunks:
             return self._cache[number]
         entries = _Entries()
         try:
-            contents = self._index.contents(number)
+            contents, fault = self._index.contents(number)
+            if fault:
+                self.damaged.setdefault(number, fault)
             if text not in contents:
                 return entries
-            self._divide(contents, entries)
+            found, stated = self._divide(contents, entries), self._index.messages(number)
+            if stated not in (None, found):
+                self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
@@ -186,17 +191,25 @@ class Chunks:
             self._cache.popitem(last=False)
         return entries
 
-    def _divide(self, contents: bytes, entries: _Entries) -> None:
+    def _divide(self, contents: bytes, entries: _Entries) -> int:
+        """Divide a chunk into its records; return how many messages it has in all."""
         channels, payloads = entries.channels.append, entries.payloads.append
         unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
-        at = 0
+        at = others = 0
         while at < end:
             opcode, length, channel = unpack(contents, at)
             behind = at + HEADER + length
-            if opcode == _OPCODE and channel in kinds:
+            if opcode != _OPCODE:
+                pass
+            elif channel in kinds:
                 channels(channel)
                 payloads(contents[at + _PAYLOAD : behind])
+            else:
+                others += 1
             at = behind
+        if at != end:
+            raise ValueError("its last message is cut off")
+        return len(entries.channels) + others
 
     def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
         if at not in entries.decoded:

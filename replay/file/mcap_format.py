@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import get_chunk_data_stream
 from zstandard import ZstdDecompressor
@@ -27,6 +28,11 @@ DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+_INDEX_LENGTH: Final = struct.Struct("<QI")  # bytes of the message indexes; of the compression's name that follows
+_SIZES: Final = struct.Struct("<QQ")  # compressed, uncompressed
+_STATED_HEAD: Final = struct.Struct("<BQQQQ")  # of a chunk: opcode, length, start, end, size; then its CRC
+_MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
+_ENTRY: Final = 16  # bytes of a message's entry
 _MAP_LENGTH: Final = struct.Struct("<I")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
 #: What a damaged file can raise in the libraries that decode it.
@@ -60,6 +66,20 @@ class ChunkExtent(NamedTuple):
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(self.channels or b""))
 
 
+class StatedChunk(NamedTuple):
+    """What the index at a file's end states of a chunk.
+
+    Attributes:
+        head: its first bytes, opcode and length first, up to its CRC.
+        tail: the bytes after its CRC, up to its data.
+        messages: how many it has; None if that isn't stated.
+    """
+
+    head: bytes
+    tail: bytes
+    messages: int | None
+
+
 class ChunkTable:
     """The chunks in the file's order: those of its summary, or found by scanning."""
 
@@ -83,6 +103,26 @@ class ChunkTable:
     def clear(self) -> None:
         """Remove all chunks."""
         self._items.clear()
+
+    def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
+        """Take others in place of all chunks; see :mod:`replay.file.arrangement`."""
+        self._items = list(chunks)
+
+    def stated(self, number: int) -> StatedChunk | None:
+        """Return what the summary states of a chunk; None if it isn't from a summary."""
+        item = self._items[number]
+        if isinstance(item, ChunkExtent):
+            return None
+        start, end, _, length, channels = _CHUNK_INDEX.unpack_from(self._summary, item)
+        at = item + _CHUNK_INDEX.size + channels
+        indexes, name = _INDEX_LENGTH.unpack_from(self._summary, at)
+        at += _INDEX_LENGTH.size
+        compression = self._summary[at : at + name]
+        compressed, size = _SIZES.unpack_from(self._summary, at + name)
+        head = _STATED_HEAD.pack(Opcode.CHUNK, length - HEADER, start, end, size)
+        tail = struct.pack("<I", name) + compression + struct.pack("<Q", compressed)
+        entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
+        return StatedChunk(head, tail, entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""

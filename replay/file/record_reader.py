@@ -109,14 +109,22 @@ class RecordReader:
     @property
     def problems(self) -> str:
         """What is known to be missing or damaged, in words; empty if nothing is."""
-        problems = []
-        if not self.closed:
-            writer = "it is still being written" if self.live else "its process was killed"
-            cut = self._index.incomplete_bytes
-            tail = f", its last {cut} bytes are incomplete" if cut else ""
-            problems.append(f"it was not closed ({writer}){tail}")
-        elif not self._index.whole:
-            problems.append("the index at its end is damaged")
+        return "; ".join(filter(None, (self.unclosed, self.damage)))
+
+    @property
+    def unclosed(self) -> str:
+        """That the file was not closed, in words; empty if it was."""
+        if self.closed:
+            return ""
+        writer = "it is still being written" if self.live else "its process was killed"
+        cut = self._index.incomplete_bytes
+        tail = f", its last {cut} bytes are incomplete" if cut else ""
+        return f"it was not closed ({writer}){tail}"
+
+    @property
+    def damage(self) -> str:
+        """What is known to be damaged or lost, in words; empty if nothing is."""
+        problems = ["the index at its end is damaged"] if self.closed and not self._index.whole else []
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
         problems += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
@@ -249,7 +257,7 @@ class RecordReader:
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]
-        if not self.problems:
+        if not self.damage:
             self._index.check()
         return self.problems
 

@@ -1,8 +1,9 @@
 """Checks whether a recording is consistent; for this no world is needed.
 
-Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; what began in
-the thread of the task around it, or is a branch, ends before that does; every keyframe equals the fold of the records
-before it; the content of every attached file has the hash in its name.
+Steps have no gap and time never decreases; every task that starts ends once, as what it began, and its parent exists;
+what began in the thread of the task around it, or is a branch, ends before that does; what failed has its failure, and
+nothing else has; causes came before what they caused; every keyframe equals the fold of the records before it, and
+names the same models, loaded in the same way.
 """
 
 from __future__ import annotations
@@ -10,17 +11,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Keyframe, Mutation, Run, Task
-from replay.errors import Damaged
+from recorder.records import Event, Keyframe, Mutation, Run, Task
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import apply, fold
-from replay.state.json_data import world_data
+from replay.state.json_data import message_data, world_data
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from recorder.records import Plain, Record
-    from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
     from replay.state.state import World
 
@@ -31,6 +30,13 @@ _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
     Task.STARTED: (Task.FINISHED, Task.LEFT),
 }
+_STATUSES: Final[Mapping[Task.Phase | None, tuple[Task.Status, ...]]] = {
+    Task.ASKED: (Task.CREATED,),
+    Task.STARTED: (Task.RUNNING,),
+    Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
+    Task.LEFT: (Task.CREATED, Task.RUNNING),
+}
+_SAME: Final = ("kind", "name", "attempt")  # in all records of a task
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,9 @@ class Integrity:
         self.steps = 0
         self.tasks = 0
         self.keyframes = 0
-        self._time = 0
+        self._time = self._monotonic = 0
+        self._events: set[int] = set()
+        self._run: Run | None = None
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, Task] = {}
@@ -97,7 +105,13 @@ class Integrity:
         self.steps += 1
         if record.wall_time_ns < self._time:
             return Problem(step, "its wall time is before that of the previous step")
-        self._time = record.wall_time_ns
+        if record.monotonic_ns < self._monotonic:
+            return Problem(step, "its monotonic time is before that of the previous step")
+        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
+        if record.cause and record.cause not in self._events:
+            return Problem(step, f"its cause, step {record.cause}, is no event before it")
+        if isinstance(record, Event):
+            self._events.add(step)
         if isinstance(record, Task):
             cause = self._check_task(record)
         elif isinstance(record, Run):
@@ -123,6 +137,17 @@ class Integrity:
         if record.phase not in _AFTER.get(before, ()):
             last = "never started" if before is None else f"was {Task.Phase.Name(before).lower()} before"
             return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {last}"
+        if record.status not in _STATUSES[record.phase]:
+            return f"task {number} is {Task.Phase.Name(record.phase).lower()} with a status that doesn't go with that"
+        if record.HasField("failure") != (record.status == Task.FAILED):
+            return f"task {number} {'has a failure, but did not fail' if record.HasField('failure') else 'failed, but has no failure'}"
+        if before is not None:
+            began = self._running[number]
+            changed = next((field for field in _SAME if getattr(began, field) != getattr(record, field)), "")
+            if not changed and record.parent != began.parent and not began.began_ns:  # that one's may be elsewhere
+                changed = "parent"
+            if changed:
+                return f"the {changed} of task {number} isn't that of its beginning at step {began.seq}"
         if before is None:
             if record.parent and record.parent not in self._names:
                 return f"the parent of task {number} never started"
@@ -138,6 +163,12 @@ class Integrity:
         return ""
 
     def _check_run(self, record: Run) -> str:
+        failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
+        if record.HasField("failure") != failed:
+            return "it has a failure, but did not fail" if record.HasField("failure") else "it failed, but has no failure"
+        if self._run is not None and record.name != self._run.name:
+            return f"the run is called {record.name!r}, at its start {self._run.name!r}"
+        self._run = self._run or record
         if record.phase != Run.FINISHED:
             return ""
         self._threads[0] = record.thread or _MAIN_THREAD
@@ -159,19 +190,14 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, bodies by name, attachments by their pairs."""
+    """Return a world as JSON data, bodies by name and as they were loaded, attachments by their pairs."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
-    return data | {"attachments": dict(sorted(pairs.items()))}
-
-
-def files_problem(log: RecordReader) -> Problem | None:
-    """Return the first attached file that isn't what was attached."""
-    for name in log.assets:
-        try:
-            log.assets[name]
-        except Damaged as error:
-            return Problem(None, f"{error.where} is damaged: {error.cause}")
-    return None
+    loaded: list[Plain] = [
+        # the color is that of now, which the body's state has
+        {key: value for key, value in message_data(body.loaded).items() if key != "color"}
+        for body in world.bodies.values()
+    ]
+    return data | {"attachments": dict(sorted(pairs.items())), "loaded": loaded}
