@@ -78,8 +78,8 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
         yield from _problem(problem)
     if verification.damage or problem is not None:
         return
-    kept = " up to where it was cut off" if verification.incomplete else ""
-    yield f"sound  {_count(verification.steps, 'step')} without a gap{kept}"
+    gap = f", as far as there are records: {verification.incomplete}" if verification.incomplete else " without a gap"
+    yield f"sound  {_count(verification.steps, 'step')}{gap}"
     ended = f"{verification.unfinished} of them not ended then" if verification.unfinished else "each begun and ended"
     yield f"       {_count(verification.tasks, 'task')}, {ended}"
     yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
@@ -96,11 +96,18 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
         yield f"near   {changes} had the recorded effects {largest}"
     if verification.largest is not None:
         yield f"       largest deviation: {verification.largest}"
+    yield from _notes(verification)
+
+
+def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
         yield f"note   the environment is a different one: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: physics in it is not compared"
+    if verification.unknown:
+        where = ", ".join(verification.unknown)
+        yield f"note   {where} was changed as only a newer release can: from there on, physics in it is not compared"
     if verification.dragged:
         where = ", ".join(verification.dragged)
         yield f"note   in {where} something was dragged by hand: from there on, physics in it is not compared"

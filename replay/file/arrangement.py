@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from recorder.records import Record
     from replay.file.index import Index
 
-_RECORDS: Final = 50  # of a chunk
+_MESSAGES: Final = 100  # of a chunk
 _CACHED: Final = 16  # chunks of the file
-_CHANNEL: Final = struct.Struct("<H")
-_FIELDS: Final = 22  # bytes of a message's fields, of which its channel is the first
+_CHANNEL: Final = struct.Struct("<HI")  # channel, sequence
+_FIELDS: Final = 22  # bytes of a message's fields, of which these are the first
 _LOOSE: Final = -1
 
 
 class _Place(NamedTuple):
-    """A record: its step; the number of its chunk, or -1; where its message begins in that, or in the file; its length."""
+    """A record: its step; its chunk's number, or -1; where its message begins in that, or in the file; its length."""
 
     step: int
     chunk: int
@@ -50,7 +50,7 @@ class Arrangement:
     def __init__(self, index: Index, places: list[_Place]) -> None:
         self._index = index
         self._file_chunks = [index.chunks[number] for number in range(len(index.chunks))]
-        self._groups = [places[start : start + _RECORDS] for start in range(0, len(places), _RECORDS)]
+        self._groups = [places[start : start + _MESSAGES] for start in range(0, len(places), _MESSAGES)]
         self._decompressed = lru_cache(_CACHED)(lambda number: index.decompressed(self._file_chunks[number]))
         self.chunks = [
             ChunkExtent(0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {each.channel for each in group}))
@@ -67,7 +67,8 @@ class Arrangement:
         """
         damage: list[str] = []
         places = list(_places(index, kinds, damage))
-        if not index.loose and all(a.step <= b.step for a, b in pairwise(places)):
+        records = [place.step for place in places if place.channel in kinds]
+        if not index.loose and all(a <= b for a, b in pairwise(records)):
             return None  # what is damaged is found when it is read
         index.damage += damage
         return cls(index, sorted(places))
@@ -85,10 +86,10 @@ class Arrangement:
 def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) -> Iterator[_Place]:
     for chunk, offset, message in _messages(index, damage):
         try:
-            (channel,) = _CHANNEL.unpack_from(message, HEADER)
-            if channel in kinds:
+            channel, step = _CHANNEL.unpack_from(message, HEADER)  # a message for other tools has its record's number
+            if channel in kinds:  # a record tells its own; not all programs keep that of its message
                 step = kinds[channel].FromString(message[HEADER + _FIELDS :]).seq
-                yield _Place(step, chunk, offset, len(message), channel)
+            yield _Place(step, chunk, offset, len(message), channel)
         except (DecodeError, struct.error) as error:
             where = f"byte {offset}" if chunk == _LOOSE else f"byte {offset} of chunk {chunk}"
             damage.append(f"the message at {where} is damaged ({describe(error)})")

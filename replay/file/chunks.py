@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
-from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Record
+from recorder.records.definition import PACKAGE, known
 from replay.errors import LogClosed
 from replay.file.mcap_format import HEADER, describe
 
@@ -27,6 +28,7 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
+_PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
 _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
@@ -226,8 +228,11 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
     kinds = {}
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
-        if kind is not None and index.schemas.get(channel.schema_id) == kind.DESCRIPTOR.full_name:
+        message = index.schemas.get(channel.schema_id, "")
+        if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
+        elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in known():
+            kinds[number] = Envelope  # of a newer release
     return kinds
 
 

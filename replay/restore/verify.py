@@ -55,6 +55,10 @@ class _Verifier(Verifier):
         self._reexecution = reexecution
         self.environment = _environment(log)
 
+    def forget(self) -> None:
+        """Forget all worlds: records are missing."""
+        self._reexecution.forget()
+
     def check(self, record: Keyframe | Mutation) -> Problem | None:
         """Make a change again and compare it; a world that isn't there begins with its keyframe."""
         try:
@@ -75,8 +79,15 @@ class _Verifier(Verifier):
         self.changes += 1
         if record.HasField("open_world"):
             self.worlds.add((record.world, record.seq))
+        if repeated is None and self.log.newer is not None:
+            self.unknown[record.world] = None
+            self._follow(record)
+            return None
         if repeated is None:
             return self._problem(record, "it is no change that this release knows")
+        if self.log.newer is not None:
+            record = Mutation.FromString(record.SerializeToString())
+            record.DiscardUnknownFields()
         if record.drags:  # nobody does it again: the world goes on from what is recorded
             self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
@@ -102,10 +113,16 @@ class _Verifier(Verifier):
                 return self._problem(record, _DIFFERENT, worst)
             self._note(worst)
             return None
-        with unrecorded():
-            for body in world.objects:
-                restore_snapshot(body, reading(state.body(body.name)))
+        self._follow(record)
         return None
+
+    def _follow(self, record: Mutation) -> None:
+        """Put what is in a world where the record leaves it; from then on it isn't compared to the last bit."""
+        world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
+        self._reexecution.late.add(record.world)
+        with unrecorded():
+            for body in world.objects if world is not None else ():
+                restore_snapshot(body, reading(state.body(body.name)))
 
     def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
         world = self._reexecution.worlds.get(record.world)
@@ -121,7 +138,7 @@ class _Verifier(Verifier):
             self.largest = deviation
 
     def _problem(self, record: Keyframe | Mutation, cause: str, deviation: Deviation | None = None) -> Problem:
-        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self.integrity.task(record.task))
+        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self.integrity.tasks.path(record.task))
 
 
 def _worst(world: BulletWorld, state: World) -> Deviation | None:

@@ -9,34 +9,20 @@ names the same models, loaded in the same way.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from recorder.records import Event, Keyframe, Mutation, Run, Task
+from recorder.records import Envelope, Event, Keyframe, Mutation, Run, Task
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import apply, fold
 from replay.state.json_data import message_data, world_data
+from replay.state.task_integrity import TaskIntegrity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable
 
     from recorder.records import Plain, Record
     from replay.state.fold import WorldBuilder
     from replay.state.state import World
-
-_MAIN_THREAD: Final = "MainThread"  # which ends the run, in recordings of release 0.1.0, that don't say it
-#: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
-_AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
-    None: (Task.ASKED, Task.STARTED),
-    Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
-    Task.STARTED: (Task.FINISHED, Task.LEFT),
-}
-_STATUSES: Final[Mapping[Task.Phase | None, tuple[Task.Status, ...]]] = {
-    Task.ASKED: (Task.CREATED,),
-    Task.STARTED: (Task.RUNNING,),
-    Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
-    Task.LEFT: (Task.CREATED, Task.RUNNING),
-}
-_SAME: Final = ("kind", "name", "attempt")  # in all records of a task
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,127 +45,87 @@ class Problem:
 class Integrity:
     """Checks records one after the other.
 
+    Args:
+        lost: steps that are known to be missing; what they changed isn't known after them.
+        newer: whether a newer release made the recording, whose tasks may have phases that aren't known here.
+
     Attributes:
         steps: number of records checked.
-        tasks: number of tasks.
         keyframes: number of keyframes that were compared with the fold of the records before them.
+        tasks: what is known of them.
+        resumed: whether records were missing before the last one; then no world is known any more.
     """
 
-    @property
-    def unfinished(self) -> int:
-        """Number of tasks that have not ended."""
-        return len(self._running) + self._left
-
-    def __init__(self) -> None:
+    def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
+        self._lost = tuple(lost)
+        self._newer = newer
         self.steps = 0
-        self.tasks = 0
         self.keyframes = 0
+        self.tasks = TaskIntegrity()
+        self.resumed = False
         self._time = self._monotonic = 0
         self._events: set[int] = set()
-        self._run: Run | None = None
-        self._names: dict[int, tuple[str, int]] = {}
-        self._phases: dict[int, Task.Phase] = {}
-        self._running: dict[int, Task] = {}
-        self._threads: dict[int, str] = {}
         self._worlds: dict[str, WorldBuilder] = {}
-        self._left = 0  # number of tasks that run on when the recording ends
 
     def world(self, name: str) -> World:
         """Return the state of a known world after the records so far."""
         return self._worlds[name].build()
 
-    def task(self, number: int) -> tuple[str, ...]:
-        """Return a task and what it is part of, outermost first."""
-        names: list[str] = []
-        while number in self._names and len(names) <= len(self._names):
-            name, number = self._names[number]
-            names.append(name)
-        return tuple(reversed(names))
+    def knows(self, world: str) -> bool:
+        """Return whether the state of a world is known: it was opened, or had a keyframe, behind what is missing."""
+        return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
         """Take the next record; return the problem with it, or with what should have come before it."""
-        step = record.seq
-        if step != self.steps:
-            lost = str(self.steps) if step == self.steps + 1 else f"{self.steps} to {step - 1}"
-            return Problem(self.steps, f"step {lost} is missing: what followed from it can't be checked")
-        self.steps += 1
-        if record.wall_time_ns < self._time:
-            return Problem(step, "its wall time is before that of the previous step")
-        if record.monotonic_ns < self._monotonic:
-            return Problem(step, "its monotonic time is before that of the previous step")
-        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
-        if record.cause and record.cause not in self._events:
-            return Problem(step, f"its cause, step {record.cause}, is no event before it")
-        if isinstance(record, Event):
-            self._events.add(step)
-        if isinstance(record, Task):
-            cause = self._check_task(record)
-        elif isinstance(record, Run):
-            cause = self._check_run(record)
-        else:
-            cause = "" if record.task in self._names or not record.task else f"its task {record.task} never started"
-        if cause:
-            return Problem(step, cause, task=self.task(record.task))
-        if isinstance(record, Keyframe) and record.world in self._worlds:
+        step, expected = record.seq, self.steps
+        self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
+        if self.resumed:
+            self.tasks.resume()
+            self._worlds.clear()
+        elif step != expected:
+            lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
+            return Problem(expected, f"step {lost} is missing: what followed from it can't be checked")
+        self.steps = step + 1
+        cause = self._check_envelope(record) or self._check_task(record)
+        deviation = None
+        if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
             deviation = self._compare(record)
-            if deviation is not None:
-                cause = "the keyframe differs from the fold of the records before it"
-                return Problem(step, cause, deviation, self.task(record.task))
-        if isinstance(record, Mutation | Keyframe):
-            try:
-                apply(self._worlds, record)
-            except (ValueError, IndexError) as error:
-                return Problem(step, f"the record makes no sense: {error}", task=self.task(record.task))
-        return None
+            cause = "" if deviation is None else "the keyframe differs from the fold of the records before it"
+        if isinstance(record, Mutation | Keyframe) and not cause:
+            cause = self._apply(record)
+        return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
 
-    def _check_task(self, record: Task) -> str:
-        number, before = record.task, self._phases.get(record.task)
-        if record.phase not in _AFTER.get(before, ()):
-            last = "never started" if before is None else f"was {Task.Phase.Name(before).lower()} before"
-            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {last}"
-        if record.status not in _STATUSES[record.phase]:
-            return f"task {number} is {Task.Phase.Name(record.phase).lower()} with a status that doesn't go with that"
-        if record.HasField("failure") != (record.status == Task.FAILED):
-            return f"task {number} {'has a failure, but did not fail' if record.HasField('failure') else 'failed, but has no failure'}"
-        if before is not None:
-            began = self._running[number]
-            changed = next((field for field in _SAME if getattr(began, field) != getattr(record, field)), "")
-            if not changed and record.parent != began.parent and not began.began_ns:  # that one's may be elsewhere
-                changed = "parent"
-            if changed:
-                return f"the {changed} of task {number} isn't that of its beginning at step {began.seq}"
-        if before is None:
-            if record.parent and record.parent not in self._names:
-                return f"the parent of task {number} never started"
-            self.tasks += 1
-            self._names[number] = record.name, record.parent
-        self._phases[number] = record.phase
-        if record.phase in (Task.FINISHED, Task.LEFT):
-            del self._running[number]
-            self._left += record.phase == Task.LEFT
-        else:
-            self._running[number] = record
-            self._threads[number] = record.thread
+    def _check_envelope(self, record: Record) -> str:
+        before = self._time, self._monotonic
+        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
+        if record.wall_time_ns < before[0]:
+            return "its wall time is before that of the previous step"
+        if record.monotonic_ns < before[1]:
+            return "its monotonic time is before that of the previous step"
+        if record.cause and record.cause not in self._events and not self.tasks.partial:
+            return f"its cause, step {record.cause}, is no event before it"
+        if isinstance(record, Event | Envelope):
+            self._events.add(record.seq)
         return ""
 
-    def _check_run(self, record: Run) -> str:
-        failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
-        if record.HasField("failure") != failed:
-            return "it has a failure, but did not fail" if record.HasField("failure") else "it failed, but has no failure"
-        if self._run is not None and record.name != self._run.name:
-            return f"the run is called {record.name!r}, at its start {self._run.name!r}"
-        self._run = self._run or record
-        if record.phase != Run.FINISHED:
+    def _check_task(self, record: Record) -> str:
+        if isinstance(record, Run):
+            return self.tasks.check_run(record)
+        if not isinstance(record, Task):
+            return "" if self.tasks.knows(record.task) else f"its task {record.task} never started"
+        known = record.phase in Task.Phase.values() and record.status in Task.Status.values()
+        return self.tasks.check(record) if known or not self._newer else ""
+
+    def _apply(self, record: Mutation | Keyframe) -> str:
+        """Bring its world to after a change; one that isn't known is left out behind missing records."""
+        opens = isinstance(record, Keyframe) or record.HasField("open_world")
+        if not opens and self.tasks.partial and not self.knows(record.world):
             return ""
-        self._threads[0] = record.thread or _MAIN_THREAD
-        for number, began in self._running.items():
-            if began.parent not in self._running and self._ends_with_parent(began):
-                return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
+        try:
+            apply(self._worlds, record)
+        except (ValueError, IndexError) as error:
+            return f"the record makes no sense: {error}"
         return ""
-
-    def _ends_with_parent(self, task: Task) -> bool:
-        """Return whether a task can't outlive the one around it, or the run: a daemon thread's or a worker's can."""
-        return task.kind == "branch" or task.thread == self._threads[task.parent]
 
     def _compare(self, frame: Keyframe) -> Deviation | None:
         """Return how a keyframe differs from what the records before it add up to."""
