@@ -109,10 +109,10 @@ class Integrity:
         return ""
 
     def _check_task(self, record: Record) -> str:
-        if isinstance(record, Run):
-            return self.tasks.check_run(record)
+        if not isinstance(record, Task) and not self.tasks.knows(record.task):
+            return f"its task {record.task} never started"
         if not isinstance(record, Task):
-            return "" if self.tasks.knows(record.task) else f"its task {record.task} never started"
+            return self.tasks.check_run(record) if isinstance(record, Run) else ""
         known = record.phase in Task.Phase.values() and record.status in Task.Status.values()
         return self.tasks.check(record) if known or not self._newer else ""
 
@@ -130,6 +130,10 @@ class Integrity:
     def _compare(self, frame: Keyframe) -> Deviation | None:
         """Return how a keyframe differs from what the records before it add up to."""
         self.keyframes += 1
+        loaded: list[Plain] = [body.body for body in frame.loaded]
+        states: list[Plain] = [body.body for body in frame.bodies]
+        if loaded != states:
+            return Deviation("bodies", states, loaded)
         return first_deviation(
             _plain(fold([frame]).worlds[frame.world]), _plain(self._worlds[frame.world].build()), frame.world
         )

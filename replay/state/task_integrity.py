@@ -115,6 +115,8 @@ class TaskIntegrity:
         cause = _failure(failed=failed, told=record.HasField("failure"))
         if cause:
             return f"the run {cause}"
+        if record.succeeded and record.phase != Run.FINISHED:
+            return "the run succeeded, but does not end here"
         if self._run is not None and record.name != self._run.name:
             return f"the run is called {record.name!r}, at its start {self._run.name!r}"
         self._run = self._run or record
