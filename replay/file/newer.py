@@ -39,21 +39,22 @@ class Newer:
     kinds: tuple[str, ...]
 
     def __str__(self) -> str:
-        parts = [f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"]
+        text = f"written by PyCRAM {self.release or 'of an unknown version'}, which is newer than this one"
         if self.fields:
-            parts.append(f"{_counted(self.fields, 'field')} unknown here {_be(self.fields)} ignored")
+            be = "is" if len(self.fields) == 1 else "are"
+            text += f"; {_counted(self.fields, 'field')} unknown here {be} ignored {_listed(self.fields)}"
         if self.kinds:
-            parts.append(f"of {_counted(self.kinds, 'kind')} of records unknown here only the envelope is read")
-        return "; ".join(parts)
+            text += f"; of {_counted(self.kinds, 'kind')} of records only the envelope is read {_listed(self.kinds)}"
+        return text
 
 
 def _counted(names: Sequence[str], word: str) -> str:
+    return f"{len(names)} {word}{'' if len(names) == 1 else 's'}"
+
+
+def _listed(names: Sequence[str]) -> str:
     more = ", ..." if len(names) > _MAX_NAMES else ""
-    return f"{len(names)} {word}{'' if len(names) == 1 else 's'} ({', '.join(names[:_MAX_NAMES])}{more})"
-
-
-def _be(names: Sequence[str]) -> str:
-    return "is" if len(names) == 1 else "are"
+    return f"({', '.join(names[:_MAX_NAMES])}{more})"
 
 
 def format_of(index: Index) -> int:

@@ -58,10 +58,9 @@ class Integrity:
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
-        self._newer = newer
-        self.steps = 0
+        self.steps = self._next = 0
         self.keyframes = 0
-        self.tasks = TaskIntegrity()
+        self.tasks = TaskIntegrity(newer=newer)
         self.resumed = False
         self._time = self._monotonic = 0
         self._events: set[int] = set()
@@ -77,7 +76,7 @@ class Integrity:
 
     def check(self, record: Record) -> Problem | None:
         """Take the next record; return the problem with it, or with what should have come before it."""
-        step, expected = record.seq, self.steps
+        step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
             self.tasks.resume()
@@ -85,7 +84,8 @@ class Integrity:
         elif step != expected:
             lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
             return Problem(expected, f"step {lost} is missing: what followed from it can't be checked")
-        self.steps = step + 1
+        self._next = step + 1
+        self.steps += 1
         cause = self._check_envelope(record) or self._check_task(record)
         deviation = None
         if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
@@ -113,8 +113,7 @@ class Integrity:
             return f"its task {record.task} never started"
         if not isinstance(record, Task):
             return self.tasks.check_run(record) if isinstance(record, Run) else ""
-        known = record.phase in Task.Phase.values() and record.status in Task.Status.values()
-        return self.tasks.check(record) if known or not self._newer else ""
+        return self.tasks.check(record)
 
     def _apply(self, record: Mutation | Keyframe) -> str:
         """Bring its world to after a change; one that isn't known is left out behind missing records."""

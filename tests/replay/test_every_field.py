@@ -137,7 +137,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Altered]:
     file = tmp_path_factory.mktemp("fields") / "run.mcap"
     frequent = pytest.MonkeyPatch()
     frequent.setattr(transaction, "TRANSACTIONS_PER_KEYFRAME", 3)
-    with recorder.record(file, output=True), BulletWorld(name="kitchen") as world, span("plan", "tidy", {"room": "kitchen"}):
+    with (
+        recorder.record(file, output=True),
+        BulletWorld(name="kitchen") as world,
+        span("plan", "tidy", {"room": "kitchen"}),
+    ):
         world.set_gravity([0, 0, -9.8])
         Object("floor", "environment", "plane.urdf")
         cabinet = Object("cabinet", "environment", str(CABINET), [1.3, 0.7, 0.6])
