@@ -130,7 +130,8 @@ class Index:
             raise ValueError("its checksum is missing")
         if differs:
             chunk = stated.head + chunk[crc : crc + 4] + stated.tail + chunk[data:]
-        return self._decompressor.contents(chunk[HEADER:]), "its head differs from the index" if differs else ""
+        found = self._decompressor.contents(memoryview(chunk)[HEADER:])
+        return found, "its head differs from the index" if differs else ""
 
     def decompressed(self, chunk: ChunkExtent) -> bytes:
         """Return a chunk's messages, decompressed and checked; the errors are those of :meth:`contents`."""
@@ -233,18 +234,21 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _read_stated_metadata(self, stated: MetadataIndex) -> None:
-        extent = Extent(stated.offset + HEADER, stated.length - HEADER)
+        record = self.read(Extent(stated.offset, stated.length))
+        whole = record.startswith(LENGTH.pack(Opcode.METADATA, stated.length - HEADER))
         try:
-            head = self.read(Extent(stated.offset, HEADER))
-            name = self.read_metadata(extent) if head == LENGTH.pack(Opcode.METADATA, extent.length) else ""
+            name = self._take_metadata(record[HEADER:]) if whole else ""
         except DAMAGE:
             name = ""
         if name != stated.name:
             self.damage.append(f"the metadata {stated.name} is damaged")
 
-    def read_metadata(self, extent: Extent) -> str:
-        """Read a record of metadata, and return its name."""
-        metadata = Metadata.read(ReadDataStream(io.BytesIO(self.read(extent))))
+    def read_metadata(self, extent: Extent) -> None:
+        """Read a record of metadata."""
+        self._take_metadata(self.read(extent))
+
+    def _take_metadata(self, content: bytes) -> str:
+        metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
         self.metadata[metadata.name] = metadata.metadata
         name: str = metadata.name
         return name

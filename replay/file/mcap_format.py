@@ -158,7 +158,7 @@ class Decompressor:
     def __init__(self) -> None:
         self._zstd = ZstdDecompressor()
 
-    def contents(self, chunk: bytes) -> bytes:
+    def contents(self, chunk: bytes | memoryview) -> bytes:
         """Return the messages of a chunk.
 
         Raises:

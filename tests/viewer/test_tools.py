@@ -122,7 +122,7 @@ def test_rerun_reads_a_repaired_recording(log: Path, tmp_path: Path) -> None:
     cut, copy = tmp_path / "cut.mcap", tmp_path / "copy.mcap"
     cut.write_bytes(log.read_bytes()[: -(log.stat().st_size // 3)])
     assert replay_command(["repair", str(cut), "-o", str(copy)]) == 3
-    rows = {topic: 0 for topic in RECORDS}
+    rows = dict.fromkeys(RECORDS, 0)
     for chunk in McapReader(str(copy)).stream():
         batch = chunk.to_record_batch()
         if chunk.entity_path in rows and "McapChannel:id" not in batch.schema.names:
