@@ -99,7 +99,7 @@ def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes
     """Yield all messages, with the numbers of their chunks and where they begin in these, or in the file."""
     for number in range(len(index.chunks)):
         try:
-            contents, _ = index.contents(number)
+            contents = index.contents(number)[0]
             for offset, message in _divided(contents):
                 yield number, offset, message
         except LogClosed:

@@ -55,7 +55,7 @@ class Chunks:
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
         self.damaged: dict[int, str] = {}
-        index.arrange(kinds_of(index))
+        index.arrange(kinds_of)
         self.refresh(0)
 
     def __len__(self) -> int:
@@ -176,13 +176,13 @@ class Chunks:
             return self._cache[number]
         entries = _Entries()
         try:
-            contents, fault = self._index.contents(number)
+            contents, fault, stated = self._index.contents(number)
             if fault:
                 self.damaged.setdefault(number, fault)
             if text not in contents:
                 return entries
-            found, stated = self._divide(contents, entries), self._index.messages(number)
-            if stated not in (None, found):
+            found = self._divide(contents, entries)
+            if stated is not None and stated != found:
                 self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
         except LogClosed:
             raise

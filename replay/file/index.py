@@ -32,7 +32,7 @@ from replay.file.mcap_format import (
 from replay.file.scan import Scan
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from recorder.records import Record
 
@@ -110,46 +110,43 @@ class Index:
         self._file.seek(extent.offset)
         return self._file.read(extent.length)
 
-    def contents(self, number: int) -> tuple[bytes, str]:
-        """Return a chunk's messages, decompressed and checked; and how the chunk isn't what the index states of it.
+    def contents(self, number: int) -> tuple[bytes, str, int | None]:
+        """Return a chunk's messages, decompressed and checked; how the chunk isn't what the index says of it, or "".
 
-        What only its head has wrong is put right by the index.
+        What only its head has wrong is put right by the index. The third is how many messages it has by the index, None
+        if that isn't known.
 
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
         if self._arrangement is not None:
-            return self._arrangement.contents(number), ""
+            return self._arrangement.contents(number), "", None
         extent, stated = self.chunks[number], self.chunks.stated(number)
         if stated is None:
-            return self.decompressed(extent), ""
+            return self.decompressed(extent), "", None
         chunk = self.read(Extent(extent.offset - HEADER, extent.length + HEADER))
-        crc, data = len(stated.head), len(stated.head) + 4 + len(stated.tail)
-        differs = chunk[:crc] != stated.head or chunk[crc + 4 : data] != stated.tail
-        if self.ours and not any(chunk[crc : crc + 4]):
+        head, tail, messages = stated
+        crc, data = len(head), len(head) + 4 + len(tail)
+        fault = ""
+        if chunk[crc : crc + 4] == b"\0\0\0\0" and self.ours:
             raise ValueError("its checksum is missing")
-        if differs:
-            chunk = stated.head + chunk[crc : crc + 4] + stated.tail + chunk[data:]
-        found = self._decompressor.contents(memoryview(chunk)[HEADER:])
-        return found, "its head differs from the index" if differs else ""
+        if not chunk.startswith(head) or not chunk.startswith(tail, crc + 4):
+            fault = "its head differs from the index"
+            chunk = head + chunk[crc : crc + 4] + tail + chunk[data:]
+        return self._decompressor.contents(memoryview(chunk)[HEADER:]), fault, messages
 
     def decompressed(self, chunk: ChunkExtent) -> bytes:
         """Return a chunk's messages, decompressed and checked; the errors are those of :meth:`contents`."""
         return self._decompressor.contents(self.read(chunk))
 
-    def messages(self, number: int) -> int | None:
-        """Return how many messages a chunk has by the index; None if that isn't known."""
-        stated = None if self._arrangement is not None else self.chunks.stated(number)
-        return stated.messages if stated is not None else None
-
-    def arrange(self, kinds: Mapping[int, type[Record]]) -> None:
+    def arrange(self, kinds_of: Callable[[Index], Mapping[int, type[Record]]]) -> None:
         """Put the records of a file that another program wrote in the order of their steps; see :class:`Arrangement`.
 
         Args:
-            kinds: types of record by channel.
+            kinds_of: returns types of record by channel.
         """
         if not self.ours:
-            self._arrangement = Arrangement.of(self, kinds)
+            self._arrangement = Arrangement.of(self, kinds_of(self))
             if self._arrangement is not None:
                 self.chunks.arrange(self._arrangement.chunks)
 

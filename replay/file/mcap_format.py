@@ -29,8 +29,7 @@ FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 _CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
 _INDEX_LENGTH: Final = struct.Struct("<QI")  # bytes of the message indexes; of the compression's name that follows
-_SIZES: Final = struct.Struct("<QQ")  # compressed, uncompressed
-_STATED_HEAD: Final = struct.Struct("<BQQQQ")  # of a chunk: opcode, length, start, end, size; then its CRC
+_CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
 _ENTRY: Final = 16  # bytes of a message's entry
 _MAP_LENGTH: Final = struct.Struct("<I")
@@ -110,19 +109,17 @@ class ChunkTable:
 
     def stated(self, number: int) -> StatedChunk | None:
         """Return what the summary states of a chunk; None if it isn't from a summary."""
-        item = self._items[number]
-        if isinstance(item, ChunkExtent):
+        at = self._items[number]
+        if isinstance(at, ChunkExtent):
             return None
-        start, end, _, length, channels = _CHUNK_INDEX.unpack_from(self._summary, item)
-        at = item + _CHUNK_INDEX.size + channels
-        indexes, name = _INDEX_LENGTH.unpack_from(self._summary, at)
-        at += _INDEX_LENGTH.size
-        compression = self._summary[at : at + name]
-        compressed, size = _SIZES.unpack_from(self._summary, at + name)
-        head = _STATED_HEAD.pack(Opcode.CHUNK, length - HEADER, start, end, size)
-        tail = struct.pack("<I", name) + compression + struct.pack("<Q", compressed)
+        summary = self._summary
+        _, _, _, length, channels = _CHUNK_INDEX.unpack_from(summary, at)
+        sizes = at + _CHUNK_INDEX.size + channels
+        indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
+        end = sizes + _INDEX_LENGTH.size + name + 8  # of the compressed size; the uncompressed one follows
+        head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
         entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
-        return StatedChunk(head, tail, entries // _ENTRY if indexes else None)
+        return StatedChunk(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""

@@ -120,7 +120,7 @@ def test_lines_have_levels_times_and_names(stranger: Stranger, log: Path) -> Non
 def test_rerun_reads_a_repaired_recording(log: Path, tmp_path: Path) -> None:
     """A process that was killed leaves a file without an end; the library's reader and Rerun's take its copy."""
     cut, copy = tmp_path / "cut.mcap", tmp_path / "copy.mcap"
-    cut.write_bytes(log.read_bytes()[: -(log.stat().st_size // 3)])
+    cut.write_bytes(log.read_bytes()[:-20_000])
     assert replay_command(["repair", str(cut), "-o", str(copy)]) == 3
     rows = dict.fromkeys(RECORDS, 0)
     for chunk in McapReader(str(copy)).stream():
