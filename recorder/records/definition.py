@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
-from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
 from recorder.records import log_pb2
@@ -25,6 +24,8 @@ PACKAGE: Final = log_pb2.DESCRIPTOR.package
 @cache
 def known() -> frozenset[str]:
     """The names of all messages, fields and values of enums, as ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
+
     own = FileDescriptorProto()
     log_pb2.DESCRIPTOR.CopyToProto(own)
     return frozenset(_names(own.message_type))
@@ -41,6 +42,8 @@ def unknown(definitions: Iterable[bytes]) -> list[str]:
     Args:
         definitions: of message types, as recordings have them; what can't be read defines nothing.
     """
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  few readers need it
+
     names: dict[str, None] = {}
     for definition in definitions:
         try:

@@ -17,7 +17,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from replay.errors import Damaged, LogClosed
 from replay.file.chunks import kinds_of
@@ -26,6 +25,7 @@ from replay.file.mcap_format import HEADER, LENGTH, describe
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
+    from recorder.mcap.writer import McapWriter
     from recorder.records import Record
     from replay.file.assets import Assets
     from replay.file.chunks import Chunks
@@ -71,6 +71,8 @@ def write_sound(
         problems: of the original, in words.
         missing: the steps that are missing in it.
     """
+    from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
+
     release = versions()["pycram"]
     writer = McapWriter(file, f"pycram {release}")
     ids = _define(writer, index)
