@@ -21,6 +21,7 @@ from recorder.mcap.output_file import HINT, open_output, reason
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task
+from recorder.records.definition import format_number
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
 from recorder.tracing.journal import unrecorded
@@ -101,7 +102,7 @@ class McapSink:
                 self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
                 if topic not in _PER_WORLD:
                     self._register(topic)
-            self._writer.add_metadata("pycram", software | dict(metadata))
+            self._writer.add_metadata("pycram", software | {"format": str(format_number())} | dict(metadata))
             self._writer.flush()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
+    Envelope,
     Event,
     Fluent,
     Keyframe,
@@ -196,6 +197,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Run: _run,
     Output: _output,
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
+    Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
 }
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none

@@ -40,6 +40,7 @@ VERBS: Final = {
     "render": "a picture of a step, without a viewer",
     "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
+    "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
@@ -137,6 +138,8 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
 
     try:
         with Recording(options.log) as log:
+            if log.newer is not None:
+                print_message(f"{log.path}: {log.newer}")
             try:
                 with needed():
                     code: int = verb.run(log, options)

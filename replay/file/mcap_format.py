@@ -11,6 +11,7 @@ import zlib
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, frame_content_size
 
 if TYPE_CHECKING:
@@ -23,6 +24,10 @@ DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+_INDEX_LENGTH: Final = struct.Struct("<QI")  # bytes of the message indexes; of the compression's name that follows
+_CHUNK: Final = int(Opcode.CHUNK)
+_MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
+_ENTRY: Final = 16  # bytes of a message's entry
 _MAP_LENGTH: Final = struct.Struct("<I")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
 MAX_INFLATED: Final = 64 << 20  # bytes of a chunk, decompressed; recorders close them at about 1 MiB
@@ -59,6 +64,20 @@ class ChunkExtent(NamedTuple):
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
 
 
+class StatedChunk(NamedTuple):
+    """What the index at a file's end states of a chunk.
+
+    Attributes:
+        head: its first bytes, opcode and length first, up to its CRC.
+        tail: the bytes after its CRC, up to its data.
+        messages: how many it has; None if that isn't stated.
+    """
+
+    head: bytes
+    tail: bytes
+    messages: int | None
+
+
 class ChunkTable:
     """The chunks in the file's order: those of its summary, or found by scanning."""
 
@@ -82,6 +101,24 @@ class ChunkTable:
     def clear(self) -> None:
         """Remove all chunks."""
         self._items.clear()
+
+    def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
+        """Take others in place of all chunks; see :mod:`replay.file.arrangement`."""
+        self._items = list(chunks)
+
+    def stated(self, number: int) -> StatedChunk | None:
+        """Return what the summary states of a chunk; None if it isn't from a summary."""
+        at = self._items[number]
+        if isinstance(at, ChunkExtent):
+            return None
+        summary = self._summary
+        _, _, _, length, channels = CHUNK_INDEX.unpack_from(summary, at)
+        sizes = at + CHUNK_INDEX.size + channels
+        indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
+        end = sizes + _INDEX_LENGTH.size + name + 8  # of the compressed size; the uncompressed one follows
+        head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
+        entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
+        return StatedChunk(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""
@@ -120,7 +157,7 @@ class Decompressor:
     def __init__(self) -> None:
         self._zstd = ZstdDecompressor()
 
-    def contents(self, chunk: bytes) -> bytes:
+    def contents(self, chunk: bytes | memoryview) -> bytes:
         """Return the messages of a chunk.
 
         Raises:
@@ -131,7 +168,7 @@ class Decompressor:
             raise ValueError(f"it has {size} bytes by its head; chunks have up to {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
         compressed = int.from_bytes(chunk[start : start + 8], "little")
-        data = self._inflated(chunk[CHUNK_HEAD.size : start], memoryview(chunk)[start + 8 :][:compressed], size)
+        data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), memoryview(chunk)[start + 8 :][:compressed], size)
         if len(data) != size:
             raise ValueError(f"it has {len(data)} bytes, by its head {size}")
         if crc and zlib.crc32(data) != crc:

@@ -67,9 +67,14 @@ class Reexecution:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Close all worlds."""
         with unrecorded():
             for world in self.worlds.values():
                 world.exit()
+        self.worlds.clear()
 
     def begin(self, frame: Keyframe) -> None:
         """Rebuild a world from its keyframe, if it isn't there."""
@@ -114,7 +119,7 @@ class Reexecution:
             repeated.world, repeated.task, repeated.cause = record.world, record.task, record.cause
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
-            _keep_what_follows(record, repeated)
+            _keep_what_follows(record, repeated, told=self._log.format > 0)
         return repeated
 
 
@@ -127,13 +132,12 @@ def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> Non
         raise Damaged(log.path, f"step {record.seq}", cause)
 
 
-def _keep_what_follows(record: Mutation, repeated: Mutation) -> None:
-    """Take over what says nothing of how a change is made."""
+def _keep_what_follows(record: Mutation, repeated: Mutation, *, told: bool) -> None:
+    """Take over what says nothing of how a change is made; overlaps only where the recording's release tells them."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window changes nothing
-    if record.HasField("load_body"):  # follows from the states; older releases didn't tell it
+    if record.HasField("load_body") and not told and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
-        repeated.load_body.overlaps.extend(record.load_body.overlaps)
     if record.simulate.HasField("settled"):  # follows from the states
         repeated.simulate.settled = record.simulate.settled
 

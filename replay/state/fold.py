@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
+from replay.file.repair import range_text
 from replay.state.state import Attachment, Body, Sampled, State, World
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     for lifetime in log.lifetimes:
         if lifetime.has(step):  # else it came later, or another one has taken its name since
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
-    lost = ", ".join(_range(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
+    lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"what steps {lost} changed is lost" if lost else ""
     sampled = _apply_samples(log, step + 1, worlds, moment) if moment is not None else None
     return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets, sampled)
@@ -104,10 +105,6 @@ def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe
         if frames:
             return frames[-1]
     return None
-
-
-def _range(gap: range) -> str:
-    return str(gap.start) if len(gap) == 1 else f"{gap.start}-{gap.stop - 1}"
 
 
 def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
