@@ -88,8 +88,10 @@ def _strip(element: ET.Element) -> None:
     """Remove what isn't URDF; no deeper than what is kept, however deep the rest is nested."""
     own = _OWN_CHILDREN.get(element.tag, ())
     for child in list(element):
-        if child.tag in own or (element.tag in _ANY_CHILD and not child.tag.startswith("{")):
+        if child.tag in own:
             _strip(child)
+        elif element.tag in _ANY_CHILD and not child.tag.startswith("{"):
+            del child[:]  # a shape has no parts
         else:
             element.remove(child)
 
@@ -111,7 +113,7 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
         links.give_inertia(link, moved=link.get("name") in moved)
     for joint in root.findall("joint"):
         _normalize(joint, tree)
-    _check_size(source, tree)
+    check_size(source, tree)
     ET.indent(root, " ")
     content = ET.tostring(root)
     return content, parse_urdf(content, source)
@@ -129,7 +131,12 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
             limit.attrib.pop(bound, None)
 
 
-def _check_size(source: Path, tree: Urdf) -> None:
+def check_size(source: Path, tree: Urdf) -> None:
+    """Refuse a robot of more joints, or with longer names, than the engine takes.
+
+    Raises:
+        AssetError: It is one.
+    """
     for count, most, what in (
         (len(tree.joints), _MAX_JOINTS, "joints, fixed ones included"),
         (len(tree.movable), _MAX_MOVABLE, "movable joints"),

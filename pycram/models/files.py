@@ -45,7 +45,7 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
     """
     try:
         return tomllib.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise AssetError(source, f"is not TOML: {error}") from error
 
 

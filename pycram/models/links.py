@@ -21,6 +21,7 @@ _FRAME_MASS: Final = 1e-3  # kg, of links that are only frames
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _JOINT_INERTIA: Final = 0.05  # kg m^2, of frames between joints, as of rotors: motors in a row agree sooner
 _ROUNDING: Final = 1e-9  # kg m^2 below 0 that are a rounding error of a mesh tool
+_LARGEST: Final = 1e9  # m, kg or kg m^2, of anything in a link
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -97,6 +98,8 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
     if len(values) != count or not all(map(math.isfinite, values)):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise AssetError(source, f"{where}: {attribute} takes {wanted}, has {text!r}")
+    if max(map(abs, values)) > _LARGEST:
+        raise AssetError(source, f"{where}: {attribute} is {text!r}: numbers go up to {_LARGEST:g}")
     return values
 
 

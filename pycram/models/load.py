@@ -2,7 +2,7 @@
 
 PyBullet refuses broken files without a reason, or loads them without a shape: every file is checked here first. A
 canonical URDF refers to its meshes as ``<sha256>/<file name>``, their names in the store (:mod:`pycram.models.store`).
-The same store can be built again from a recording's attachments on another machine.
+The same store can be built again from a recording's attachments on another machine (:mod:`pycram.models.recorded`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import canonical, converted, mesh, packages as packages_of, robot_urdfs, store
-from pycram.models.files import parse_urdf, read_bytes
+from pycram.models.files import read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
 
     from recorder.geometry.urdf import Urdf
 
@@ -105,29 +105,6 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
     if kind == ".xacro":
         canonical.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
-
-
-def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
-    """Load a model from a recording's attachments as they are: they were canonical when recorded.
-
-    Args:
-        files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
-        loading: How the engine made a body of it.
-
-    Raises:
-        AssetError: A file's name isn't the hash of its content, or the URDF is broken.
-    """
-    assets = []
-    for key, content in files:
-        name = key.partition("/")[2]
-        asset = AssetFile(name, content, store.URDF_TYPE if name.endswith(".urdf") else store.MESH_TYPE)
-        if asset.key != key or Path(name).name != name:
-            raise AssetError(key, "is not the file that its name says")
-        store.write(key, content)
-        assets.append(asset)
-    tree = parse_urdf(assets[0].content, assets[0].key)
-    path, _ = store.write_urdf(assets[0].name, assets[0].content)
-    return Model(path, tree, tuple(assets), loading)
 
 
 def _decompose(content: bytes) -> bytes:

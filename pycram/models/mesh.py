@@ -37,6 +37,7 @@ with needed():
 _MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 _LARGE: Final = 5000  # faces
+_FAR: Final = 1e9  # in the file's unit, of an STL, which a URDF may scale
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 
 
@@ -81,6 +82,21 @@ def convert_collision(file: Path) -> tuple[str, bytes]:
             return name, content
     hull = _hull(triangles) if len(triangles) > _LARGE else None
     return (f"{file.stem}.stl", stl(triangles)) if hull is None else (f"{file.stem}.hull.stl", stl(hull))
+
+
+def check(file: Path) -> None:
+    """Refuse a mesh that isn't as :func:`convert` writes them, or is broken.
+
+    Raises:
+        AssetError: It is neither binary STL nor OBJ, or as for :func:`convert`.
+    """
+    kind = file.suffix.lower()
+    if kind == ".stl":
+        _check_binary_stl(file, _bytes(file))
+    elif kind == ".obj":
+        _all_triangles(file, _bytes(file))
+    else:
+        raise AssetError(file, "is neither binary STL nor OBJ")
 
 
 def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
@@ -179,8 +195,11 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
         raise AssetError(file, "is an STL without faces")
     if len(content) < wanted:
         raise AssetError(file, f"is truncated: {faces} faces take {wanted} bytes, it has {len(content)}")
-    if not np.isfinite(stl_faces(content)["numbers"]).all():
+    numbers = stl_faces(content)["numbers"]
+    if not np.isfinite(numbers).all():
         raise AssetError(file, "has vertices that are not finite numbers")
+    if np.abs(numbers[:, 1:]).max() > _FAR:
+        raise AssetError(file, f"has vertices more than {_FAR:g} away from its origin")
 
 
 def _with_normals(content: bytes) -> bytes:

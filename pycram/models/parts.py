@@ -37,6 +37,7 @@ LIBRARIES: Final = f"collada {collada.__version__} trimesh {trimesh.__version__}
 STL_HEADER: Final = 84
 STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 _MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
+_MAX_LINE: Final = 8000  # bytes of a line of OBJ; PyBullet reads 8,192 at once
 
 
 class Part(NamedTuple):
@@ -127,7 +128,28 @@ def _dae(file: Path, content: bytes) -> Iterator[Part]:
                 yield Part(triangles, _rgba(diffuse))
 
 
+def _check_faces(content: bytes) -> None:
+    """Refuse an OBJ with a face whose corners aren't there: PyBullet would end the process.
+
+    Raises:
+        ValueError: There is one, or a line that PyBullet breaks in two.
+    """
+    known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
+    for line in content.replace(b"\r", b"\n").split(b"\n"):
+        if len(line) > _MAX_LINE:
+            raise ValueError(f"a line has {len(line)} bytes")
+        key, *words = line.split() or [b""]
+        if key in known:
+            known[key] += 1
+        elif key == b"f":
+            for word in words:
+                for number, count in zip(word.split(b"/"), known.values(), strict=False):
+                    if number and not 0 < (int(number) if number[:1] != b"-" else count + 1 + int(number)) <= count:
+                        raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that isn't there")
+
+
 def _obj(file: Path, content: bytes) -> Iterator[Part]:
+    _check_faces(content)
     has_materials = b"mtllib" in content
     resolver = trimesh.resolvers.FilePathResolver(str(file))
     scene = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False)

@@ -22,6 +22,7 @@ from recorder.mcap.output_file import CHANGED_HINT, HINT, Changed, Watched, open
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Run, Task, escaped
+from recorder.records.definition import format_number
 from recorder.records.frames import FrameTree
 from recorder.records.text import Lines
 from recorder.tracing.forking import own
@@ -112,8 +113,8 @@ class McapSink:
                 self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
                 if topic not in _PER_WORLD:
                     self._register(topic)
-            texts = {name: escaped(text) for name, text in (software | dict(metadata)).items()}
-            self._writer.add_metadata("pycram", texts)
+            facts = software | {"format": str(format_number())} | dict(metadata)
+            self._writer.add_metadata("pycram", {name: escaped(text) for name, text in facts.items()})
             self._writer.flush()
             if self._durable:
                 self._watched.sync()

@@ -15,6 +15,7 @@ from recorder.records.log_pb2 import (
     DetachBody as DetachBody,
     Drag as Drag,
     Effect as Effect,
+    Envelope as Envelope,
     Event as Event,
     Failure as Failure,
     Fluent as Fluent,
@@ -61,7 +62,9 @@ from recorder.records.values import (
     to_json as to_json,
 )
 
-Record: TypeAlias = Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output
+Record: TypeAlias = (
+    Run | Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Keyframe | Output | Envelope
+)
 
 TOPICS: Mapping[type[Record], str] = {
     Run: "/run",
@@ -76,6 +79,9 @@ TOPICS: Mapping[type[Record], str] = {
     Output: "/output",
 }
 """The MCAP topic of each record type; one type each."""
+
+UNKNOWN: Final = "/unknown"
+"""In place of the topic of records of a kind that a newer release has added."""
 
 STEPS_PER_SECOND: Final = 240
 """Of simulated time, which a record's ``sim_step`` counts; every world is simulated at this pace."""

@@ -12,6 +12,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
     STEPS_PER_SECOND,
+    Envelope,
     Event,
     Fluent,
     Keyframe,
@@ -196,6 +197,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], tuple[str, Log.Level.ValueTy
     Run: _run,
     Output: _output,
     Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
+    Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
 }
 
 _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others have none

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import traceback
 from collections.abc import Callable, Mapping, Set as AbstractSet
 from contextlib import suppress
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 
 #: A longer traceback has its innermost frames, of each error in it: a failure through many blocks is recorded by each.
 MAX_FRAMES: Final = 32
+MAX_NESTING: Final = 100
+"""Levels of lists and dictionaries in each other, in a value that a record has; what is deeper is told as its text."""
+MAX_DIGITS: Final = 300
+"""Of a whole number, which a float still holds then; what has longer ones is told as its text."""
+_BRACKET: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{}\]]')
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What JSON holds."""
@@ -104,10 +110,43 @@ def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> li
 def from_json(text: str) -> Plain:
     """Return a value that a record has as JSON; what isn't JSON (another program's, or damaged) as it is."""
     try:
-        value: Plain = json.loads(text)
+        return _loaded(text)
     except ValueError:
         return text
+
+
+def _loaded(text: str) -> Plain:
+    """Return the value of a line of JSON.
+
+    Raises:
+        ValueError: It isn't JSON, is nested deeper than any that is told, or has longer numbers.
+    """
+    if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING and _depth(text) > MAX_NESTING:
+        raise ValueError(f"it is nested more than {MAX_NESTING} deep")
+    value: Plain = _DECODER.decode(text)
     return value
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"a number has {len(text)} digits")
+    return int(text)
+
+
+def _refuse(text: str) -> float:
+    raise ValueError(f"{text} is not JSON")
+
+
+_DECODER: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
+
+
+def _depth(text: str) -> int:
+    """How deep JSON is nested at most."""
+    depth = deepest = 0
+    for bracket in _BRACKET.findall(text):
+        depth += 1 if bracket in "[{" else -1 if bracket in "]}" else 0
+        deepest = max(depth, deepest)
+    return deepest
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
@@ -116,7 +155,7 @@ def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> d
     Raises:
         ValueError: One isn't JSON, and the reading is strict; else it is taken as it is.
     """
-    return {argument.name: json.loads(argument.json) if strict else from_json(argument.json) for argument in arguments}
+    return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
 def _message(error: BaseException) -> str:

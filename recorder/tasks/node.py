@@ -29,9 +29,18 @@ class State(IntEnum):
     FAILED = Task.FAILED
     CANCELLED = Task.CANCELLED
 
+    @classmethod
+    def _missing_(cls, value: object) -> State | None:
+        """Return the status of a number that only a newer release knows: called by that number."""
+        if not isinstance(value, int):
+            return None
+        unknown = int.__new__(cls, value)
+        unknown._name_, unknown._value_ = str(value), value  # type: ignore[assignment]
+        return unknown
+
     @property
     def word(self) -> str:
-        """As a word: "created", "running", "succeeded", "failed" or "cancelled"."""
+        """As a word: "created", "running", "succeeded", "failed" or "cancelled"; of a newer release's, its number."""
         return self.name.lower()
 
     def __str__(self) -> str:

@@ -6,6 +6,7 @@ side lies one above the other. Hovering over a task shows all of it.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from functools import partial
 from html import escape as escape_quotes
 from operator import attrgetter
@@ -21,13 +22,16 @@ if TYPE_CHECKING:
     from recorder.tasks.node import Moment, Node
     from recorder.tasks.tree_text import Row
 
-COLORS: Final = {
-    State.SUCCEEDED: "#2e9e5b",
-    State.FAILED: "#d0342c",
-    State.CANCELLED: "#9a9a9a",
-    State.RUNNING: "#2f6fd0",
-    State.CREATED: "#d9a400",
-}
+COLORS: Final = defaultdict(
+    lambda: "#707070",  # of what a newer release knows
+    {
+        State.SUCCEEDED: "#2e9e5b",
+        State.FAILED: "#d0342c",
+        State.CANCELLED: "#9a9a9a",
+        State.RUNNING: "#2f6fd0",
+        State.CREATED: "#d9a400",
+    },
+)
 _ROW: Final = 20  # height of a line, px
 _INDENT: Final = 16
 _NAMES: Final = 520  # width of the names' column
@@ -76,7 +80,8 @@ def svg(roots: Sequence[Node], failure_path: Sequence[Node], depth: int | None =
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    steps = (size * unit for unit in (1e-6, 1e-3, 1.0, 1e3, 1e6) for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
+    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)  # times are 64 bits of nanoseconds: 9e9 s
+    steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)
     yield f'<text x="12" y="24" fill="#555">task</text><text x="{_NAMES}" y="16" fill="#555">time by the clock</text>'
     for number in range(int(seconds / step) + 1):

@@ -86,7 +86,7 @@ def lines(
 ) -> Iterator[str]:
     """The tree as lines of text; see :func:`rows`."""
     for row in rows(roots, failure_path, depth, whole=whole, output=output):
-        mark = f"{_MARKS[row.node.status]} " if row.node is not None else ""
+        mark = f"{_MARKS.get(row.node.status, '?')} " if row.node is not None else ""
         extent = f"  [{_extent(row.node)}]" if row.node is not None else ""
         yield f"{'> ' if row.failing else '  '}{'  ' * row.depth}{mark}{row.text}{extent}"
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 PICTURE: Final = "picture"
 _MAX_CLASSES: Final = 60_000  # the viewer's classes are 16 bits
+MAX_PIXELS: Final = 1 << 24  # of a picture; robots' cameras have a tenth of it
 _GOLDEN_RATIO: Final = 0.618034  # steps of hue that keep neighbours apart
 
 
@@ -34,7 +35,10 @@ class QueryPicture:
             return
         picture = record.picture
         classes = [0, *(self._class(body) for body in picture.bodies)]
-        pixels = np.frombuffer(zlib.decompress(picture.pixels), dtype=np.uint8)
+        size = picture.width * picture.height
+        if not 0 < size <= MAX_PIXELS:
+            raise ValueError(f"a picture of {picture.width} x {picture.height} pixels")
+        pixels = np.frombuffer(zlib.decompressobj().decompress(picture.pixels, size), dtype=np.uint8)
         image = np.array(classes, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
         self._columns.send(self._path, now, rr.SegmentationImage(image))
 

@@ -65,7 +65,7 @@ class TaskGraph:
         for row, (depth, node) in enumerate(_shown(self._tree), 1):
             ids.append(str(node.id))
             labels.append(_label(node))
-            colors.append(_COLORS[node.status])
+            colors.append(_COLORS.get(node.status, _COLORS[State.CREATED]))
             positions.append(((depth + 1) * _ACROSS, row * _DOWN))
             edges.append((str(node.parent.id) if node.parent is not None else _PLAN, ids[-1]))
         nodes = rr.GraphNodes(node_ids=ids, labels=labels, colors=colors, positions=positions)

@@ -64,8 +64,14 @@ def _lines(log: Recording, info: Summary) -> list[tuple[str, str]]:
         ("files", f"{info.attachments} attached"),
         ("computer", _computer(info.start)),
         ("versions", ", ".join(f"{key} {info.metadata[key]}" for key in _VERSIONS if key in info.metadata)),
+        ("repaired", _repair(info)),
         ("complete", f"no: {info.problems}" if info.problems else complete),
     ]
+
+
+def _repair(info: Summary) -> str:
+    by, problems = (info.metadata.get(f"pycram.repair.{key}", "") for key in ("by", "problems"))
+    return f"by PyCRAM {by}; before: {problems or 'complete'}" if by else ""
 
 
 def _plan(info: Summary) -> str:

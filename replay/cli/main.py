@@ -1,6 +1,7 @@
 """``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
 
-Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done as far as possible, but the recording was incomplete.
+Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done as far as possible, but the recording was incomplete, 4 an
+error of PyCRAM's own.
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ VERBS: Final = {
     "retrace": "whether the plan, run again, does the same; else the first difference",
     "fork": "the plan run again up to a step, and on from there: another plan, a new recording",
     "resume": "a plan whose process was killed goes on where it was",
+    "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
-FINE, FAILED, USAGE, INCOMPLETE = 0, 1, 2, 3
+FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
@@ -80,6 +82,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+def _own_error(error: Exception) -> str:
+    """Write the traceback of an error that nobody foresaw to a file, and return what to do with it."""
+    import tempfile  # noqa: PLC0415  --help needn't wait for these
+    import traceback  # noqa: PLC0415
+
+    text = "".join(traceback.format_exception(error))
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="pycram-replay-", suffix=".txt", delete=False, encoding="utf-8", errors="backslashreplace"
+        ) as file:
+            file.write(text)
+    except OSError:
+        return f"this is an error of PyCRAM's own, please report it with the recording:\n{text}"
+    summary = traceback.format_exception_only(error)[-1].strip()
+    return f"this is an error of PyCRAM's own, please report it with the recording and {file.name}: {summary}"
+
+
 def _joined(arguments: Sequence[str]) -> list[str]:
     """Return the arguments, points that begin with a minus joined to their options: alone they look like options."""
     joined: list[str] = []
@@ -103,7 +122,8 @@ def _parser(arguments: Sequence[str], module: ModuleType | None) -> argparse.Arg
     parser = argparse.ArgumentParser(
         prog="pycram-replay",
         description="Reads recordings of robot plans, explains failures, and restores worlds.",
-        epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete.",
+        epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, "
+        "4 an error of PyCRAM's own.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and end")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
@@ -121,6 +141,8 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
 
     try:
         with Recording(options.log) as log:
+            if log.newer is not None:
+                print_message(f"{log.path}: {log.newer}")
             try:
                 with needed():
                     code: int = verb.run(log, options)
@@ -134,6 +156,10 @@ def _run(verb: ModuleType, options: argparse.Namespace) -> int:
         return _report(str(error), INCOMPLETE)
     except ReplayError as error:
         return _report(str(error), USAGE)
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001  no recording may cause one: whatever it is, it is ours
+        return _report(_own_error(error), INTERNAL)
     if problems and not getattr(verb, "EXPECTS_INCOMPLETE", False):
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
     return code

@@ -10,35 +10,44 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import native_output_to_stderr, print_result
-from replay.cli.main import FAILED, FINE
+from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.state.verification import verify_static
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator
 
     from replay.recording import Recording
-    from replay.restore.verify import Verification
     from replay.state.deviation import Deviation
     from replay.state.integrity import Problem
+    from replay.state.verification import Verification
 
 _PERIOD: Final = 0.2  # s between progress messages
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Describe the exit codes."""
-    parser.epilog = "Exit code 0: it is sound. 1: it isn't. 3: its readable part is, but it is incomplete."
+    """Add the choice of what is verified, and describe the exit codes."""
+    parser.epilog = "Exit code 0: it is sound. 1: it is whole, but records differ. 3: it is damaged or incomplete."
+    parser.add_argument("--static", action="store_true", help="only what needs no engine: the file and its records")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the verdict."""
-    from replay.restore.verify import verify  # noqa: PLC0415  --help needn't wait for the engine
-
     start = time.perf_counter()
-    with native_output_to_stderr(), _progress(len(log)) as progress:
-        verification = verify(log, progress)
+    with _progress(len(log)) as progress:
+        verification = verify_static(log, progress) if options.static else _verified(log, progress)
     seconds = time.perf_counter() - start
     print_result(lambda: _plain(verification, seconds), _lines(verification, seconds), as_json=options.json)
+    if verification.damage or verification.incomplete:
+        return INCOMPLETE
     return FINE if verification.sound else FAILED
+
+
+def _verified(log: Recording, progress: Callable[[int], None] | None) -> Verification:
+    from replay.restore.verify import verify  # noqa: PLC0415  --help and --static do without the engine
+
+    with native_output_to_stderr():
+        return verify(log, progress)
 
 
 @contextmanager
@@ -63,14 +72,21 @@ def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
 
 def _lines(verification: Verification, seconds: float) -> Iterator[str]:
     problem = verification.problem
+    if verification.damage:
+        yield f"damaged: {verification.damage}"
     if problem is not None:
         yield from _problem(problem)
+    if verification.damage or problem is not None:
         return
-    yield f"sound  {_count(verification.steps, 'step')} without a gap"
+    gap = f", as far as there are records: {verification.incomplete}" if verification.incomplete else " without a gap"
+    yield f"sound  {_count(verification.steps, 'step')}{gap}"
     ended = f"{verification.unfinished} of them not ended then" if verification.unfinished else "each begun and ended"
     yield f"       {_count(verification.tasks, 'task')}, {ended}"
     yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
     yield f"       {_count(verification.files, 'file')} as attached"
+    if verification.static:
+        yield "note   no change was made again: that needs the engine, and verify without --static"
+        return
     changes, worlds = _count(verification.changes, "change"), _count(verification.worlds, "world")
     changes = f"{changes} in {worlds}, made again in {seconds:.1f} s,"
     if verification.exact:
@@ -80,11 +96,18 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
         yield f"near   {changes} had the recorded effects {largest}"
     if verification.largest is not None:
         yield f"       largest deviation: {verification.largest}"
+    yield from _notes(verification)
+
+
+def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
         yield f"note   the environment is a different one: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: physics in it is not compared"
+    if verification.unknown:
+        where = ", ".join(verification.unknown)
+        yield f"note   {where} was changed as only a newer release can: from there on, physics in it is not compared"
     if verification.dragged:
         where = ", ".join(verification.dragged)
         yield f"note   in {where} something was dragged by hand: from there on, physics in it is not compared"

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING
 
-from recorder.records import Keyframe, Output, Run
+from recorder.records import Envelope, Keyframe, Output, Run
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ class Source:
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
         """Return the plan's lines that led to a task, a change or the like, outermost first; none if it has none."""
-        if isinstance(record, Run | Keyframe):
+        if isinstance(record, Run | Keyframe | Envelope):
             return ()
         line = self.line(record.source_file, record.source_line)
         if line is None:

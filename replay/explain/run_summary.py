@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Run, format_failure
+from replay.errors import Unreadable
 from replay.explain.failures import failed_threads
 from replay.explain.root_cause import INTERRUPT
 
@@ -88,11 +89,17 @@ def _seconds(first: Record, last: Record) -> float:
 
 
 def summary(log: RecordReader) -> Summary:
-    """Sum up a recording."""
+    """Sum up a recording.
+
+    Raises:
+        Unreadable: all of its records are damaged.
+    """
     size = log.path.stat().st_size
     checked = size <= MAX_CHECKED
     problems = log.check() if checked else log.problems
-    first, last = next(log.records()), next(log.backwards())
+    first, last = next(log.records(), None), next(log.backwards(), None)
+    if first is None or last is None:
+        raise Unreadable(log.path, f"has no record that can be read: {problems}")
     end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
     unfinished = "running" if log.live else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Output, Query, Task
 from recorder.tasks import Tree
+from replay.errors import Damaged
 from replay.explain.root_cause import root_cause, uncaught_failure
 
 if TYPE_CHECKING:
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
 
     from recorder.tasks import Node
     from replay.file.record_reader import RecordReader
+
+
+MAX_DEPTH: Final = 2000
+"""Levels of tasks in each other; plans come to about 1,000, where Python's stack ends."""
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
@@ -26,12 +31,20 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
 
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
-    """Return the task tree of a recording, as it was before a step if one is given."""
+    """Return the task tree of a recording, as it was before a step if one is given.
+
+    Raises:
+        Damaged: tasks are nested deeper than any plan's.
+    """
     folded = Tree()
+    depths: dict[int, int] = {}
     for record in log.records((Task, Output), stop=stop):
         if isinstance(record, Output):
             folded.output.setdefault(record.task, []).append(record)
         elif isinstance(record, Task):
+            depth = depths[record.task] = depths.get(record.parent, 0) + 1
+            if depth > MAX_DEPTH:
+                raise Damaged(log.path, f"step {record.seq}", f"its task is nested more than {MAX_DEPTH} deep")
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
         cause = root_cause(log)  # the plan's own failure is more specific than those of its tasks

@@ -42,8 +42,9 @@ class Assets(Mapping[str, bytes]):
             KeyError: there is none of that name.
             Damaged: it isn't what was attached.
         """
-        content = self._index.read(self._index.attachments[name])
+        extent = self._index.attachments[name]
         try:
+            content = self._index.read(extent)
             data: bytes = Attachment.read(ReadDataStream(io.BytesIO(content))).data
         except DAMAGE as error:
             raise self._damaged(name, describe(error)) from error

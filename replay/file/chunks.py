@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
-from recorder.records import TOPICS, Keyframe, Mutation, Record
+from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Record
+from recorder.records.definition import PACKAGE, known
 from replay.errors import LogClosed
 from replay.file.mcap_format import HEADER, describe
 
@@ -27,6 +28,12 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
+MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
+FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+MAX_STEP: Final = 1 << 40
+"""Numbers of steps are below it; others are damage."""
+_MAX_DIGITS: Final = 9  # of the number of a world's lifetime
+_PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # opcode, length, channel
 _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
@@ -52,7 +59,10 @@ class Chunks:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
+        self._inflated: dict[int, int] = {}  # bytes of the chunks that were read
+        self._total = 0  # of all of these
         self.damaged: dict[int, str] = {}
+        index.arrange(kinds_of)
         self.refresh(0)
 
     def __len__(self) -> int:
@@ -122,6 +132,10 @@ class Chunks:
         except DecodeError:
             return list(self.records(number))
 
+    def misplaced(self, number: int, record: Record) -> None:
+        """Note that a record of a chunk has a step that can't be."""
+        self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
+
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
         """Yield the mutations and keyframes of a chunk, with the worlds that their channels are for."""
         entries = self._load(number)
@@ -173,10 +187,15 @@ class Chunks:
             return self._cache[number]
         entries = _Entries()
         try:
-            contents = self._index.contents(number)
+            contents, fault, stated = self._index.contents(number)
+            if fault:
+                self.damaged.setdefault(number, fault)
+            self._weigh(number, len(contents))
             if text not in contents:
                 return entries
-            self._divide(contents, entries)
+            found = self._divide(contents, entries)
+            if stated is not None and stated != found:
+                self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
@@ -186,25 +205,48 @@ class Chunks:
             self._cache.popitem(last=False)
         return entries
 
-    def _divide(self, contents: bytes, entries: _Entries) -> None:
+    def _weigh(self, number: int, size: int) -> None:
+        """Refuse a chunk with which all that were read have many more bytes than a recording of the file's size.
+
+        Raises:
+            ValueError: they have.
+        """
+        self._total += size - self._inflated.get(number, 0)
+        self._inflated[number] = size
+        if self._total > FREE and self._total > MAX_RATIO * self._index.size:
+            raise ValueError(f"the chunks inflate to more than {MAX_RATIO} times the file")
+
+    def _divide(self, contents: bytes, entries: _Entries) -> int:
+        """Divide a chunk into its records; return how many messages it has in all."""
         channels, payloads = entries.channels.append, entries.payloads.append
         unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
-        at = 0
+        at = others = 0
         while at < end:
             opcode, length, channel = unpack(contents, at)
             behind = at + HEADER + length
-            if opcode == _OPCODE and channel in kinds:
+            if opcode != _OPCODE:
+                pass
+            elif channel in kinds:
                 channels(channel)
                 payloads(contents[at + _PAYLOAD : behind])
+            else:
+                others += 1
             at = behind
+        if at != end:
+            raise ValueError("its last message is cut off")
+        return len(entries.channels) + others
 
     def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
         if at not in entries.decoded:
             try:
-                entries.decoded[at] = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
+                record: Record | None = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
             except DecodeError as error:
                 self.damaged.setdefault(number, str(error))
-                entries.decoded[at] = None
+                record = None
+            if record is not None and not 0 <= record.seq < MAX_STEP:
+                self.misplaced(number, record)
+                record = None
+            entries.decoded[at] = record
         return entries.decoded[at]
 
 
@@ -213,12 +255,16 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
     kinds = {}
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
-        if kind is not None and index.schemas.get(channel.schema_id) == kind.DESCRIPTOR.full_name:
+        message = index.schemas.get(channel.schema_id, "")
+        if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
+        elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in known():
+            kinds[number] = Envelope  # of a newer release
     return kinds
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
     """Return the world of a channel and the number of its lifetime; None if it has none."""
     lifetime = metadata.get("life", "")
-    return (metadata["world"], int(lifetime)) if "world" in metadata and lifetime.isdecimal() else None
+    known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
+    return (metadata["world"], int(lifetime)) if known else None

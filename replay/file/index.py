@@ -7,16 +7,19 @@ the file may be open or damaged. No record is decoded.
 from __future__ import annotations
 
 import io
+import os
 import zlib
 from collections import defaultdict
-from typing import BinaryIO, Final
+from typing import TYPE_CHECKING, BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
 
 from replay.errors import LogClosed
+from replay.file.arrangement import Arrangement
 from replay.file.mcap_format import (
+    CHUNK_INDEX,
     DAMAGE,
     DATA_END,
     FOOTER,
@@ -29,6 +32,11 @@ from replay.file.mcap_format import (
     Extent,
 )
 from replay.file.scan import Scan
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from recorder.records import Record
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 
@@ -49,6 +57,8 @@ class Index:
         incomplete_bytes: at the end, of a record that was cut off, or is being written.
         data_end: where the record that ends the data begins; 0 if there is none, or it wasn't found.
         library: the library that wrote the file, by its header; "" if that is damaged.
+        definitions: of message types, as in the file, by their names.
+        loose: messages outside of chunks, as some programs write them, in the file's order.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -60,45 +70,96 @@ class Index:
         self.chunks = ChunkTable()
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, str] = {}
+        self.definitions: dict[str, bytes] = {}
+        self.loose: list[Extent] = []
         self.attachments: dict[str, Extent] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.counts: defaultdict[int, int] = defaultdict(int)
         self.incomplete_bytes = 0
         self.data_end = 0
+        self._arrangement: Arrangement | None = None
         self._scan = Scan(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
         self.library = self._read_library()
+        damaged = len(self.damage)
         try:
             self._read_summary()
         except DAMAGE:
             self._clear()
+            del self.damage[damaged:]
             self.refresh()
 
     def _clear(self) -> None:
         self.chunks.clear()
-        for table in (self.channels, self.schemas, self.attachments, self.metadata, self.counts):
+        for table in (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts):
             table.clear()
+
+    @property
+    def ours(self) -> bool:
+        """Whether PyCRAM wrote the file, as far as is known; then it has all checksums, and steps in their order."""
+        return not self.library or self.library.startswith("pycram")
 
     def read(self, extent: Extent | ChunkExtent) -> bytes:
         """Return the content of a record, less if the file ends in it.
 
         Raises:
             LogClosed: the file was closed.
+            EOFError: it is not in the file.
         """
         if self._file.closed:
             raise LogClosed(self._file.name)
+        size = self.size
+        if not (0 <= extent.offset <= size and extent.length >= 0):
+            raise EOFError(f"byte {extent.offset} is not in the file, or {extent.length} bytes are no length")
         self._file.seek(extent.offset)
-        return self._file.read(extent.length)
+        return self._file.read(min(extent.length, size - extent.offset))
 
-    def contents(self, number: int) -> bytes:
-        """Return a chunk's messages, decompressed and checked against their sum.
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return os.fstat(self._file.fileno()).st_size
+
+    def contents(self, number: int) -> tuple[bytes, str, int | None]:
+        """Return a chunk's messages, decompressed and checked; how the chunk isn't what the index says of it, or "".
+
+        What only its head has wrong is put right by the index. The third is how many messages it has by the index, None
+        if that isn't known.
 
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
-        return self._decompressor.contents(self.read(self.chunks[number]))
+        if self._arrangement is not None:
+            return self._arrangement.contents(number), "", None
+        extent, stated = self.chunks[number], self.chunks.stated(number)
+        if stated is None:
+            return self.decompressed(extent), "", None
+        chunk = self.read(Extent(extent.offset - HEADER, extent.length + HEADER))
+        head, tail, messages = stated
+        crc, data = len(head), len(head) + 4 + len(tail)
+        fault = ""
+        if chunk[crc : crc + 4] == b"\0\0\0\0" and self.ours:
+            raise ValueError("its checksum is missing")
+        if not chunk.startswith(head) or not chunk.startswith(tail, crc + 4):
+            fault = "its head differs from the index"
+            chunk = head + chunk[crc : crc + 4] + tail + chunk[data:]
+        return self._decompressor.contents(memoryview(chunk)[HEADER:]), fault, messages
+
+    def decompressed(self, chunk: ChunkExtent) -> bytes:
+        """Return a chunk's messages, decompressed and checked; the errors are those of :meth:`contents`."""
+        return self._decompressor.contents(self.read(chunk))
+
+    def arrange(self, kinds_of: Callable[[Index], Mapping[int, type[Record]]]) -> None:
+        """Put the records of a file that another program wrote in the order of their steps; see :class:`Arrangement`.
+
+        Args:
+            kinds_of: returns types of record by channel.
+        """
+        if not self.ours:
+            self._arrangement = Arrangement.of(self, kinds_of(self))
+            if self._arrangement is not None:
+                self.chunks.arrange(self._arrangement.chunks)
 
     def check(self) -> None:
         """Compare the checksum of all bytes with the stored one, and add a difference to ``damage``.
@@ -114,12 +175,12 @@ class Index:
             left -= len(block)
         end = self._file.read(DATA_END)
         stored = int.from_bytes(end[HEADER:], "little")
-        if end[:1] != bytes([Opcode.DATA_END]) or (stored and stored != crc):
+        if end[:HEADER] != LENGTH.pack(Opcode.DATA_END, 4) or (stored != crc if self.ours else stored not in (0, crc)):
             self.damage = [*self.damage, "its checksum differs from the one that it was closed with"]
 
     def refresh(self) -> bool:
         """Look for what was written since; return whether there is anything new: never in a file that was closed."""
-        return not self.closed and self._scan.resume()
+        return not self.closed and self._arrangement is None and self._scan.resume()
 
     def _read_library(self) -> str:
         self._file.seek(len(MAGIC))
@@ -143,7 +204,7 @@ class Index:
             raise EOFError  # closed, but without index
         self._file.seek(footer.summary_start)
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
-        if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
+        if zlib.crc32(summary) != footer.summary_crc and (footer.summary_crc or self.ours):
             raise EOFError
         self._read_summary_records(summary[: len(summary) - FOOTER + 4], checked=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
@@ -158,10 +219,14 @@ class Index:
             opcode, length = LENGTH.unpack_from(summary, at)
             at += HEADER
             if opcode == Opcode.CHUNK_INDEX:  # by far the most
+                if length < CHUNK_INDEX.size:
+                    raise EOFError
                 starts.append(at)
             else:
                 self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[at : at + length])))
             at += length
+        if at != len(summary):
+            raise EOFError
         self.chunks.take_summary(summary, starts)
         if not checked:
             for number in range(len(self.chunks)):
@@ -178,17 +243,32 @@ class Index:
             attachment = AttachmentIndex.read(stream)
             self.attachments[attachment.name] = Extent(attachment.offset + HEADER, attachment.length - HEADER)
         elif opcode == Opcode.METADATA_INDEX:
-            metadata = MetadataIndex.read(stream)
-            self.read_metadata(Extent(metadata.offset + HEADER, metadata.length - HEADER))
+            self._read_stated_metadata(MetadataIndex.read(stream))
+
+    def _read_stated_metadata(self, stated: MetadataIndex) -> None:
+        record = self.read(Extent(stated.offset, stated.length))
+        whole = record.startswith(LENGTH.pack(Opcode.METADATA, stated.length - HEADER))
+        try:
+            name = self._take_metadata(record[HEADER:]) if whole else ""
+        except DAMAGE:
+            name = ""
+        if name != stated.name:
+            self.damage.append(f"the metadata {stated.name} is damaged")
 
     def read_metadata(self, extent: Extent) -> None:
         """Read a record of metadata."""
-        metadata = Metadata.read(ReadDataStream(io.BytesIO(self.read(extent))))
+        self._take_metadata(self.read(extent))
+
+    def _take_metadata(self, content: bytes) -> str:
+        metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
         self.metadata[metadata.name] = metadata.metadata
+        name: str = metadata.name
+        return name
 
     def define(self, record: object) -> None:
         """Add the definition of a channel or of a message type."""
         if isinstance(record, Schema):
             self.schemas[record.id] = record.name
+            self.definitions[record.name] = record.data
         elif isinstance(record, Channel):
             self.channels[record.id] = record

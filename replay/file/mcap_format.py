@@ -6,16 +6,13 @@ chunk on demand.
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.records import Chunk
-from mcap.stream_reader import get_chunk_data_stream
-from zstandard import ZstdDecompressor
+from mcap.opcode import Opcode
+from zstandard import ZstdDecompressor, frame_content_size
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -26,9 +23,14 @@ LENGTH: Final = struct.Struct("<BQ")  # these two
 DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
-_CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length; bytes of the map that follows
+_INDEX_LENGTH: Final = struct.Struct("<QI")  # bytes of the message indexes; of the compression's name that follows
+_CHUNK: Final = int(Opcode.CHUNK)
+_MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
+_ENTRY: Final = 16  # bytes of a message's entry
 _MAP_LENGTH: Final = struct.Struct("<I")
 CHUNK_HEAD: Final = struct.Struct("<QQQII")  # start, end, size, crc; length of the compression's name that follows
+MAX_INFLATED: Final = 64 << 20  # bytes of a chunk, decompressed; recorders close them at about 1 MiB
 #: What a damaged file can raise in the libraries that decode it.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 
@@ -57,7 +59,23 @@ class ChunkExtent(NamedTuple):
 
     def ids(self) -> Iterator[int]:
         """Return the ids of the channels that have messages in this chunk."""
-        return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(self.channels or b""))
+        channels = self.channels or b""
+        whole = channels[: len(channels) - len(channels) % CHANNEL_OFFSET.size]
+        return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
+
+
+class StatedChunk(NamedTuple):
+    """What the index at a file's end states of a chunk.
+
+    Attributes:
+        head: its first bytes, opcode and length first, up to its CRC.
+        tail: the bytes after its CRC, up to its data.
+        messages: how many it has; None if that isn't stated.
+    """
+
+    head: bytes
+    tail: bytes
+    messages: int | None
 
 
 class ChunkTable:
@@ -84,6 +102,24 @@ class ChunkTable:
         """Remove all chunks."""
         self._items.clear()
 
+    def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
+        """Take others in place of all chunks; see :mod:`replay.file.arrangement`."""
+        self._items = list(chunks)
+
+    def stated(self, number: int) -> StatedChunk | None:
+        """Return what the summary states of a chunk; None if it isn't from a summary."""
+        at = self._items[number]
+        if isinstance(at, ChunkExtent):
+            return None
+        summary = self._summary
+        _, _, _, length, channels = CHUNK_INDEX.unpack_from(summary, at)
+        sizes = at + CHUNK_INDEX.size + channels
+        indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
+        end = sizes + _INDEX_LENGTH.size + name + 8  # of the compressed size; the uncompressed one follows
+        head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
+        entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
+        return StatedChunk(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
+
     def channel_maps(self) -> Iterator[bytes | None]:
         """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""
         summary = self._summary
@@ -91,7 +127,7 @@ class ChunkTable:
             if isinstance(item, ChunkExtent):
                 yield item.channels
             else:
-                first = item + _CHUNK_INDEX.size
+                first = item + CHUNK_INDEX.size
                 (length,) = _MAP_LENGTH.unpack_from(summary, first - _MAP_LENGTH.size)
                 yield summary[first : first + length] or None
 
@@ -102,8 +138,8 @@ class ChunkTable:
         item = self._items[number]
         if isinstance(item, ChunkExtent):
             return item
-        _, _, offset, size, length = _CHUNK_INDEX.unpack_from(self._summary, item)
-        first = item + _CHUNK_INDEX.size
+        _, _, offset, size, length = CHUNK_INDEX.unpack_from(self._summary, item)
+        first = item + CHUNK_INDEX.size
         return ChunkExtent(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
 
 
@@ -113,23 +149,42 @@ def describe(error: Exception) -> str:
 
 
 class Decompressor:
-    """Decompresses chunks one after the other; not for several threads at once."""
+    """Decompresses chunks one after the other; not for several threads at once.
+
+    Nothing takes more memory than a chunk's head says, and that is bounded: a few kB can claim to be GB.
+    """
 
     def __init__(self) -> None:
         self._zstd = ZstdDecompressor()
 
-    def contents(self, chunk: bytes) -> bytes:
+    def contents(self, chunk: bytes | memoryview) -> bytes:
         """Return the messages of a chunk.
 
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
+        if size > MAX_INFLATED:
+            raise ValueError(f"it has {size} bytes by its head; chunks have up to {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
-        if chunk[CHUNK_HEAD.size : start] != b"zstd":  # other recorders may choose; ours takes this
-            stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(io.BytesIO(chunk))), validate_crc=True)
-            return stream.read(size)
-        data = self._zstd.decompress(memoryview(chunk)[start + 8 :], max_output_size=size)
+        compressed = int.from_bytes(chunk[start : start + 8], "little")
+        data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), memoryview(chunk)[start + 8 :][:compressed], size)
+        if len(data) != size:
+            raise ValueError(f"it has {len(data)} bytes, by its head {size}")
         if crc and zlib.crc32(data) != crc:
             raise ValueError("its checksum differs")
         return data
+
+    def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
+        if compression == b"zstd":  # ours; other recorders may choose
+            if frame_content_size(data) > size:
+                raise ValueError(f"it inflates to {frame_content_size(data)} bytes, by its head to {size}")
+            return self._zstd.decompress(data, max_output_size=size)
+        if compression == b"lz4":
+            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415  seldom needed
+
+            inflated: bytes = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+            return inflated
+        if not compression:
+            return bytes(data)
+        raise ValueError(f"its compression {compression[:16]!r} is unknown")

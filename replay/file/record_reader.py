@@ -10,15 +10,17 @@ import contextlib
 import os
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, overload
 
-from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Query, Run, Task
+from recorder.records import TOPICS, UNKNOWN, Event, Fluent, Keyframe, Mutation, Query, Run, Task
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
 from replay.file.file_checks import check_ours, is_locked, open_file
 from replay.file.index import Index
 from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
+from replay.file.newer import Newer, format_of, newer_of
+from replay.file.repair import Losses, lost_before, range_text, write_sound
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -39,6 +41,7 @@ class RecordReader:
         path: the file.
         assets: the attached files by ``<sha256>/<file name>``.
         written_ns: when the file was last written to before it was opened, ns since the Unix epoch.
+        lost_before: steps that were lost before the file was repaired.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -54,6 +57,7 @@ class RecordReader:
             self._file.close()
             raise
         self.assets = Assets(self.path, self._index)
+        self.lost_before = lost_before(self._index)
 
     def __enter__(self) -> Self:
         return self
@@ -107,20 +111,40 @@ class RecordReader:
     @property
     def problems(self) -> str:
         """What is known to be missing or damaged, in words; empty if nothing is."""
-        problems = []
-        if not self.closed:
-            writer = "it is still being written" if self.live else "its process was killed"
-            cut = self._index.incomplete_bytes
-            tail = f", its last {cut} bytes are incomplete" if cut else ""
-            problems.append(f"it was not closed ({writer}){tail}")
-        elif not self._index.whole:
-            problems.append("the index at its end is damaged")
+        return "; ".join(filter(None, (self.incomplete, self.damage)))
+
+    @property
+    def incomplete(self) -> str:
+        """That the file was not closed, or lost records before it was repaired, in words; empty if neither is so."""
+        if self.closed:
+            lost = ", ".join(map(range_text, self.lost_before))
+            return f"steps {lost} were lost before it was repaired" if lost else ""
+        writer = "it is still being written" if self.live else "its process was killed"
+        cut = self._index.incomplete_bytes
+        tail = f", its last {cut} bytes are incomplete" if cut else ""
+        return f"it was not closed ({writer}){tail}"
+
+    @property
+    def damage(self) -> str:
+        """What is known to be damaged or lost, in words; empty if nothing is."""
+        problems = ["the index at its end is damaged"] if self.closed and not self._index.whole else []
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
         problems += [f"the attached file {name} is damaged ({cause})" for name, cause in self.assets.damaged.items()]
-        if self._lost and not self._chunks.damaged:
-            problems.append(f"{self._lost} records are lost")
+        lost = self._lost - sum(map(len, self.lost_before))
+        if lost > 0 and not self._chunks.damaged:
+            problems.append(f"{lost} records are lost")
         return "; ".join(problems)
+
+    @cached_property
+    def newer(self) -> Newer | None:
+        """What this release doesn't know of the recording, if a newer one wrote it."""
+        return newer_of(self._index)
+
+    @property
+    def format(self) -> int:
+        """The format of the recording, 0 if it doesn't tell; see :mod:`recorder.records.definition`."""
+        return format_of(self._index)
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
@@ -133,7 +157,7 @@ class RecordReader:
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
             if count:
-                name = TOPICS[kind].removeprefix("/")
+                name = TOPICS.get(kind, UNKNOWN).removeprefix("/")
                 counts[name] = counts.get(name, 0) + count
         return counts
 
@@ -186,6 +210,8 @@ class RecordReader:
             for record in self._chunks.whole(number) if kind is None else self._chunks.records(number, kind):
                 if start <= record.seq < end:
                     yield record
+                elif not 0 <= record.seq < self._steps:
+                    self._chunks.misplaced(number, record)
 
     @overload
     def backwards(self, start: int, kind: type[R], *, naming: str = "") -> Iterator[R]: ...
@@ -241,13 +267,16 @@ class RecordReader:
 
     def check(self) -> str:
         """Read everything once, and return :attr:`problems`."""
+        last = -1
         for number in range(len(self._chunks)):
-            for _ in self._chunks.records(number):
-                pass  # what is damaged is noted on the way
+            for record in self._chunks.records(number):  # what is damaged is noted on the way
+                if not last < record.seq < self._steps:
+                    self._chunks.misplaced(number, record)
+                last = record.seq
         for name in self.assets:
             with contextlib.suppress(Damaged):  # which is kept in assets.damaged
                 _ = self.assets[name]
-        if not self.problems:
+        if not self.damage:
             self._index.check()
         return self.problems
 
@@ -264,6 +293,18 @@ class RecordReader:
             expected = max(expected, record.seq + 1)
         return gaps
 
+    def write_sound(self, file: BinaryIO) -> Losses:
+        """Write a sound copy of what can be read; see :func:`replay.file.repair.write_sound`."""
+        self.check()
+        return write_sound(file, self._index, self._chunks, self.assets, self.problems, self._missing())
+
+    def _missing(self) -> list[range]:
+        """Return the ranges of steps that are missing, also those after the last one if their number is known."""
+        gaps = self.lost()
+        after = self._lost - sum(map(len, gaps))
+        gaps += [range(self._steps, self._steps + after)] if after > 0 else []
+        return gaps + [gap for gap in self.lost_before if gap not in gaps]
+
     def refresh(self) -> bool:
         """Look for records that were written since, if the file was not closed; return whether there are any."""
         last = len(self._chunks) - 1
@@ -279,6 +320,6 @@ class RecordReader:
         for number in range(len(self._chunks) - 1, -1, -1):
             last = next(self._chunks.records(number, backwards=True), None)
             if last is not None:
-                self._lost = max(0, last.seq + 1 - sum(self.counts().values()))
+                self._lost = abs(last.seq + 1 - sum(self.counts().values()))
                 return last.seq + 1
         raise Unreadable(self.path, "has no record that can be read")

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Footer, Message, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Channel, Footer, Schema
 
 from replay.file.mcap_format import (
     CHANNEL_OFFSET,
@@ -97,7 +96,8 @@ class Scan:
         footer = Footer.read(ReadDataStream(io.BytesIO(end[-FOOTER - len(MAGIC) + HEADER :])))
         if not footer.summary_start:
             return len(end) == FOOTER + len(MAGIC)
-        intact = footer.summary_crc in (0, zlib.crc32(end[: -len(MAGIC) - 4]))
+        crc = zlib.crc32(end[: -len(MAGIC) - 4])
+        intact = footer.summary_crc == crc or not (footer.summary_crc or self._index.ours)
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
@@ -116,9 +116,7 @@ class Scan:
                 self._index.define(definition)
 
     def _definition(self, opcode: int, extent: Extent) -> Schema | Channel:
-        kind = Schema if opcode == Opcode.SCHEMA else Channel
-        definition: Schema | Channel = kind.read(ReadDataStream(io.BytesIO(self._index.read(extent))))
-        return definition
+        return _parsed(opcode, self._index.read(extent))
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
         """Return whether a record that reaches beyond the end is damaged, rather than cut off."""
@@ -148,6 +146,10 @@ class Scan:
                     self._count_last()
                 self._counted = defaultdict(int)
                 self._index.chunks.append(ChunkExtent(*extent, None))
+            elif opcode == Opcode.MESSAGE:
+                self._index.loose.append(extent)
+                self._file.seek(extent.offset)
+                self._index.counts[int.from_bytes(self._file.read(2), "little")] += 1
             elif opcode == Opcode.MESSAGE_INDEX:
                 return self._read_message_index(extent)
             elif opcode == Opcode.ATTACHMENT:
@@ -191,14 +193,18 @@ class Scan:
         """Read the channels that a chunk defines; return its messages by channel, None if it is damaged."""
         counted: defaultdict[int, int] = defaultdict(int)
         try:
-            chunk = Chunk.read(ReadDataStream(io.BytesIO(self._index.read(self._index.chunks[number]))))
-            records = breakup_chunk(chunk, validate_crc=True)
+            contents = self._index.contents(number)[0]
+            at = 0
+            while at < len(contents):
+                opcode, length = LENGTH.unpack_from(contents, at)
+                content = contents[at + HEADER : at + HEADER + length]
+                if opcode == Opcode.MESSAGE:
+                    counted[int.from_bytes(content[:2], "little")] += 1
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._index.define(_parsed(opcode, content))
+                at += HEADER + length
         except Exception:  # noqa: BLE001  decompressors' errors have no common base; reported when the chunk is read
             return None
-        for record in records:
-            self._index.define(record)
-            if isinstance(record, Message):
-                counted[record.channel_id] += 1
         return counted
 
     def _count_last(self) -> None:
@@ -236,3 +242,9 @@ class Scan:
         self._file.seek(offset)
         opcode, length = LENGTH.unpack(self._file.read(HEADER))
         return opcode, Extent(offset + HEADER, length)
+
+
+def _parsed(opcode: int, content: bytes) -> Schema | Channel:
+    kind = Schema if opcode == Opcode.SCHEMA else Channel
+    definition: Schema | Channel = kind.read(ReadDataStream(io.BytesIO(content)))
+    return definition

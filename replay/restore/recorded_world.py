@@ -6,9 +6,11 @@ Nothing here needs the physics engine.
 from __future__ import annotations
 
 from functools import cache
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
-from pycram.models import load
+from pycram.foundation.failures import AssetError
+from pycram.models import recorded
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
 from replay.errors import Damaged, NotRestored
@@ -46,8 +48,7 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     """Return the model that a body was loaded from, laid out as files in a temporary folder.
 
     Raises:
-        Damaged: one of its files is missing in the recording, or isn't what was attached.
-        AssetError: the model makes no sense.
+        Damaged: one of its files is missing in the recording, isn't what was attached, or makes no sense.
     """
     names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
     if not names:
@@ -55,7 +56,12 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
     missing = next((name for name in names if name not in log.assets), None)
     if missing is not None:
         raise Damaged(log.path, f"the attached file {missing}", "it isn't there")
-    return load.restore(((name, log.assets[name]) for name in names), Loading.of(loaded))
+    files = [(name, log.assets[name]) for name in names]
+    try:
+        return recorded.restore(files, Loading.of(loaded))
+    except AssetError as error:
+        cause = f"{PurePath(error.path).name}: {error.cause}"
+        raise Damaged(log.path, f"the model of {loaded.body}", cause) from error
 
 
 @cache

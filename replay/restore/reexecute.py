@@ -71,9 +71,14 @@ class Reexecution:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Close all worlds."""
         with unrecorded():
             for world in self.worlds.values():
                 world.exit()
+        self.worlds.clear()
 
     def begin(self, frame: Keyframe) -> None:
         """Rebuild a world from its keyframe, if it isn't there."""
@@ -91,12 +96,15 @@ class Reexecution:
         Raises:
             PycramError: it can't be made.
             NotRestored: its world isn't there.
+            Damaged: it contradicts the world's clock.
         """
         command = record.WhichOneof("command") or ""
         if command == "set_realtime":  # what it simulated is recorded as simulate commands
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
+        if command == "simulate":
+            _check_clock(self._log, self.worlds[record.world], record)
         self._last.record = None
         with unrecorded(*([self._journal] if observed else [])):
             if command == "open_world":
@@ -115,17 +123,25 @@ class Reexecution:
             repeated.world, repeated.task, repeated.cause = record.world, record.task, record.cause
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
-            _keep_what_follows(record, repeated)
+            _keep_what_follows(record, repeated, told=self._log.format > 0)
         return repeated
 
 
-def _keep_what_follows(record: Mutation, repeated: Mutation) -> None:
-    """Take over what says nothing of how a change is made."""
+def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> None:
+    """Refuse to simulate another time than a world's clock tells: it could be years."""
+    if world.sim_step + record.simulate.steps != record.sim_step:
+        cause = (
+            f"it simulates {record.simulate.steps} steps from step {world.sim_step} on, and ends at {record.sim_step}"
+        )
+        raise Damaged(log.path, f"step {record.seq}", cause)
+
+
+def _keep_what_follows(record: Mutation, repeated: Mutation, *, told: bool) -> None:
+    """Take over what says nothing of how a change is made; overlaps only where the recording's release tells them."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window changes nothing
-    if record.HasField("load_body"):  # follows from the states; older releases didn't tell it
+    if record.HasField("load_body") and not told and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
-        repeated.load_body.overlaps.extend(record.load_body.overlaps)
     if record.simulate.HasField("settled"):  # follows from the states
         repeated.simulate.settled = record.simulate.settled
 

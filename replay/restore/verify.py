@@ -10,7 +10,6 @@ Messages for other tools (``/tf``, ``/log``) follow from the records and are not
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
@@ -19,12 +18,13 @@ from recorder.packages import versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded
-from replay.errors import ReplayError
+from replay.errors import Damaged, ReplayError
 from replay.restore.reexecute import Reexecution
 from replay.restore.world import reading
 from replay.state.deviation import Deviation, first_deviation
-from replay.state.integrity import Integrity, Problem, files_problem
+from replay.state.integrity import Problem
 from replay.state.json_data import record_data
+from replay.state.verification import Verification, Verifier
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -41,118 +41,55 @@ _LATE_TOLERANCE: Final = 1e-6  # m or rad, of changes without physics in a world
 _ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # what the last bits depend on
 
 
-@dataclass(frozen=True, slots=True)
-class Verification:
-    """The result of verifying a recording.
-
-    Attributes:
-        steps: how many were checked.
-        tasks: how many of them start a task.
-        unfinished: how many tasks had not ended when the recording did.
-        keyframes: how many were compared with the records before them.
-        files: how many are attached.
-        changes: how many were made again.
-        worlds: in how many worlds.
-        late: names of worlds that began before the recording: their physics are not compared.
-        dragged: names of worlds in which somebody dragged something by hand: from there on, their physics are not
-            compared either.
-        environment: how this environment differs from the one it was recorded in, in words.
-        largest: the largest deviation that the environment or the engine's rounding may explain.
-        problem: the first problem; None for a sound recording.
-    """
-
-    steps: int
-    tasks: int
-    unfinished: int
-    keyframes: int
-    files: int
-    changes: int
-    worlds: int
-    late: tuple[str, ...] = ()
-    dragged: tuple[str, ...] = ()
-    environment: tuple[str, ...] = ()
-    largest: Deviation | None = None
-    problem: Problem | None = None
-
-    @property
-    def sound(self) -> bool:
-        """Whether nothing is wrong."""
-        return self.problem is None
-
-    @property
-    def exact(self) -> bool:
-        """Whether all that was made again came out the same to the last bit."""
-        return self.sound and self.largest is None and not (self.late or self.dragged)
-
-
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
     """Verify a recording up to the first problem; ``progress`` is called with each step."""
     with Reexecution(log, "again") as reexecution:
         return _Verifier(log, reexecution).run(progress)
 
 
-class _Verifier:
+class _Verifier(Verifier):
+    static = False
+
     def __init__(self, log: RecordReader, reexecution: Reexecution) -> None:
-        self._log = log
+        super().__init__(log)
         self._reexecution = reexecution
-        self._integrity = Integrity()
-        self._environment = _environment(log)
-        self._changes = 0
-        self._worlds: set[tuple[str, int]] = set()
-        self._late: dict[str, None] = {}
-        self._dragged: dict[str, None] = {}
-        self._largest: Deviation | None = None
+        self.environment = _environment(log)
 
-    def run(self, progress: Callable[[int], None] | None) -> Verification:
-        problem = files_problem(self._log) or self._first_problem(progress)
-        return Verification(
-            self._integrity.steps,
-            self._integrity.tasks,
-            self._integrity.unfinished,
-            self._integrity.keyframes,
-            len(self._log.assets),
-            self._changes,
-            len(self._worlds),
-            tuple(self._late),
-            tuple(self._dragged),
-            self._environment,
-            self._largest,
-            problem,
-        )
+    def forget(self) -> None:
+        """Forget all worlds: records are missing."""
+        self._reexecution.forget()
 
-    def _first_problem(self, progress: Callable[[int], None] | None) -> Problem | None:
-        for record in self._log.records():
-            if progress is not None:
-                progress(record.seq)
-            problem = self._integrity.check(record)
-            if problem is None and isinstance(record, Keyframe | Mutation):
-                problem = self._check(record)
-            if problem is not None:
-                return problem
-        return None
-
-    def _check(self, record: Keyframe | Mutation) -> Problem | None:
+    def check(self, record: Keyframe | Mutation) -> Problem | None:
         """Make a change again and compare it; a world that isn't there begins with its keyframe."""
         try:
             if isinstance(record, Mutation):
                 return self._repeat(record)
             if record.world not in self._reexecution.worlds:
                 self._reexecution.begin(record)
-                self._worlds.add((record.world, record.seq))
-                self._late[record.world] = None
+                self.worlds.add((record.world, record.seq))
+                self.late[record.world] = None
         except (PycramError, ReplayError, ValueError) as error:
+            if isinstance(error, Damaged) or isinstance(record, Keyframe) or record.HasField("load_body"):
+                self.damage.append(str(error))  # what can't be loaded as it was
             return self._problem(record, f"it can't be made again: {error}")
         return None
 
     def _repeat(self, record: Mutation) -> Problem | None:
         repeated = self._reexecution.repeat(record)
-        self._changes += 1
+        self.changes += 1
         if record.HasField("open_world"):
-            self._worlds.add((record.world, record.seq))
+            self.worlds.add((record.world, record.seq))
+        if repeated is None and self.log.newer is not None:
+            self.unknown[record.world] = None
+            self._follow(record)
+            return None
         if repeated is None:
             return self._problem(record, "it is no change that this release knows")
+        if self.log.newer is not None:
+            record = Mutation.FromString(record.SerializeToString())
+            record.DiscardUnknownFields()
         if record.drags:  # nobody does it again: the world goes on from what is recorded
-            self._dragged[record.world] = None
+            self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
         if record.world in self._reexecution.late:
             return self._compare_late(record)
@@ -161,7 +98,7 @@ class _Verifier:
         deviation = first_deviation(record_data(record), record_data(repeated))
         if deviation is None:
             deviation = Deviation("a last bit", "another", "another")
-        if self._environment:
+        if self.environment:
             return self._compare_elsewhere(record, deviation)
         return self._problem(record, _DIFFERENT, deviation)
 
@@ -169,33 +106,39 @@ class _Verifier:
         world = self._reexecution.worlds.get(record.world)
         if world is None:  # it has ended
             return None
-        state = self._integrity.world(record.world)
+        state = self.integrity.world(record.world)
         if not record.HasField("simulate"):
             worst = _worst(world, state)
             if worst is not None and worst.size > _LATE_TOLERANCE:
                 return self._problem(record, _DIFFERENT, worst)
             self._note(worst)
             return None
-        with unrecorded():
-            for body in world.objects:
-                restore_snapshot(body, reading(state.body(body.name)))
+        self._follow(record)
         return None
+
+    def _follow(self, record: Mutation) -> None:
+        """Put what is in a world where the record leaves it; from then on it isn't compared to the last bit."""
+        world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
+        self._reexecution.late.add(record.world)
+        with unrecorded():
+            for body in world.objects if world is not None else ():
+                restore_snapshot(body, reading(state.body(body.name)))
 
     def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
         world = self._reexecution.worlds.get(record.world)
-        worst = deviation if world is None else _worst(world, self._integrity.world(record.world)) or deviation
+        worst = deviation if world is None else _worst(world, self.integrity.world(record.world)) or deviation
         if worst.size > OTHER_ENVIRONMENT_TOLERANCE:
-            where = ", ".join(self._environment)
+            where = ", ".join(self.environment)
             return self._problem(record, f"{_DIFFERENT}; but the environment is a different one: {where}", worst)
         self._note(worst)
         return None
 
     def _note(self, deviation: Deviation | None) -> None:
-        if deviation is not None and (self._largest is None or deviation.size > self._largest.size):
-            self._largest = deviation
+        if deviation is not None and (self.largest is None or deviation.size > self.largest.size):
+            self.largest = deviation
 
     def _problem(self, record: Keyframe | Mutation, cause: str, deviation: Deviation | None = None) -> Problem:
-        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self._integrity.task(record.task))
+        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self.integrity.tasks.path(record.task))
 
 
 def _worst(world: BulletWorld, state: World) -> Deviation | None:

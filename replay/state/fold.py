@@ -6,12 +6,14 @@ start or from any keyframe gives the same.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
+from replay.file.repair import range_text
 from replay.state.state import Attachment, Body, Sampled, State, World
 
 if TYPE_CHECKING:
@@ -22,7 +24,11 @@ if TYPE_CHECKING:
     from replay.file.lifetimes import Lifetime
     from replay.file.record_reader import RecordReader
 
+FAR: Final = 1e9
+"""m, rad, m/s or rad/s, of anything in a state: objects are put up to 1e6 m away, and may fall for hours from there."""
+
 _AT_REST: Final = (0.0,) * 6
+_SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
 
 
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
@@ -51,7 +57,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     for lifetime in log.lifetimes:
         if lifetime.has(step):  # else it came later, or another one has taken its name since
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
-    lost = ", ".join(_range(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
+    lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"what steps {lost} changed is lost" if lost else ""
     sampled = _apply_samples(log, step + 1, worlds, moment) if moment is not None else None
     return State(step, {name: world.build() for name, world in worlds.items()}, uncertainty, log.assets, sampled)
@@ -99,10 +105,6 @@ def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe
         if frames:
             return frames[-1]
     return None
-
-
-def _range(gap: range) -> str:
-    return str(gap.start) if len(gap) == 1 else f"{gap.start}-{gap.stop - 1}"
 
 
 def apply(worlds: dict[str, WorldBuilder], record: records.Record) -> None:
@@ -239,11 +241,14 @@ class _BodyBuilder:
         if state.orientation:
             self.orientation = _quaternion(state.orientation)
         if state.velocity:
-            self.velocity = tuple(state.velocity)
+            self.velocity = tuple(_numbers(state.velocity))
+            if len(self.velocity) != len(_AT_REST):
+                raise ValueError(f"a velocity has {len(self.velocity)} numbers")
         if state.joints:
-            speeds = state.joint_velocities or [0.0] * len(state.joints)
-            self.joints.update(zip(state.joints, state.joint_positions, strict=True))
-            self.joint_velocities.update(zip(state.joints, speeds, strict=True))
+            names = state.joints[:]
+            speeds = _numbers(state.joint_velocities) or [0.0] * len(names)
+            self.joints.update(zip(names, _numbers(state.joint_positions), strict=True))
+            self.joint_velocities.update(zip(names, speeds, strict=True))
 
     def build(self) -> Body:
         """Return its current state."""
@@ -261,13 +266,27 @@ class _BodyBuilder:
 
 
 def _vector(values: Sequence[float]) -> Vector:
-    x, y, z = values
+    x, y, z = _numbers(values)
     return x, y, z
 
 
 def _quaternion(values: Sequence[float]) -> Quaternion:
-    x, y, z, w = values
+    x, y, z, w = _numbers(values)
+    if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
+        raise ValueError(f"{[x, y, z, w]} is no unit quaternion")
     return x, y, z, w
+
+
+def _numbers(values: Sequence[float]) -> Sequence[float]:
+    """Return numbers that no world has gone beyond: the engine would loop, and nothing could be computed.
+
+    Raises:
+        ValueError: one is larger, or isn't finite.
+    """
+    numbers = values[:]
+    if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
+        raise ValueError(f"the numbers {numbers[:4]} are not finite, or beyond {FAR:g}")
+    return numbers
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:

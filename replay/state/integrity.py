@@ -1,36 +1,28 @@
 """Checks whether a recording is consistent; for this no world is needed.
 
-Steps have no gap and wall time never decreases; every task that starts ends once, and its parent exists; what began in
-the thread of the task around it, or is a branch, ends before that does; every keyframe equals the fold of the records
-before it; the content of every attached file has the hash in its name.
+Steps have no gap and time never decreases; every task that starts ends once, as what it began, and its parent exists;
+what began in the thread of the task around it, or is a branch, ends before that does; what failed has its failure, and
+nothing else has; causes came before what they caused; every keyframe equals the fold of the records before it, and
+names the same models, loaded in the same way.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from recorder.records import Keyframe, Mutation, Run, Task
-from replay.errors import Damaged
+from recorder.records import Envelope, Event, Keyframe, Mutation, Run, Task
 from replay.state.deviation import Deviation, first_deviation
 from replay.state.fold import apply, fold
-from replay.state.json_data import world_data
+from replay.state.json_data import message_data, world_data
+from replay.state.task_integrity import TaskIntegrity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable
 
     from recorder.records import Plain, Record
-    from replay.file.record_reader import RecordReader
     from replay.state.fold import WorldBuilder
     from replay.state.state import World
-
-_MAIN_THREAD: Final = "MainThread"  # which ends the run, in recordings of release 0.1.0, that don't say it
-#: What may come after each phase of a task; a branch that is asked for may be cancelled before it starts.
-_AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
-    None: (Task.ASKED, Task.STARTED),
-    Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
-    Task.STARTED: (Task.FINISHED, Task.LEFT),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,125 +45,108 @@ class Problem:
 class Integrity:
     """Checks records one after the other.
 
+    Args:
+        lost: steps that are known to be missing; what they changed isn't known after them.
+        newer: whether a newer release made the recording, whose tasks may have phases that aren't known here.
+
     Attributes:
         steps: number of records checked.
-        tasks: number of tasks.
         keyframes: number of keyframes that were compared with the fold of the records before them.
+        tasks: what is known of them.
+        resumed: whether records were missing before the last one; then no world is known any more.
     """
 
-    @property
-    def unfinished(self) -> int:
-        """Number of tasks that have not ended."""
-        return len(self._running) + self._left
-
-    def __init__(self) -> None:
-        self.steps = 0
-        self.tasks = 0
+    def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
+        self._lost = tuple(lost)
+        self.steps = self._next = 0
         self.keyframes = 0
-        self._time = 0
-        self._names: dict[int, tuple[str, int]] = {}
-        self._phases: dict[int, Task.Phase] = {}
-        self._running: dict[int, Task] = {}
-        self._threads: dict[int, str] = {}
+        self.tasks = TaskIntegrity(newer=newer)
+        self.resumed = False
+        self._time = self._monotonic = 0
+        self._events: set[int] = set()
         self._worlds: dict[str, WorldBuilder] = {}
-        self._left = 0  # number of tasks that run on when the recording ends
 
     def world(self, name: str) -> World:
         """Return the state of a known world after the records so far."""
         return self._worlds[name].build()
 
-    def task(self, number: int) -> tuple[str, ...]:
-        """Return a task and what it is part of, outermost first."""
-        names: list[str] = []
-        while number in self._names and len(names) <= len(self._names):
-            name, number = self._names[number]
-            names.append(name)
-        return tuple(reversed(names))
+    def knows(self, world: str) -> bool:
+        """Return whether the state of a world is known: it was opened, or had a keyframe, behind what is missing."""
+        return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
         """Take the next record; return the problem with it, or with what should have come before it."""
-        step = record.seq
-        if step != self.steps:
-            lost = str(self.steps) if step == self.steps + 1 else f"{self.steps} to {step - 1}"
-            return Problem(self.steps, f"step {lost} is missing: what followed from it can't be checked")
+        step, expected = record.seq, self._next
+        self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
+        if self.resumed:
+            self.tasks.resume()
+            self._worlds.clear()
+        elif step != expected:
+            lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
+            return Problem(expected, f"step {lost} is missing: what followed from it can't be checked")
+        self._next = step + 1
         self.steps += 1
-        if record.wall_time_ns < self._time:
-            return Problem(step, "its wall time is before that of the previous step")
-        self._time = record.wall_time_ns
-        if isinstance(record, Task):
-            cause = self._check_task(record)
-        elif isinstance(record, Run):
-            cause = self._check_run(record)
-        else:
-            cause = "" if record.task in self._names or not record.task else f"its task {record.task} never started"
-        if cause:
-            return Problem(step, cause, task=self.task(record.task))
-        if isinstance(record, Keyframe) and record.world in self._worlds:
+        cause = self._check_envelope(record) or self._check_task(record)
+        deviation = None
+        if isinstance(record, Keyframe) and self.knows(record.world) and not cause:
             deviation = self._compare(record)
-            if deviation is not None:
-                cause = "the keyframe differs from the fold of the records before it"
-                return Problem(step, cause, deviation, self.task(record.task))
-        if isinstance(record, Mutation | Keyframe):
-            try:
-                apply(self._worlds, record)
-            except (ValueError, IndexError) as error:
-                return Problem(step, f"the record makes no sense: {error}", task=self.task(record.task))
-        return None
+            cause = "" if deviation is None else "the keyframe differs from the fold of the records before it"
+        if isinstance(record, Mutation | Keyframe) and not cause:
+            cause = self._apply(record)
+        return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
 
-    def _check_task(self, record: Task) -> str:
-        number, before = record.task, self._phases.get(record.task)
-        if record.phase not in _AFTER.get(before, ()):
-            last = "never started" if before is None else f"was {Task.Phase.Name(before).lower()} before"
-            return f"task {number} is {Task.Phase.Name(record.phase).lower()}, but it {last}"
-        if before is None:
-            if record.parent and record.parent not in self._names:
-                return f"the parent of task {number} never started"
-            self.tasks += 1
-            self._names[number] = record.name, record.parent
-        self._phases[number] = record.phase
-        if record.phase in (Task.FINISHED, Task.LEFT):
-            del self._running[number]
-            self._left += record.phase == Task.LEFT
-        else:
-            self._running[number] = record
-            self._threads[number] = record.thread
+    def _check_envelope(self, record: Record) -> str:
+        before = self._time, self._monotonic
+        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
+        if record.wall_time_ns < before[0]:
+            return "its wall time is before that of the previous step"
+        if record.monotonic_ns < before[1]:
+            return "its monotonic time is before that of the previous step"
+        if record.cause and record.cause not in self._events and not self.tasks.partial:
+            return f"its cause, step {record.cause}, is no event before it"
+        if isinstance(record, Event | Envelope):
+            self._events.add(record.seq)
         return ""
 
-    def _check_run(self, record: Run) -> str:
-        if record.phase != Run.FINISHED:
+    def _check_task(self, record: Record) -> str:
+        if not isinstance(record, Task) and not self.tasks.knows(record.task):
+            return f"its task {record.task} never started"
+        if not isinstance(record, Task):
+            return self.tasks.check_run(record) if isinstance(record, Run) else ""
+        return self.tasks.check(record)
+
+    def _apply(self, record: Mutation | Keyframe) -> str:
+        """Bring its world to after a change; one that isn't known is left out behind missing records."""
+        opens = isinstance(record, Keyframe) or record.HasField("open_world")
+        if not opens and self.tasks.partial and not self.knows(record.world):
             return ""
-        self._threads[0] = record.thread or _MAIN_THREAD
-        for number, began in self._running.items():
-            if began.parent not in self._running and self._ends_with_parent(began):
-                return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
+        try:
+            apply(self._worlds, record)
+        except (ValueError, IndexError) as error:
+            return f"the record makes no sense: {error}"
         return ""
-
-    def _ends_with_parent(self, task: Task) -> bool:
-        """Return whether a task can't outlive the one around it, or the run: a daemon thread's or a worker's can."""
-        return task.kind == "branch" or task.thread == self._threads[task.parent]
 
     def _compare(self, frame: Keyframe) -> Deviation | None:
         """Return how a keyframe differs from what the records before it add up to."""
         self.keyframes += 1
+        loaded: list[Plain] = [body.body for body in frame.loaded]
+        states: list[Plain] = [body.body for body in frame.bodies]
+        if loaded != states:
+            return Deviation("bodies", states, loaded)
         return first_deviation(
             _plain(fold([frame]).worlds[frame.world]), _plain(self._worlds[frame.world].build()), frame.world
         )
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, bodies by name, attachments by their pairs."""
+    """Return a world as JSON data, bodies by name and as they were loaded, attachments by their pairs."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
-    return data | {"attachments": dict(sorted(pairs.items()))}
-
-
-def files_problem(log: RecordReader) -> Problem | None:
-    """Return the first attached file that isn't what was attached."""
-    for name in log.assets:
-        try:
-            log.assets[name]
-        except Damaged as error:
-            return Problem(None, f"{error.where} is damaged: {error.cause}")
-    return None
+    loaded: list[Plain] = [
+        # the color is that of now, which the body's state has
+        {key: value for key, value in message_data(body.loaded).items() if key != "color"}
+        for body in world.bodies.values()
+    ]
+    return data | {"attachments": dict(sorted(pairs.items())), "loaded": loaded}

@@ -6,7 +6,7 @@ import base64
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from recorder.records import TOPICS, Argument, Keyframe, Mutation, argument_values, from_json
+from recorder.records import TOPICS, UNKNOWN, Argument, Keyframe, Mutation, argument_values, from_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 def kind_of(record: Record) -> str:
     """Return what kind of record it is: task, mutation, refusal and so on, as topics are called."""
-    return TOPICS[type(record)].removeprefix("/")
+    return TOPICS.get(type(record), UNKNOWN).removeprefix("/")
 
 
 def record_data(record: Record) -> dict[str, Plain]:

@@ -186,7 +186,7 @@ def test_damaged_magic_bytes_lose_no_record(
 ) -> None:
     content = small_log.read_bytes()
     file = tmp_path / "x.mcap"
-    for damaged in (b"\x89MCAP1\r\n" + content[8:5000], b"12345678" + content[8:]):
+    for damaged in (b"\x89MCAP1\r\n" + content[8:8000], b"12345678" + content[8:]):
         file.write_bytes(damaged)
         assert main(["info", str(file)]) == 3
         assert "its first bytes are damaged" in capsys.readouterr().err

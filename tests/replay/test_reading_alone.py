@@ -46,6 +46,7 @@ READING = [
     ("diff", "8", "last"),
     ("blame", "milk"),
     ("why",),
+    ("verify", "--static"),
 ]
 HIDING = f"""
 import sys
@@ -126,6 +127,15 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         (line,) = printed.err.splitlines()
         assert line.startswith(begin)
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
+
+
+def test_a_damaged_recording_is_repaired(tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(LOGS[0].read_bytes()[:-20_000])
+    repaired, verified = run(replay("repair", cut), replay("verify", tmp_path / "cut.sound.mcap", "--static"))
+    assert repaired.code == 3, repaired.err
+    assert verified.code == 0, verified.err
+    assert verified.out.startswith("sound ")
 
 
 def test_the_version_is_printed() -> None:

@@ -14,6 +14,8 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from mcap.reader import make_reader
 from rerun.chunk import McapReader
 
+from replay.cli.main import main as replay_command
+
 if TYPE_CHECKING:
     import pyarrow as pa
     from conftest import Headless
@@ -113,6 +115,21 @@ def test_lines_have_levels_times_and_names(stranger: Stranger, log: Path) -> Non
         assert line.timestamp.seconds * 1_000_000_000 + line.timestamp.nanos == sent.log_time
     levels = {line.DESCRIPTOR.enum_types_by_name["Level"].values_by_number[line.level].name for _, line in lines}
     assert levels == {"DEBUG", "INFO"} | ({"WARNING", "ERROR"} if log.stem == "fails_to_reach" else set())
+
+
+def test_rerun_reads_a_repaired_recording(log: Path, tmp_path: Path) -> None:
+    """A process that was killed leaves a file without an end; the library's reader and Rerun's take its copy."""
+    cut, copy = tmp_path / "cut.mcap", tmp_path / "copy.mcap"
+    cut.write_bytes(log.read_bytes()[:-20_000])
+    assert replay_command(["repair", str(cut), "-o", str(copy)]) == 3
+    rows = dict.fromkeys(RECORDS, 0)
+    for chunk in McapReader(str(copy)).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path in rows and "McapChannel:id" not in batch.schema.names:
+            rows[chunk.entity_path] += chunk.num_rows if "McapSchema:id" not in batch.schema.names else 0
+    whole = Stranger(copy)
+    assert rows == {topic: len(whole.on(topic)) for topic in RECORDS}
+    assert sum(rows.values()) > 20
 
 
 def test_rerun_reads_records_transforms_and_log_lines(log: Path, stranger: Stranger) -> None:

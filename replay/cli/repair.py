@@ -1,0 +1,84 @@
+"""``repair``: a sound copy of whatever can be read of a recording, and a list of what is lost."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from recorder.mcap.output_file import open_output
+from recorder.mcap.writer import MAGIC
+from replay.cli.console import print_message, print_result
+from replay.errors import ReplayError
+from replay.file.file_checks import is_locked
+from replay.file.repair import range_text
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from replay.file.repair import Losses
+    from replay.recording import Recording
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the copy's path."""
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help="the copy; by default LOG's name.sound.mcap")
+    parser.add_argument("--overwrite", action="store_true", help="replace a recording that is there")
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Write the copy, and print what it lacks."""
+    target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
+    _check(log, target, overwrite=options.overwrite)
+    part = target.with_name(f"{target.name}.part")  # whole or not at all
+    try:
+        with open_output(part) as file:
+            losses = log.write_sound(file)
+        if target.exists():
+            print_message(f"{target} is replaced")
+        part.replace(target)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    print_result(
+        lambda: _data(losses) | {"file": str(target), "files": len(log.assets) - len(losses.files)},
+        _lines(log, target, losses),
+        as_json=options.json,
+    )
+    return 0
+
+
+def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
+    if log.live:
+        raise ReplayError(f"{log.path}: it is still being written; repair it when its process has ended")
+    if not target.exists():
+        return
+    if target.samefile(log.path):
+        raise ReplayError(f"{target}: that is the recording itself, which is kept as it is; name another file")
+    if not overwrite:
+        raise ReplayError(f"{target}: it is there already; name another file, or add --overwrite")
+    with target.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            raise ReplayError(f"{target}: there is a file that is no recording; move it away or name another file")
+        if is_locked(file):
+            raise ReplayError(f"{target}: another recording is writing it; name another file")
+
+
+def _data(losses: Losses) -> dict[str, object]:
+    data: dict[str, object] = asdict(losses)
+    steps = [[gap.start, gap.stop - 1] for gap in losses.steps]
+    return data | {"steps": steps, "chunks": {str(number): cause for number, cause in losses.chunks.items()}}
+
+
+def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
+    files = len(log.assets) - len(losses.files)
+    yield f"{target}: {losses.records} records, {files} attached files"
+    if losses.steps:
+        yield f"lost   steps {', '.join(map(range_text, losses.steps))}"
+    yield from (f"lost   chunk {number}: {cause}" for number, cause in losses.chunks.items())
+    if losses.messages:
+        yield f"lost   {losses.messages} messages that can't be decoded"
+    yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
+    if not (losses.steps or losses.chunks or losses.messages or losses.files):
+        yield "lost   nothing that can be known of"

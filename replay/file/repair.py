@@ -1,0 +1,157 @@
+"""Writes a sound copy of whatever can be read of a recording: indexed, closed, with all checksums.
+
+Messages, attached files and metadata are copied as they are, so nothing is lost that a newer release has added. Steps
+keep their numbers; which of them are missing is said in the copy's metadata, and by all who read it.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO, Final
+
+from google.protobuf.message import DecodeError
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Attachment
+
+from recorder.packages import versions
+from replay.errors import Damaged, LogClosed
+from replay.file.chunks import kinds_of
+from replay.file.mcap_format import HEADER, LENGTH, describe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from recorder.mcap.writer import McapWriter
+    from recorder.records import Record
+    from replay.file.assets import Assets
+    from replay.file.chunks import Chunks
+    from replay.file.index import Index
+
+_METADATA: Final = "pycram.repair"
+_MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
+_RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
+_MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps that are read
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """What a repaired copy lacks.
+
+    Attributes:
+        problems: of the original, in words.
+        steps: ranges of steps that are lost, as far as is known.
+        records: number of records that were kept.
+        chunks: what is wrong with the chunks that are lost, by their number in the original.
+        messages: number of messages in other chunks that can't be read.
+        files: what is wrong with the attached files that are lost, by their name.
+    """
+
+    problems: str
+    steps: tuple[range, ...]
+    records: int
+    chunks: Mapping[int, str]
+    messages: int
+    files: Mapping[str, str]
+
+
+def write_sound(
+    file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str, missing: list[range]
+) -> Losses:
+    """Write a sound copy of what can be read.
+
+    Args:
+        file: where to; empty.
+        index: of the original.
+        chunks: of the original.
+        assets: of the original.
+        problems: of the original, in words.
+        missing: the steps that are missing in it.
+    """
+    from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
+
+    release = versions()["pycram"]
+    writer = McapWriter(file, f"pycram {release}")
+    ids = _define(writer, index)
+    repair = {"problems": problems, "by": release, "lost": ", ".join(map(range_text, missing))}
+    for name, values in (index.metadata | {_METADATA: repair}).items():
+        writer.add_metadata(name, values)
+    for name in assets:
+        try:
+            _ = assets[name]
+        except Damaged:  # which is kept in assets.damaged
+            continue
+        kept = Attachment.read(ReadDataStream(io.BytesIO(index.read(index.attachments[name]))))
+        writer.add_attachment(kept.log_time, name, kept.media_type, kept.data)
+    kinds = kinds_of(index)
+    lost: dict[int, str] = {}
+    records = unread = 0
+    for number in range(len(chunks)):
+        try:
+            found = list(_messages(index.contents(number)[0]))
+        except LogClosed:
+            raise
+        except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
+            lost[number] = describe(error)
+            continue
+        kept_messages = [message for message in found if message[0] in ids and _is_sound(message, kinds)]
+        unread += len(found) - len(kept_messages)
+        records += sum(channel in kinds for channel, *_ in kept_messages)
+        kept_messages.sort(key=lambda message: message[2])  # the order of their times; equal ones stay as they are
+        writer.add_messages([(ids[channel], number, at, data) for channel, number, at, data in kept_messages])
+        writer.flush()
+    writer.finish()
+    return Losses(problems, tuple(missing), records, lost, unread, dict(assets.damaged))
+
+
+def _define(writer: McapWriter, index: Index) -> dict[int, int]:
+    """Define the channels whose message types are known; return their new ids by the old ones."""
+    schemas: dict[str, int] = {}
+    ids = {}
+    for number, channel in index.channels.items():
+        name = index.schemas.get(channel.schema_id)
+        if name is None:
+            continue
+        if name not in schemas:
+            schemas[name] = writer.add_schema(name, "protobuf", index.definitions[name])
+        ids[number] = writer.add_channel(channel.topic, channel.message_encoding, schemas[name], channel.metadata)
+    writer.flush()
+    return ids
+
+
+def _messages(contents: bytes) -> Iterator[tuple[int, int, int, bytes]]:
+    """Yield channel, sequence, log time and payload of each message in a chunk."""
+    at = 0
+    while at < len(contents):
+        opcode, length = LENGTH.unpack_from(contents, at)
+        start, at = at + HEADER, at + HEADER + length
+        if opcode == Opcode.MESSAGE:
+            channel, sequence, time_ns, _ = _MESSAGE.unpack_from(contents, start)
+            yield channel, sequence, time_ns, contents[start + _MESSAGE.size : at]
+
+
+def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Record]]) -> bool:
+    """Return whether a message can be decoded, or is none of ours."""
+    channel, _, _, payload = message
+    try:
+        _ = kinds[channel].FromString(payload) if channel in kinds else None
+    except DecodeError:
+        return False
+    return True
+
+
+def lost_before(index: Index) -> tuple[range, ...]:
+    """Return the ranges of steps that a recording lost before it was repaired."""
+    text = index.metadata.get(_METADATA, {}).get("lost", "")[:_MAX_TEXT]
+    if not text.isascii() or not _RANGES.fullmatch(text):
+        return ()
+    bounds = [[int(number) for number in part.split("-")] for part in text.split(", ")]
+    return tuple(range(each[0], each[-1] + 1) for each in bounds)
+
+
+def range_text(steps: range) -> str:
+    """Return steps in words, as "3-7"."""
+    return str(steps.start) if len(steps) == 1 else f"{steps.start}-{steps.stop - 1}"

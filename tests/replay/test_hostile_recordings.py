@@ -1,0 +1,509 @@
+"""A stranger's recording does no harm: whatever it says, a verb ends soon, with little memory, and opens nothing else."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+import tempfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import lz4.frame
+import pytest
+import zstandard
+from google.protobuf.descriptor import FieldDescriptor
+from mcap.data_stream import RecordBuilder
+from mcap.records import AttachmentIndex, Chunk, ChunkIndex
+
+import replay
+import replay.cli.info
+import replay.restore.ask
+import replay.restore.render
+import replay.restore.verify
+from recorder.mcap.writer import McapWriter
+from recorder.packages import versions
+from recorder.records import BodyState, Mutation, Picture, Query, Run, Task
+from recorder.records.values import MAX_DIGITS, MAX_NESTING
+from recorder.viewer.query_picture import MAX_PIXELS
+from replay.cli.main import main
+from replay.explain.task_tree import MAX_DEPTH
+from replay.file.chunks import FREE, MAX_RATIO, MAX_STEP
+from replay.file.mcap_format import MAX_INFLATED
+from replay.state.fold import FAR
+from tests.measures import seeded
+from tests.replay import forked, hostile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mcap.records import McapRecord
+
+    from recorder.records import Record
+
+GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
+ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
+READING: Final = (
+    ["info"],
+    ["log"],
+    ["log", "--json"],
+    ["tree"],
+    ["tree", "--json"],
+    ["tree", "--svg"],
+    ["tree", "--dot"],
+    ["show", "30"],
+    ["state", "last", "--json"],
+    ["diff", "9", "last"],
+    ["blame", "milk"],
+    ["why"],
+)
+USING: Final = (
+    *ENGINE,
+    ["restore", "-9", "--exact", "--json"],
+    ["ask", "-8", "stable(milk)"],
+    ["ask", "-8", "visible(milk, [1.5, 0, 0.5])"],
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def warm() -> None:
+    """What a process does once, it does before it forks."""
+    versions()
+
+
+def end(verb: list[str], file: Path, folder: Path) -> forked.Ended:
+    name, *rest = verb
+    return forked.run(
+        [name, str(file), *(str(folder / each) if each.startswith("x.") else each for each in rest)], folder
+    )
+
+
+def check(file: Path, folder: Path, *verbs: list[str], damaged: bool = True, says: str = "") -> None:
+    for verb in verbs:
+        ended = end(verb, file, folder)
+        assert ended.well, (verb, ended)
+        if damaged:
+            assert ended.code == 3, (verb, ended)
+        assert says in ended.output, (verb, ended.output[-2000:])
+
+
+def test_a_sound_copy_is_sound(tmp_path: Path) -> None:
+    """What the others make of it is what they find."""
+    sound = hostile.rewritten(GOLDEN, tmp_path / "x.mcap")
+    check(sound, tmp_path, ["verify"], damaged=False, says="sound ")
+    check(sound, tmp_path, ["info"], damaged=False, says="complete     yes")
+
+
+# --- models -----------------------------------------------------------------------------------------------------------
+
+CUBE: Final = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+STL: Final = b"\0" * 80 + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
+ENTITIES: Final = "".join(f'<!ENTITY e{n} "{f"&e{n - 1};" * 10 if n else "x" * 1000}">' for n in range(10))
+MESHES: Final[dict[str, tuple[str, bytes]]] = {
+    "far index": ("x.obj", CUBE + b"f 1 2 99999999\n"),
+    "negative index": ("x.obj", CUBE + b"f -1 -2 -99999999\n"),
+    "index in a long line": ("x.obj", CUBE + b"#" + b" " * 8190 + b"f 1 2 99999999\n"),
+    "numbers that are none": ("x.obj", CUBE + b"v nan nan nan\nf 5 1 2\n"),
+    "empty OBJ": ("x.obj", b"\n"),
+    "materials elsewhere": ("x.obj", b"mtllib /etc/passwd\n" + CUBE),
+    "empty file": ("x.stl", b""),
+    "cut STL": ("x.stl", STL[:-9]),
+    "lying STL": ("x.stl", STL[:80] + struct.pack("<I", 85_899_346) + STL[84:]),
+    "far STL": ("x.stl", STL[:96] + struct.pack("<f", 3e38) + STL[100:]),
+    "empty COLLADA": ("x.dae", b"<COLLADA/>"),
+    "COLLADA of entities": ("x.dae", f"<!DOCTYPE a [{ENTITIES}]><COLLADA>&e9;</COLLADA>".encode()),
+    "unknown type": ("x.vrml", b"x"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", MESHES)
+def test_a_mesh_that_would_end_the_process_is_damage(what: str, tmp_path: Path) -> None:
+    name, content = MESHES[what]
+
+    def change(records: list[Record], assets: dict[str, bytes]) -> None:
+        mesh = next(key for key in assets if key.endswith(".obj"))
+        hostile.replace_file(records, assets, mesh, content, name)
+
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change), tmp_path, *ENGINE)
+
+
+def urdf(change: Callable[[bytes, dict[str, bytes]], bytes]) -> Callable[[list[Record], dict[str, bytes]], None]:
+    def changed(records: list[Record], assets: dict[str, bytes]) -> None:
+        model = next(key for key in assets if key.endswith("carton.urdf"))
+        text = change(assets[model], assets)
+        assert text != assets[model]
+        hostile.replace_file(records, assets, model, text)
+
+    return changed
+
+
+def named(text: bytes, name: str) -> bytes:
+    """A model with another name of its first mesh."""
+    before, _, rest = text.partition(b'filename="')
+    return before + b'filename="' + name.encode() + b'"' + rest.partition(b'"')[2]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["{folder}/there.obj", "../there.obj", "there.obj", "http://127.0.0.1:9/x.obj", "{folder}/pipe.obj"]
+)
+def test_a_model_names_no_file_but_those_of_its_recording(name: str, tmp_path: Path) -> None:
+    (tmp_path / "there.obj").write_bytes(CUBE)
+    os.mkfifo(tmp_path / "pipe.obj")
+    model = urdf(lambda text, _: named(text, name.format(folder=tmp_path)))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+
+
+@pytest.mark.slow
+def test_a_model_names_no_file_of_another_body(tmp_path: Path) -> None:
+    """It is in the recording, but the record that loads the body doesn't list it."""
+    other = "plan.py"
+    model = urdf(lambda text, assets: named(text, next(key for key in assets if key.endswith(other))))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+
+
+TEXTS: Final[dict[str, Callable[[bytes], bytes]]] = {
+    "no number": lambda text: text.replace(b'<mass value="', b'<mass value="nan'),
+    "a huge number": lambda text: text.replace(b'xyz="', b'xyz="1e300 0 0" old="'),
+    "no XML": lambda text: text[:-20],
+    "entities": lambda text: f"<!DOCTYPE robot [{ENTITIES}]>".encode() + text.replace(b"</robot>", b"&e9;</robot>"),
+    "a texture": lambda text: text.replace(
+        b"<material ", b'<material><texture filename="/dev/zero"/></material><material '
+    ),
+    "deep": lambda text: text.replace(b"<geometry>", b"<geometry>" * 50_000).replace(
+        b"</geometry>", b"</geometry>" * 50_000
+    ),
+    "another encoding": lambda text: b'<?xml version="1.0" encoding="utf-16"?>' + text,
+    "many joints": lambda text: text.replace(
+        b"</robot>",
+        b"".join(
+            b'<link name="l%d"/><joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/></joint>'
+            % (n, n, n - 1, n)
+            for n in range(1, 300)
+        ).replace(b'"l0"', b'"carton"')
+        + b"</robot>",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", TEXTS)
+def test_a_model_that_makes_no_sense_is_damage(what: str, tmp_path: Path) -> None:
+    model = urdf(lambda text, _: TEXTS[what](text))
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE)
+
+
+@pytest.mark.parametrize("path", ["..", "a/..", "x\0y.obj", "x" * 300 + ".obj"])
+def test_a_file_with_a_name_that_is_none_is_damage(path: str, tmp_path: Path) -> None:
+    def change(records: list[Record], assets: dict[str, bytes]) -> None:
+        mesh = next(key for key in assets if key.endswith(".obj"))
+        hostile.replace_file(records, assets, mesh, assets[mesh], path.rpartition("/")[2])
+
+    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change), tmp_path, ENGINE[1])
+
+
+# --- bombs ------------------------------------------------------------------------------------------------------------
+
+
+def packed(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+class Bomb(McapWriter):
+    """A writer whose next chunk is what it isn't."""
+
+    def inflate(self, compression: str, data: bytes, size: int) -> None:
+        chunk = Chunk(compression, data, 0, 0, 0, size)
+        at, content = self._at, packed(chunk)
+        self._write(content)
+        self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0, 2: 0}, 0, size))
+
+
+MEGABYTE: Final = 1 << 20
+GIGABYTE: Final = 1 << 30
+BOMBS: Final[dict[str, Callable[[], tuple[str, bytes, int]]]] = {
+    "as it claims": lambda: ("zstd", zstandard.compress(bytes(GIGABYTE)), GIGABYTE),
+    "more than it claims": lambda: ("zstd", zstandard.compress(bytes(GIGABYTE)), 1000),
+    "without a size": lambda: ("zstd", unsized(), 1000),
+    "lz4": lambda: ("lz4", lz4.frame.compress(bytes(GIGABYTE // 4)), 1000),
+    "lz4, as it claims": lambda: ("lz4", lz4.frame.compress(bytes(GIGABYTE // 4)), GIGABYTE // 4),
+    "not compressed": lambda: ("", b"x" * 1000, GIGABYTE),
+    "unknown": lambda: ("brotli", b"x" * 1000, 1000),
+}
+
+
+def unsized() -> bytes:
+    compressor = zstandard.ZstdCompressor(write_content_size=False)
+    return compressor.compress(bytes(GIGABYTE // 4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", BOMBS)
+def test_a_chunk_inflates_to_no_more_than_it_claims_and_that_is_bounded(what: str, tmp_path: Path) -> None:
+    file = tmp_path / "x.mcap"
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "pycram")
+        begin(writer)
+        writer.inflate(*BOMBS[what]())
+        writer.flush()
+        writer.finish()
+    check(file, tmp_path, ["info"], ["log"], says="chunk 1 is damaged")
+    file.write_bytes(file.read_bytes()[:-30])  # without an index: scanned
+    check(file, tmp_path, ["info"], says="chunk 1 is damaged")
+
+
+def begin(writer: McapWriter) -> None:
+    run, task = (writer.add_schema(kind.DESCRIPTOR.full_name, "protobuf", b"") for kind in (Run, Task))
+    writer.add_channel("/run", "protobuf", run)
+    writer.add_channel("/task", "protobuf", task)
+    writer.add_messages([(1, 0, 0, Run(phase=Run.STARTED, name="x", wall_time_ns=1).SerializeToString())])
+    writer.flush()
+
+
+@pytest.mark.slow
+def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
+    """Each is as large as a recorder's; a hundred of them have 100 MB of tasks in a few kB."""
+    file = tmp_path / "x.mcap"
+    payload = Task(seq=1, task=1, phase=Task.STARTED).SerializeToString()
+    message = struct.pack("<BQHIQQ", 5, 22 + len(payload), 2, 1, 1, 1) + payload
+    chunk = message * (MEGABYTE // len(message))
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "pycram")
+        begin(writer)
+        for _ in range(100):
+            writer.inflate("zstd", zstandard.compress(chunk), len(chunk))
+        writer.finish()
+    assert file.stat().st_size < MEGABYTE / 10
+    check(file, tmp_path, ["info"], ["tree"], ["why"], says="inflate to more than")
+
+
+# --- what records say -------------------------------------------------------------------------------------------------
+
+
+def first(records: list[Record], kind: type[Any]) -> Any:
+    return next(record for record in records if type(record) is kind)
+
+
+def tasks(records: list[Record], count: int) -> None:
+    """Tasks in each other in place of what the plan did."""
+    start = first(records, Run)
+    records[1:] = [
+        Task(
+            seq=n,
+            task=n,
+            parent=n - 1,
+            phase=Task.STARTED,
+            status=Task.RUNNING,
+            name=f"t{n}",
+            kind="motion",
+            wall_time_ns=start.wall_time_ns,
+        )
+        for n in range(1, count)
+    ]
+
+
+def all_fields(message: Any, kind: int, value: Any) -> None:
+    for part in hostile.parts(message):
+        for field, held in part.ListFields():
+            if field.cpp_type == kind:
+                if hasattr(held, "append"):
+                    held[:] = [value] * len(held)
+                else:
+                    setattr(part, field.name, value)
+
+
+def changed(kind: type[Any], **fields: object) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """Fields of the first record of a kind, and its place in the recording, are others."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for name, value in fields.items():
+            setattr(first(records, kind), name, value)
+
+    return change
+
+
+def every(kind: int, value: object) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """All numbers, texts, ... of what moves and asks are another one."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for record in records[6:]:
+            all_fields(record, kind, value)
+
+    return change
+
+
+DOUBLE, TEXT, ENUM = FieldDescriptor.CPPTYPE_DOUBLE, FieldDescriptor.CPPTYPE_STRING, FieldDescriptor.CPPTYPE_ENUM
+
+
+def jsons(text: str) -> Callable[[list[Record], dict[str, bytes]], None]:
+    """Every value that is JSON is a text."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for record in records:
+            for part in hostile.parts(record):
+                for field, _held in part.ListFields():
+                    if field.name == "json" or field.name.endswith("_json"):
+                        setattr(part, field.name, text)
+
+    return change
+
+
+def swapped(records: list[Record], _: dict[str, bytes]) -> None:
+    """Times that are 3e9 s apart."""
+    for record in records[70:]:
+        record.wall_time_ns += 3_000_000_000_000_000_000
+        record.monotonic_ns += 3_000_000_000_000_000_000
+
+
+SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
+    "tasks in each other": lambda records, _: tasks(records, 20_000),
+    "unknown phases": every(ENUM, 99),
+    "negative phases": every(ENUM, -1),
+    "deep JSON": jsons("[" * 100_000),
+    "sound but deep JSON": jsons("[" * 900 + "]" * 900),
+    "large numbers": jsons("9" * 4200),
+    "more digits than Python reads": jsons("9" * 5000),
+    "numbers that JSON doesn't have": jsons("[NaN, 1e999, -Infinity]"),
+    "no JSON": jsons("{'a': object}"),
+    "another type": jsons('{"object": [], "pairs": {"": 3}, "share": "x"}'),
+    "times": swapped,
+    "NaN": every(DOUBLE, float("nan")),
+    "far": every(DOUBLE, 1e30),
+    "too far": every(DOUBLE, 1e300),
+    "control characters": every(TEXT, "\x1b[2J\u202e\x00"),
+    "long": every(TEXT, "x" * 100_000),
+    "nothing": every(TEXT, ""),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", SAID)
+def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", SAID[what])
+    check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [-1, 2**63 - 1, 2**39])
+@pytest.mark.parametrize("place", [3, -1])
+def test_a_step_that_can_not_be_is_damage(number: int, place: int, tmp_path: Path) -> None:
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        records[place].seq = number
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    check(file, tmp_path, ["info"], ["log"])
+    check(file, tmp_path, *READING[2:], *ENGINE, damaged=False)
+
+
+@pytest.mark.parametrize(
+    "values", [{"life": "9" * 5000, "world": "w"}, {"plan": "x" * 200_000}, {"pybullet": "9" * 5000}]
+)
+def test_metadata_of_many_digits_harms_nobody(values: dict[str, str], tmp_path: Path) -> None:
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", metadata=values, channels=values)
+    check(file, tmp_path, ["info"], ["log"], ["state", "last"], damaged=False)
+
+
+PLACES: Final = (0, 8, 2**31, 2**62, 2**64 - 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [ChunkIndex, AttachmentIndex])
+@pytest.mark.parametrize("field", ["offset", "length"])
+def test_an_index_that_lies_harms_nobody(kind: type[Any], field: str, tmp_path: Path) -> None:
+    """The summary's checksum is right."""
+    name = {ChunkIndex: {"offset": "chunk_start_offset", "length": "chunk_length"}}.get(kind, {}).get(field, field)
+    for place in PLACES:
+        with hostile.lying(kind, lambda index, place=place: setattr(index, name, place)):
+            file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap")
+        check(file, tmp_path, ["info"], damaged=field == "offset")
+        check(file, tmp_path, ["log"], ["state", "last"], ENGINE[1], damaged=False)
+
+
+def test_a_simulation_of_years_is_damage(tmp_path: Path) -> None:
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        record = next(record for record in records if isinstance(record, Mutation) and record.HasField("simulate"))
+        record.simulate.steps = 2**62
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    check(file, tmp_path, ["verify"], ["restore", "-9", "--exact", "--json"], says="and ends at")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("far", [9e8, 1e30, float("nan")])
+def test_a_question_about_what_is_far_away_ends(far: float, tmp_path: Path) -> None:
+    """The engine's own loops can't be ended."""
+
+    def change(records: list[Record], _: dict[str, bytes]) -> None:
+        for state in (part for part in hostile.parts(records[-8]) if isinstance(part, BodyState) and part.position):
+            state.position[0] = far
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    with replay.open(file) as log:
+        moved = next(iter(log[len(log) - 8].effect.bodies)).body
+    for question in (f"stable({moved})", f"visible({moved}, [1.5, 0, 0.5])", f"contact({moved}, floor)"):
+        check(file, tmp_path, ["ask", "-8", question], damaged=far != 9e8)
+
+
+def test_a_picture_is_no_larger_than_it_says(tmp_path: Path) -> None:
+    pixels = zlib.compress(bytes(GIGABYTE // 4))
+    for width, height in ((4, 4), (2**31 - 1, 2**31 - 1), (-1, -1), (0, 0)):
+
+        def change(records: list[Record], _: dict[str, bytes], size: tuple[int, int] = (width, height)) -> None:
+            query = first(records, Query)
+            query.picture.CopyFrom(Picture(width=size[0], height=size[1], bodies=["milk"], pixels=pixels))
+
+        file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+        check(file, tmp_path, ["view", "--save", "x.rrd"], damaged=(width, height) != (4, 4))
+
+
+def test_an_error_of_our_own_is_said_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing that a file says may lead here; where it does, the traceback is kept for us."""
+
+    def broken(*_: object) -> int:
+        raise ZeroDivisionError("nobody foresaw it")
+
+    monkeypatch.setattr(replay.cli.info, "run", broken)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert main(["info", str(GOLDEN)]) == 4
+    told = capsys.readouterr()
+    (kept,) = tmp_path.glob("pycram-replay-*.txt")
+    assert "an error of PyCRAM's own" in told.err
+    assert str(kept) in told.err
+    assert "Traceback" not in told.err
+    assert "nobody foresaw it" in kept.read_text()
+    assert "Traceback" in kept.read_text()
+
+
+def test_the_bounds_are_those_of_the_page() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "damaged_recordings.md").read_text()
+    for bound in (
+        f"up to {MAX_INFLATED >> 20} MiB",
+        f"{MAX_RATIO} times the file, or {FREE >> 20} MiB",
+        f"2^{MAX_STEP.bit_length() - 1}",
+        f"up to {FAR:.0e} m, rad".replace("+0", ""),
+        f"{MAX_DEPTH:,} |",
+        f"2^{MAX_PIXELS.bit_length() - 1}",
+        f"more than {MAX_DIGITS} digits",
+        f"more than {MAX_NESTING} deep",
+    ):
+        assert bound in page
+
+
+# --- anything ---------------------------------------------------------------------------------------------------------
+
+
+@seeded("mutations of a small recording", range(20_000), 50)
+def test_mutations_harm_nobody(seeds: range, tmp_path: Path) -> None:
+    """Each through a verb that uses the engine and two that only read."""
+    for seed in seeds:
+        file = hostile.mutated(GOLDEN, tmp_path / "x.mcap", seed)
+        dice = random.Random(seed)
+        for verb in (dice.choice(USING), *dice.sample(READING, 2)):
+            ended = end(verb, file, tmp_path)
+            assert ended.well, (seed, verb, ended)
