@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
 
 from recorder.records.definition import PACKAGE, format_number, unknown
@@ -83,6 +82,8 @@ def _is_ours(name: str) -> bool:
 
 def _is_later(release: str) -> bool:
     """Return whether a release is later than this one, as far as that is known."""
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import
+
     try:
         own = _RELEASE.match(version("pycram"))
     except PackageNotFoundError:

@@ -17,7 +17,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment
 
-from recorder.packages import versions
 from replay.errors import Damaged, LogClosed
 from replay.file.chunks import kinds_of
 from replay.file.mcap_format import HEADER, LENGTH, describe
@@ -72,6 +71,7 @@ def write_sound(
         missing: the steps that are missing in it.
     """
     from recorder.mcap.writer import McapWriter  # noqa: PLC0415  readers don't need it
+    from recorder.packages import versions  # noqa: PLC0415
 
     release = versions()["pycram"]
     writer = McapWriter(file, f"pycram {release}")
