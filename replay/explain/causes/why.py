@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, argument_values
+from recorder.records.choices import is_choice
 from replay.errors import NoSuchStep
 from replay.explain.causes.case import Case
 from replay.explain.causes.find import find
@@ -210,7 +211,7 @@ def _queries(
     latest: dict[tuple[object, ...], Query] = {}
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.records(Query, start, stop):
-        if query.HasField("chosen"):
+        if is_choice(query):
             continue
         if not names or query.task in ids or any(mentions(query, name) for name in names):
             question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
