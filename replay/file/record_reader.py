@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
-from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Query, Run, Task
+from recorder.records import TOPICS, Event, Fluent, Keyframe, Mutation, Output, Query, Refusal, Run, Subscription, Task
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "RecordReader"]
 
-R = TypeVar("R", Run, Task, Mutation, Event, Fluent, Query, Keyframe)
+R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
 
 class RecordReader:

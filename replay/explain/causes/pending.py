@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't one of its fluents
 _MAX_CHANGES: Final = 5
+_MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
 
 
 def subtree(case: Case, start: int, stop: int) -> Tree:
-    """Return the tasks of some steps."""
-    tree = Tree()
+    """Return the tasks of some steps; of very many the last ones."""
+    tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, start, stop):
         tree.apply(record)
     return tree

@@ -5,7 +5,7 @@ from __future__ import annotations
 import builtins
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, Task
+from recorder.records import Query, Refusal, Task
 from replay.explain.causes.cause import Raised
 
 if TYPE_CHECKING:
@@ -40,7 +40,16 @@ def find(case: Case) -> Iterator[Raised]:
     line = lines[-1] if error.own else case.line(lines) or lines[-1]
     own = error.own and line.text.startswith(("raise", "assert"))
     judged = tuple(answers(case)) if own else ()
-    yield Raised((*(each.seq for each in judged), case.step), case.failure.type, line, own, case.task, judged)
+    steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
+    yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+
+def refusal_of(case: Case) -> Iterator[int]:
+    """Yield the step of the refusal that the failure is, if it is one."""
+    for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
+        if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
+            yield refusal.seq
+        return
 
 
 def answers(case: Case) -> Iterator[Query | Task]:
