@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
-from pycram.foundation.refusals import refusing
+from pycram.foundation.refusals import refused, refusing
 from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
@@ -124,7 +124,9 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
         try:
             bound = signature.bind(*args, **kwargs)
         except TypeError as error:
-            raise TypeError(f"{function.__name__}(): {error}") from None
+            wrong = TypeError(f"{function.__name__}(): {error}")
+            given = {**{str(number): value for number, value in enumerate(args)}, **kwargs}
+            raise refused(wrong, function.__name__, given) from None
         bound.apply_defaults()
         arguments = {name: unwrap(value) for name, value in bound.arguments.items()}
         return _answer(function, _check(arguments), arguments)
