@@ -6,6 +6,7 @@ import builtins
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, Refusal, Task
+from recorder.records.choices import is_choice
 from replay.explain.causes.cause import Raised
 
 if TYPE_CHECKING:
@@ -44,6 +45,11 @@ def find(case: Case) -> Iterator[Raised]:
     yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
 
 
+def is_mistake(case: Case) -> bool:
+    """Return whether Python or PyCRAM refused what some code did, whatever the world was like."""
+    return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
+
+
 def refusal_of(case: Case) -> Iterator[int]:
     """Yield the step of the refusal that the failure is, if it is one."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
@@ -62,7 +68,7 @@ def answers(case: Case) -> Iterator[Query | Task]:
     for record in case.log.backwards(case.step, (Query, Task)):
         if record.seq < start or len(found) == _MAX_ANSWERS:
             break
-        if isinstance(record, Query) and record.task in inside:
+        if isinstance(record, Query) and record.task in inside and not is_choice(record):
             found.append(record)
         elif isinstance(record, Task) and record.phase == Task.FINISHED and record.parent in inside:
             if record.kind == "wait":

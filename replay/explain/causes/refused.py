@@ -11,6 +11,7 @@ from recorder.records import Mutation, Refusal, argument_values
 from replay.explain.causes.case import HANDLER, joints_of, objects_in
 from replay.explain.causes.cause import Refused
 from replay.explain.causes.preconditions import lacking, lies_in, shut_in
+from replay.explain.causes.raised import is_mistake
 from replay.explain.causes.swallowed import lacks_value, values_from, went_on
 from replay.explain.causing_tasks import causes
 
@@ -69,6 +70,9 @@ def _missed(case: Case, refusal: Refusal) -> Iterator[tuple[str, str]]:
         held = "held" if refusal.name == "attach" else "hand-free"
         other = next(objects_in(given.get("other")), "")
         yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
+    elif is_mistake(case):  # however the world was
+        names = values_from(case, case.source.call_stack(refusal)) if lacks_value(case) else []
+        yield from [("result", ", ".join(names))] if names else []
     elif by_hands:
         return
     elif refusal.name in _POSES and (subject in case.mentioned or _is_robot(case, subject)):
@@ -77,10 +81,6 @@ def _missed(case: Case, refusal: Refusal) -> Iterator[tuple[str, str]]:
         yield from _joints(case, subject, given)
     elif refusal.name == "remove" and ("clear", subject) in lacks:
         yield "clear", subject
-    elif lacks_value(case):
-        names = values_from(case, case.source.call_stack(refusal))
-        if names:
-            yield "result", ", ".join(names)
 
 
 def _is_robot(case: Case, name: str) -> bool:
