@@ -236,7 +236,8 @@ def _by(change: Change) -> str:
 def _handler(handler: Task) -> str:
     """Return a handler's call, with the step of its event."""
     event = argument_values(handler.parameters).get("event", "")
-    return f"the handler {handler.name} of event {event} of step {handler.cause}"
+    step = f" of step {handler.cause}" if handler.cause else ""  # 0: the event came before the recording
+    return f"the handler {handler.name} of event {event}{step}"
 
 
 def _since(change: Change | None, verb: str) -> str:
@@ -310,6 +311,10 @@ def _fulfiller(each: Fulfiller) -> str:
         text += f", having set it at step {each.step}" if each.step is not None else " without that"
     if each.failed is not None:
         text += f", after {_call(each.failed)} failed at step {each.failed.last_step}: {_error(each.failed)}"
+    if each.refused is not None:
+        call = formatting.call(each.refused.name, argument_values(each.refused.arguments))
+        error = formatting.one_line(format_failure(each.refused.failure))
+        text += f", after {call} was refused at step {each.refused.seq}: {error}"
     if each.task is None and each.step is None:
         text += "; it never did on record"
     return text

@@ -374,6 +374,48 @@ def test_a_refusal_in_a_handler_names_the_event(
     assert f"the handler __main__.bring of event bell of step {refused.handler.cause}" in words(tmp_path, capsys)
 
 
+def test_a_wait_in_vain_tells_what_was_refused_where_it_should_have_been_fulfilled(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    why = explained("""
+        from pycram.failures import UsageError
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        full = Fluent(None, "full")
+        def fill():
+            try:
+                milk.set_position([1, 2])
+            except UsageError:
+                return
+            full.set_value(True)
+        with timeout(0.3):
+            par(full.wait_for, fill)
+    """)
+    (cause,) = why.causes
+    ((fulfiller,),) = (pending.fulfillers for pending in cause.pending)
+    assert fulfiller.refused.name == "set_position"
+    assert fulfiller.refused.seq in cause.steps
+    assert f"was refused at step {fulfiller.refused.seq}: BadArgument" in words(tmp_path, capsys)
+
+
+def test_a_refusal_in_another_world_or_before_a_removal_is_no_cause(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        from contextlib import suppress
+        from pycram.failures import UsageError
+        from recorder.tracing.span import span
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        other = BulletWorld(name="other")
+        with suppress(UsageError):
+            Object("milk", "milk", "milk.stl", world=other).set_position([1, 2])
+        with suppress(UsageError):
+            milk.set_position([1, 2])
+        milk.remove()
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1], world=world)
+        with span("motion", "take", {"object": milk}):
+            raise PlanFailure("milk isn't there")
+    """)
+    assert not refusals(why)
+
+
 def test_a_mistake_rests_on_its_refusal(explained: Callable[..., Why]) -> None:
     why = explained("""
         milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])

@@ -193,12 +193,14 @@ class Fulfiller:
         task: the task that ran it, or should have; None if there is none.
         step: of the record by which it set the fluent last; None if it never did.
         failed: the last motion that failed in that task; None if none did.
+        refused: what was refused last in that task; None if nothing was.
     """
 
     line: Line | None
     task: Node | None
     step: int | None = None
     failed: Node | None = None
+    refused: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,7 @@ def _with_events(cause: Cause) -> Cause:
     values = [getattr(cause, each.name) for each in fields(cause)]
     changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
     events = {each.handler.cause for each in changes if isinstance(each, Change) and each.handler is not None}
+    events.discard(0)  # before the recording
     return replace(cause, steps=tuple(sorted({*cause.steps, *events}))) if events else cause
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import re
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, Refusal, Task
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import Case
 
 _MAX_ANSWERS: Final = 3
+_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the head of a statement
 #: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
 USAGE_ERRORS: Final = frozenset(
     (
@@ -39,7 +41,7 @@ def find(case: Case) -> Iterator[Raised]:
     if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
         return
     line = lines[-1] if error.own else case.line(lines) or lines[-1]
-    own = error.own and line.text.startswith(("raise", "assert"))
+    own = error.own and _RAISES.search(line.text) is not None
     judged = tuple(answers(case)) if own else ()
     steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
     yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)

@@ -39,10 +39,17 @@ def find(case: Case) -> Iterator[Refused]:
             return
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             continue  # it is the failure itself, or was tried before in the same way
+        if case.world is not None and _world_of(case, refusal) != (case.world.name, case.world.lifetime):
+            continue
         for missed in _missed(case, refusal):
             if missed not in found and not _done_since(case, refusal):
                 found.add(missed)
                 yield _refused(case, refusal, *missed)
+
+
+def _world_of(case: Case, refusal: Refusal) -> tuple[str, int]:
+    lifetime = case.log.lifetime_at(refusal.world, refusal.seq)
+    return refusal.world, lifetime.number if lifetime is not None else 0
 
 
 def _refused(case: Case, refusal: Refusal, precondition: str, subject: str) -> Refused:
@@ -51,7 +58,7 @@ def _refused(case: Case, refusal: Refusal, precondition: str, subject: str) -> R
     step, line = went_on(case, refusal.seq + 1, stop, {refusal.task}, refusal.thread, stack)
     tasks = (each.started for each in causes(case.log, refusal).tasks)
     handler = next((each for each in tasks if each.kind == HANDLER), None)
-    event = [handler.cause] if handler is not None else []
+    event = [handler.cause] if handler is not None and handler.cause else []
     steps = {refusal.seq, *event, *([step] if step else []), case.step}
     asked = case.line_of(refusal)
     return Refused(tuple(sorted(steps)), precondition, subject, refusal, asked, line, handler)
@@ -69,7 +76,8 @@ def _missed(case: Case, refusal: Refusal) -> Iterator[tuple[str, str]]:
     elif refusal.name in ("attach", "detach"):
         held = "held" if refusal.name == "attach" else "hand-free"
         other = next(objects_in(given.get("other")), "")
-        yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
+        if case.robot is not None and case.robot.name in (subject, other):  # it is the robot's hands that matter
+            yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
     elif is_mistake(case):  # however the world was
         names = values_from(case, case.source.call_stack(refusal)) if lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
