@@ -153,7 +153,7 @@ class Choice(Question):
 
 
 def considering() -> Choice:
-    """Return what is told of candidates for the answer of a query, which hands it on with that answer."""
+    """Return what collects the candidates for the answer of a query, which hands it on with that answer."""
     return Choice("", {}, wanted=journal.recording())
 
 

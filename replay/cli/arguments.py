@@ -22,7 +22,7 @@ def add_step(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
 
 
-def tell_moment(log: Recording, step: str, *, exact: bool = False) -> None:
+def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
     """Print how a time within a stretch of simulation is known, if that is the step."""
     within = log.state_at(step).sampled
     if within is not None:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.arguments import add_step, numbers, tell_moment
+from replay.cli.arguments import add_step, numbers, print_moment
 from replay.cli.console import print_message, print_result
 from replay.cli.formatting import names
 from replay.errors import ReplayError
@@ -58,7 +58,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if shown != step:
         print_message(f"no world is open after step {step}; this is step {shown}, the last at which one was")
     else:
-        tell_moment(log, options.step)
+        print_moment(log, options.step)
     if cut:
         print_message(f"{names(cut)} would hide it: cut away there")
     file = Path(options.file or f"{log.path.stem}_{shown}.png")

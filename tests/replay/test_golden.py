@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
+README = Path(__file__).parents[2] / "README.md"
 REASONS = sorted((Path(__file__).parent / "golden" / "reasons").glob("*.mcap"))
 DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
 EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
@@ -150,6 +152,16 @@ def test_recorded_reasons_stay_readable_and_explain_the_failure(file: Path, caps
         name, *rest = verb.split()
         assert main([name, str(file), *rest]) == 0
         assert not capsys.readouterr().err
+
+
+def test_the_readme_shows_what_is_recorded_of_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = README.read_text().partition("$ pycram-replay log shop.mcap")[2].partition("```")[0].splitlines()[1:]
+    main(["log", str(REASONS[0]), "--kind", "refusal"])
+    main(["why", str(REASONS[0])])
+    output = {re.sub(r"/\S*/plan.py", "plan.py", line) for line in capsys.readouterr().out.splitlines()}
+    lines = [line for line in shown if line != "..." and not line.startswith("$ ")]
+    assert len(lines) == 3
+    assert set(lines) <= output
 
 
 def without_wording(why: dict[str, Any]) -> dict[str, Any]:
