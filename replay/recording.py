@@ -45,7 +45,8 @@ class Recording(RecordReader):
         """Return what is true after a step; see :func:`replay.state.fold.state_at`.
 
         Of a time that lies within a stretch of simulation, as "0.25s", it is what was true then by its samples:
-        ``state.sampled`` tells how near they come.
+        ``state.sampled`` tells how near they come. So it is for pictures, questions and restored worlds; one that is
+        restored exactly is simulated up to then.
         """
         return state_at(self, self.step(step), moment_of(step))
 
@@ -80,7 +81,8 @@ class Recording(RecordReader):
         from replay.restore.render import Scene  # noqa: PLC0415
 
         shown = last_open_step(self, self.step(step), world)
-        return Scene(self, shown, world).picture(camera=camera, eye=eye, target=target, size=size)
+        moment = moment_of(step) if shown == self.step(step) else None
+        return Scene(self, shown, world, moment).picture(camera=camera, eye=eye, target=target, size=size)
 
     def ask(
         self,
@@ -93,7 +95,7 @@ class Recording(RecordReader):
         """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`."""
         from replay.restore.ask import ask  # noqa: PLC0415
 
-        return ask(self, self.step(step), question, world=world, moves=moves)
+        return ask(self, self.step(step), question, world=world, moves=moves, moment=moment_of(step))
 
     def world_at(
         self, step: int | str, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
@@ -101,4 +103,4 @@ class Recording(RecordReader):
         """Return a live world, which needs the executor; see :func:`replay.restore.world.world_at`."""
         from replay.restore.world import world_at  # noqa: PLC0415
 
-        return world_at(self, self.step(step), world, exact=exact, mode=mode)
+        return world_at(self, self.step(step), world, exact=exact, mode=mode, moment=moment_of(step))

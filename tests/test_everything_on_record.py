@@ -220,6 +220,14 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "an attachment to itself": (lambda t: t.cup.attach(t.cup), "refusal", r"attach\(.*AttachmentError"),
     "negative time": (lambda t: t.world.simulate(-1), "refusal", r"simulate\(.*seconds=-1\): BadArgument"),
     "a removed object": (lambda t: [t.cup.remove(), t.cup.set_position([0, 0, 0])], "refusal", "WorldClosed"),
+    "a property of a removed object": (lambda t: [t.cup.remove(), t.cup.links], "refusal", r"links.*WorldClosed"),
+    "a call without an argument": (lambda t: t.cup.set_position(), "refusal", r"set_position\(object=cup\): TypeError"),
+    "a call with an unknown argument": (
+        lambda _: Object("a", "b", "bowl.stl", colour=3),  # type: ignore[call-arg]
+        "refusal",
+        r"Object\(.*colour=3\): TypeError: .*unexpected keyword argument 'colour'",
+    ),
+    "a query without an argument": (lambda t: btr.contact(t.cup), "refusal", r"contact\(0=cup\): TypeError"),
     "a world that has ended": (lambda t: [t.world.exit(), t.world.simulate(1)], "refusal", "WorldClosed"),
     "a robot that is none": (lambda t: setattr(t.world, "robot", t.cup), "refusal", r"robot = \.\.\.\(.*BadArgument"),
     "a current world that is none": (
@@ -267,7 +275,7 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
 def test_what_happens_is_on_record(world: BulletWorld, tmp_path: Path, what: str) -> None:
     act, kind, text = TABLE[what]
     things = Things(world)
-    with recorder.record(tmp_path / "plan.mcap", output=True), suppress(PlanFailure, UsageError):
+    with recorder.record(tmp_path / "plan.mcap", output=True), suppress(PlanFailure, UsageError, TypeError):
         act(things)
     with replay.open(tmp_path / "plan.mcap") as log:
         lines = [text_of(record)[0] for record in log if kind_of(record) == kind]

@@ -37,7 +37,7 @@ def refusing(
 
     Args:
         subject: What records call its first argument ("object", "world", ...); "" to call it by its name.
-        kinds: The errors that are refusals.
+        kinds: The errors that are refusals; a call with arguments that the function doesn't take is one, too.
         name: What records call the function; its own name by default.
     """
 
@@ -46,8 +46,9 @@ def refusing(
         def ask(*args: P.args, **kwargs: P.kwargs) -> T:
             try:
                 return function(*args, **kwargs)
-            except kinds as error:
-                if not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  as inspect.currentframe() has it
+            except (kinds, TypeError) as error:
+                asked_wrongly = isinstance(error, kinds) or _is_of_call(error)
+                if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  as inspect.currentframe() has it
                     refused(error, name or function.__name__, _arguments(function, subject, args, kwargs))
                 raise
 
@@ -101,6 +102,11 @@ def mark_recorded(error: BaseException) -> None:
 def is_recorded(error: BaseException) -> bool:
     """Return whether it is on record already."""
     return _RECORDED in vars(error)
+
+
+def _is_of_call(error: BaseException) -> bool:
+    """Return whether Python raised it as the function was called, before anything in it ran."""
+    return error.__traceback__ is not None and error.__traceback__.tb_next is None
 
 
 def _is_part(frame: FrameType | None) -> bool:

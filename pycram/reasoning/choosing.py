@@ -35,6 +35,7 @@ class Question:
         answer: the answer.
         evidence: what it rests on.
         picture: what the camera saw, if one was asked.
+        considered: what was considered for the answer, if it was one of several.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Question:
     answer: object = None
     evidence: Mapping[str, object] = field(default_factory=dict)
     picture: records.Picture | None = None
+    considered: Choice | None = None
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
@@ -87,7 +89,7 @@ class Question:
                 span.emit(record, world=world, sim_step=sim_step)
 
     def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
-        return records.Query(
+        record = records.Query(
             name=self.name,
             arguments=records.arguments(self.arguments),
             answer_json=records.to_json(self.answer),
@@ -95,6 +97,9 @@ class Question:
             failure=records.failure(error, trace=trace) if error is not None else None,
             picture=self.picture,
         )
+        if self.considered is not None:
+            self.considered.add_candidates(record)
+        return record
 
 
 class Choice(Question):
@@ -103,7 +108,7 @@ class Choice(Question):
     __slots__ = ("_rejected", "chosen", "wanted")
 
     def __init__(self, name: str, arguments: Mapping[str, object], *, wanted: bool = True) -> None:
-        super().__init__(name, arguments)
+        super().__init__(name, arguments, considered=self)
         self.wanted = wanted  # whether anybody will know of the candidates: reasons that cost time needn't be found
         self._rejected: dict[str, tuple[Rejection, int]] = {}
         self.chosen = ""  # name of the candidate that was taken
@@ -137,8 +142,8 @@ class Choice(Question):
         self.answer = candidate if answer is None else answer
         self.evidence = evidence
 
-    def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
-        record = super()._record(error, trace=trace)
+    def add_candidates(self, record: records.Query) -> None:
+        """Put the candidates into a record: those rejected for the same reason as one, the chosen one last."""
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
         for name, (reason, count) in self._rejected.items():
             groups.setdefault((type(reason), reason.alike()), []).append((reason, name, count))
@@ -158,7 +163,11 @@ class Choice(Question):
         if self.chosen:
             record.chosen = len(record.candidates)
             record.candidates.add(names=[self.chosen])
-        return record
+
+
+def considering() -> Choice:
+    """Return what collects the candidates for the answer of a query, which hands it on with that answer."""
+    return Choice("", {}, wanted=journal.recording())
 
 
 UNRECORDED: Final = Choice("", {}, wanted=False)

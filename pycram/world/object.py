@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
-from pycram.foundation.refusals import refusing_methods
+from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
 from pycram.models.robots.description import RobotDescription, find_description
 from pycram.scheduling.future import unwrap
@@ -168,21 +168,25 @@ class Object(ReadOnlyAttributes):
         return self._handle is not None
 
     @property
+    @refusing("object")
     def id(self) -> int:
         """PyBullet's id, which another body may get after its removal."""
         return self.handle.id
 
     @property
+    @refusing("object")
     def links(self) -> tuple[str, ...]:
         """Names of all links, the base link first."""
         return tuple(self.handle.links)
 
     @property
+    @refusing("object")
     def base_link(self) -> str:
         """Name of the base link."""
         return self.links[0]
 
     @property
+    @refusing("object")
     def joints(self) -> tuple[str, ...]:
         """Names of the movable joints."""
         return tuple(self.handle.joints)

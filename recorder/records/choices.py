@@ -17,6 +17,14 @@ _OWN_RESOLVER: Final = "pycram.motions.motion_types.resolve"
 _OWN_ENVIRONMENT: Final = "simulated"
 
 
+_ANSWERS: Final = ("true", "false", "[")  # of queries, as JSON: yes, no, or a list
+
+
+def is_choice(query: Query) -> bool:
+    """Whether a process module chose something with it; a plan's query, which is answered, may have candidates too."""
+    return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
+
+
 def rejections(query: Query) -> str:
     """Why candidates of a query were rejected, in a line; empty if none was."""
     return "; ".join(rejection_lines(query))

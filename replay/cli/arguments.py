@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from replay.cli.console import print_message
+from replay.cli.formatting import sampled
 from replay.errors import ReplayError
 from replay.explain.step_names import HINT
 
@@ -12,10 +14,19 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    from replay.recording import Recording
+
 
 def add_step(parser: argparse.ArgumentParser) -> None:
     """Add the positional argument STEP."""
     parser.add_argument("step", metavar="STEP", help=HINT)
+
+
+def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
+    """Print how a time within a stretch of simulation is known, if that is the step."""
+    within = log.state_at(step).sampled
+    if within is not None:
+        print_message(sampled(within, exact=exact))
 
 
 def numbers(

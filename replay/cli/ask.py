@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
-from replay.cli.arguments import add_step, numbers
+from replay.cli.arguments import add_step, numbers, print_moment
 from replay.cli.console import native_output_to_stderr, print_result
 from replay.errors import ReplayError
 
@@ -43,6 +43,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         answer = log.ask(
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
         )
+    print_moment(log, options.step)
     lines = [f"{answer.question}: {_answer(answer.answer)}", *_lines(answer.evidence, "  ")]
     print_result(lambda: _data(answer), lines, as_json=options.json)
     return 0

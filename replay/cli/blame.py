@@ -160,7 +160,8 @@ def _size(change: Blame) -> str:
 def _because(causes: Causes, indent: str, printed: list[_CallStack]) -> Iterator[str]:
     for started in (task.started for task in causes.tasks):
         called = formatting.task(started.kind, started.name, argument_values(started.parameters))
-        by, event = ("by", f", step {started.cause}") if started.kind == "handler" else ("in", "")
+        by = "by" if started.kind == "handler" else "in"
+        event = f", step {started.cause}" if by == "by" and started.cause else ""  # 0: before the recording
         yield f"{indent}{by} {called}{event}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Plain
     from replay.explain.plan_source import Line
-    from replay.state.state import Attachment
+    from replay.state.state import Attachment, Sampled
 
 _WIDTH: Final = 100  # characters of a value
 _MAX_NAMES: Final = 4  # that are listed one by one
@@ -126,6 +126,16 @@ def location(line: Line) -> str:
     """Return a line of the plan: its location and its text."""
     function = f" in {line.function}" if line.function else ""
     return f"{path(line.file)}:{line.number}{function}" + (f":  {short(line.text)}" if line.text else "")
+
+
+def sampled(moment: Sampled, *, exact: bool = False) -> str:
+    """Return how a moment within a stretch of simulation is known."""
+    stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
+    if exact:
+        return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to then"
+    if moment.at == moment.start:
+        return f"at {moment.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
+    return f"at {moment.asked:.3f} s, within {stretch}: as sampled at {moment.at:.3f} s, to 0.01 mm"
 
 
 def carrier(held: Attachment) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.collision_pairs import pair_text
 from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
-from recorder.records.choices import rejections
+from recorder.records.choices import is_choice, rejection_lines, rejections
 from recorder.records.text import text_of
 from replay.cli import formatting
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from recorder.records import Plain, Record
+
+_MAX_REASONS: Final = 3  # why others wouldn't do, in a line
 
 
 def line(record: Record) -> str:
@@ -54,13 +56,22 @@ def answer(query: Query) -> str:
 def reasons(query: Query) -> str:
     """Return what its answer rests on."""
     evidence = argument_values(query.evidence)
-    phrases = [text] if (text := rejections(query)) else []
+    phrases = [text] if is_choice(query) and (text := rejections(query)) else []
     for key, item in evidence.items():
         if key in _PHRASES:
             phrases += _PHRASES[key](item, evidence)
         elif key not in _INCLUDED and isinstance(item, bool | int | float | str):
             phrases.append(f"{key.replace('_', ' ')} {formatting.value(item)}")
-    return ", ".join(phrases)
+    return "; ".join(filter(None, (", ".join(phrases), "" if is_choice(query) else _others(query))))
+
+
+def _others(query: Query) -> str:
+    """Return why other candidates for an answer wouldn't do; of one alone the evidence tells."""
+    lines = list(rejection_lines(query))
+    if len(query.candidates) < 2:
+        return ""
+    more = [f"{len(lines) - _MAX_REASONS} more reasons"] if len(lines) > _MAX_REASONS else []
+    return "; ".join((*lines[:_MAX_REASONS], *more))
 
 
 def _share(share: Plain, evidence: Mapping[str, Plain]) -> Iterator[str]:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from replay.cli.arguments import add_step, numbers
+from replay.cli.arguments import add_step, numbers, print_moment
 from replay.cli.console import print_message, print_result
 from replay.cli.formatting import names
 from replay.errors import ReplayError
@@ -47,7 +47,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.step)
     size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, as 640x480", 2, separator="x", kind=int)
     picture = log.render(
-        step,
+        options.step,
         camera=options.camera,
         eye=_point(options.eye),
         target=_point(options.target),
@@ -57,6 +57,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     shown, cut = picture.info["step"], picture.info["cut"]
     if shown != step:
         print_message(f"no world is open after step {step}; this is step {shown}, the last at which one was")
+    else:
+        print_moment(log, options.step)
     if cut:
         print_message(f"{names(cut)} would hide it: cut away there")
     file = Path(options.file or f"{log.path.stem}_{shown}.png")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from recorder.records import STEPS_PER_SECOND
-from replay.cli.arguments import add_step
+from replay.cli.arguments import add_step, print_moment
 from replay.cli.console import native_output_to_stderr, print_json, print_message, visible
 from replay.cli.main import FINE
 from replay.errors import ReplayError
@@ -54,9 +54,12 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.step)
     try:
         with native_output_to_stderr():
-            world = log.world_at(step, options.world, exact=options.exact, mode="GUI" if options.gui else "DIRECT")
+            world = log.world_at(
+                options.step, options.world, exact=options.exact, mode="GUI" if options.gui else "DIRECT"
+            )
     except DisplayError as error:
         raise ReplayError(str(error)) from error
+    print_moment(log, options.step, exact=options.exact)
     try:
         with world, record(target, source=script) if target is not None else nullcontext():
             return _do(log, step, world, script, options)

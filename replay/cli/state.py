@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.records import Plain
     from replay.recording import Recording
-    from replay.state.state import Body, Sampled, State, World
+    from replay.state.state import Body, State, World
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -67,17 +67,9 @@ def _shown(state: State, only: str | None, name: str | None) -> Iterator[tuple[W
 
 
 def _lines(state: State, only: str | None, name: str | None, *, links: bool) -> Iterator[str]:
-    yield f"after step {state.step}" if state.sampled is None else _sampled(state.sampled)
+    yield f"after step {state.step}" if state.sampled is None else formatting.sampled(state.sampled)
     for world, bodies in _shown(state, only, name):
         yield from _world(state, world, bodies, details=only is not None, links=links)
-
-
-def _sampled(sampled: Sampled) -> str:
-    """Return how a moment within a stretch of simulation is known."""
-    stretch = f"step {sampled.step} ({sampled.world} simulated from {sampled.start:.3f} s to {sampled.end:.3f} s)"
-    if sampled.at == sampled.start:
-        return f"at {sampled.asked:.3f} s, within {stretch}: as before it, no sample until then has a movement"
-    return f"at {sampled.asked:.3f} s, within {stretch}: as sampled at {sampled.at:.3f} s, to 0.01 mm"
 
 
 def _world(state: State, world: World, bodies: list[Body], *, details: bool, links: bool) -> Iterator[str]:

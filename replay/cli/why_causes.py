@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from functools import singledispatch
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, argument_values, from_json
+from recorder.records import Query, argument_values, format_failure, from_json
+from recorder.records.choices import rejection_lines
 from recorder.tasks import State
 from replay.cli import formatting, record_text
 from replay.explain.causes import cause as kinds
@@ -30,6 +31,14 @@ _LACKED: Final = {
     "posture": "so the {arm} arm wasn't in that posture",
     "camera-directed": "so the camera looked elsewhere",
     "result": "so {subject} had no value from it",
+}
+
+
+_MISSED: Final = {
+    "moved": "so {subject} was where it had been",
+    "loaded": "so there was no {subject}",
+    "held": "so nothing held {subject}",
+    "hand-free": "so {subject} was still held",
 }
 
 
@@ -63,6 +72,20 @@ def _(cause: kinds.Swallowed) -> Iterator[str]:
         yield f"it failed with: {_error(failed)}"
     for task in cause.also:
         yield f"so did {_call(task)} at step {task.last_step}: {_error(task)}"
+
+
+@_words.register
+def _(cause: kinds.Refused) -> Iterator[str]:
+    asked, failure = cause.asked, cause.asked.failure
+    call = formatting.call(asked.name, argument_values(asked.arguments))
+    at = f" at {_at(cause.line)}" if cause.line is not None else ""
+    on = f" at {_at(cause.went_on)}" if cause.went_on is not None else ""
+    inside = f", in {_handler(cause.handler)}," if cause.handler is not None else ""
+    lacked = _MISSED.get(cause.precondition, _LACKED.get(cause.precondition, "")).format(subject=cause.subject, arm="")
+    lacked = lacked.replace("the  ", "the ")
+    refused = f"{call}{at} was refused at step {asked.seq}{inside}"
+    yield f"{refused} and the plan went on{on}; {lacked} at step {cause.steps[-1]}"
+    yield f"it was refused with: {formatting.one_line(format_failure(failure))}"
 
 
 @_words.register
@@ -165,6 +188,13 @@ def _(cause: kinds.InTheWay) -> Iterator[str]:
 
 
 @_words.register
+def _(cause: kinds.NoCandidate) -> Iterator[str]:
+    asked = cause.asked
+    yield f"{record_text.question(asked)} considered {cause.count} at step {asked.seq}, and none would do:"
+    yield from rejection_lines(asked)
+
+
+@_words.register
 def _(cause: kinds.OutOfReach) -> Iterator[str]:
     what = cause.body or "the target"
     miss = f"; the {cause.arm} arm stays {formatting.length(cause.miss)} away" if cause.miss is not None else ""
@@ -196,9 +226,18 @@ def _at(line: Line) -> str:
 
 def _by(change: Change) -> str:
     """Return what made a change, and the plan's line."""
-    task = change.task
-    by = f", by {formatting.task(task.kind, task.name, argument_values(task.parameters))}" if task is not None else ""
-    return by + (f", at {_at(change.line)}" if change.line is not None else "")
+    task, handler = change.task, change.handler
+    called = formatting.task(task.kind, task.name, argument_values(task.parameters)) if task is not None else ""
+    by = f", by {_handler(handler) if handler is not None and task is handler else called}" if task is not None else ""
+    by += f", at {_at(change.line)}" if change.line is not None else ""
+    return by + (f", in {_handler(handler)}" if handler is not None and task is not handler else "")
+
+
+def _handler(handler: Task) -> str:
+    """Return a handler's call, with the step of its event."""
+    event = argument_values(handler.parameters).get("event", "")
+    step = f" of step {handler.cause}" if handler.cause else ""  # 0: the event came before the recording
+    return f"the handler {handler.name} of event {event}{step}"
 
 
 def _since(change: Change | None, verb: str) -> str:
@@ -273,6 +312,10 @@ def _fulfiller(each: Fulfiller) -> str:
         text += f", having set it at step {each.step}" if each.step is not None else " without that"
     if each.failed is not None:
         text += f", after {_call(each.failed)} failed at step {each.failed.last_step}: {_error(each.failed)}"
+    if each.refused is not None:
+        call = formatting.call(each.refused.name, argument_values(each.refused.arguments))
+        error = formatting.one_line(format_failure(each.refused.failure))
+        text += f", after {call} was refused at step {each.refused.seq}: {error}"
     if each.task is None and each.step is None:
         text += "; it never did on record"
     return text
@@ -280,6 +323,7 @@ def _fulfiller(each: Fulfiller) -> str:
 
 def _answer(record: Query | Task) -> str:
     if isinstance(record, Query):
-        return f"{record_text.question(record)}: {record_text.answer(record)}"
+        reasons = record_text.reasons(record) if record.candidates else ""
+        return f"{record_text.question(record)}: {record_text.answer(record)}" + (f"; {reasons}" if reasons else "")
     done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
     return f"waited for {record.name}: {done}"

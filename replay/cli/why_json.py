@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Query, Task
+from recorder.records import Query, Refusal, Task
 from recorder.tasks import Node
 from replay.cli import diff, why_causes
 from replay.cli.blame import call_stack_facts, line_facts
@@ -56,6 +56,7 @@ def facts(why: Why) -> dict[str, object]:
             for attempt in why.attempts
         ],
         "others": why.other_failures,
+        "forgotten": why.forgotten,
         "threads": [record_data(record) for record in why.failed_threads],
         "choices": [record_data(choice) for choice in why.choices],
         "decision": _decision(why),
@@ -98,7 +99,7 @@ def _plain(value: object) -> object:
         return _task_facts(value)
     if isinstance(value, Line):
         return line_facts(value)
-    if isinstance(value, Task | Query):
+    if isinstance(value, Task | Query | Refusal):
         return record_data(value)
     if is_dataclass(value) and not isinstance(value, type):
         return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}

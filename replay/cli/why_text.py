@@ -111,7 +111,7 @@ def _summary(why: Why, task: Node) -> Iterator[str]:
     motion = task.motion
     error = formatting.one_line(task.error[1] or task.error[0]) if task.error else ""
     if len(why.attempts) > 1:
-        name, times = motion.name, len(why.attempts)
+        name, times = motion.name, f"{'at least ' if why.forgotten else ''}{len(why.attempts)}"
         if why.since_same_success is None:
             yield f"{name} was attempted {times} times and failed each time."
         else:
@@ -265,6 +265,8 @@ def _attempts(why: Why) -> Iterator[str]:
     if why.other_failures:
         tasks = "tasks" if why.other_failures > 1 else "task"
         yield f"{why.other_failures} other {tasks} failed before (see `pycram-replay tree`)"
+    if why.forgotten:
+        yield f"{why.forgotten} earlier failures aren't looked at here: there are too many"
     if len(why.attempts) < 2:
         return
     *earlier, last = (attempt.task.motion.parameters for attempt in why.attempts)

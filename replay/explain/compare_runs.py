@@ -13,6 +13,7 @@ from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Refusal, Run, Task
+from recorder.records.choices import is_choice
 from replay.explain.causing_tasks import causes
 from replay.explain.paired_names import PairedNames
 from replay.explain.run_summary import Summary, summary
@@ -183,7 +184,7 @@ def _explaining(path: int) -> int:
 
 def _explains(record: Record) -> bool:
     """Return whether a record tells how something was chosen, or what was requested of a designator."""
-    return isinstance(record, Query) and (record.HasField("chosen") or record.name in _REQUESTS)
+    return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
 
 def differing(
@@ -196,6 +197,10 @@ def differing(
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
         a.ClearField("decision")  # an early recording lacks it
         b.ClearField("decision")
+    if isinstance(a, Query) and isinstance(b, Query) and a.HasField("chosen") != b.HasField("chosen"):
+        for query in (a, b):  # an early recording lacks what was considered
+            query.ClearField("candidates")
+            query.ClearField("chosen")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
         return {}  # the bytes distinguish -0.0 from 0.0
     after = record_data(b)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Output, Query, Task
+from recorder.records.choices import is_choice
 from recorder.tasks import Tree
 from replay.errors import Damaged
 from replay.explain.root_cause import root_cause, uncaught_failure
@@ -26,7 +27,7 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
     ids = {node.id for _, node in motion.walk()}
     end = motion.last_step + 1
     for query in log.records(Query, motion.started.seq, end if stop is None else min(stop, end)):
-        if query.HasField("chosen") and query.task in ids:
+        if is_choice(query) and query.task in ids:
             yield query
 
 

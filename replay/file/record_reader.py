@@ -12,7 +12,20 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, overload
 
-from recorder.records import TOPICS, UNKNOWN, Event, Fluent, Keyframe, Mutation, Query, Run, Task
+from recorder.records import (
+    TOPICS,
+    UNKNOWN,
+    Event,
+    Fluent,
+    Keyframe,
+    Mutation,
+    Output,
+    Query,
+    Refusal,
+    Run,
+    Subscription,
+    Task,
+)
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
@@ -31,7 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "RecordReader"]
 
-R = TypeVar("R", Run, Task, Mutation, Event, Fluent, Query, Keyframe)
+R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output)
 
 
 class RecordReader:

@@ -81,8 +81,11 @@ def ask(
     *,
     world: str | None = None,
     moves: Sequence[Move] = (),
+    moment: float | None = None,
 ) -> Answer:
     """Ask a query at a past step, with objects moved before with all that they carry; no recording mentions it.
+
+    A moment within the next record is as :func:`replay.restore.world.world_at` takes it.
 
     Questions are as ``visible(milk, wide_stereo_optical_frame)``: any of :data:`QUERIES`, with the arguments of
     :mod:`pycram.bullet_world_reasoning`. Without one, the query that is recorded as this step is asked again, in its
@@ -107,7 +110,7 @@ def ask(
         raise NoSuchName("query", call.query, QUERIES)
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
-    with unrecorded(log, step, name) as restored:
+    with unrecorded(log, step, name, moment) as restored:
         try:
             for move in moves:
                 _apply(restored, move)

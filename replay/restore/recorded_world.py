@@ -23,15 +23,18 @@ if TYPE_CHECKING:
     from replay.state.state import World
 
 
-def world_state(log: RecordReader, step: int, name: str | None = None) -> World:
+def world_state(log: RecordReader, step: int, name: str | None = None, moment: float | None = None) -> World:
     """Return the state of a world that is open after a step; without a name, of the one that was opened last.
+
+    A moment, in s of simulated time, that lies within the next record is known by its samples; see
+    :func:`replay.state.fold.state_at`.
 
     Raises:
         NotRestored: no such world was open then.
         NoSuchName: there never was a world of that name.
         Damaged: records are lost that could have changed it.
     """
-    state = state_at(log, step)
+    state = state_at(log, step, moment)
     if name is None and not any(world.open for world in state.worlds.values()):
         closed = ", ".join(state.worlds)
         hint = f" (there was: {closed}); take a step before its end" if closed else " yet; take a later step"

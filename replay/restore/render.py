@@ -60,15 +60,15 @@ class _Drawn:
 
 
 class Scene:
-    """The bodies of a world after a step, ready to be drawn.
+    """The bodies of a world after a step, or at a moment as :func:`world_state` takes it, ready to be drawn.
 
     Raises:
         NotRestored: no world was open then.
         Damaged: records or files are lost, or make no sense.
     """
 
-    def __init__(self, log: RecordReader, step: int, world: str | None = None) -> None:
-        state = world_state(log, step, world)
+    def __init__(self, log: RecordReader, step: int, world: str | None = None, moment: float | None = None) -> None:
+        state = world_state(log, step, world, moment)
         self._step = step
         self._bodies: dict[str, _Drawn] = {}
         self._parts: list[Part] = []

@@ -12,6 +12,7 @@ state; one for a question never appears in any.
 from __future__ import annotations
 
 import itertools
+import math
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -21,41 +22,53 @@ from pycram.world.current import open_worlds
 from pycram.world.read_only import update
 from pycram.world.snapshot import Snapshot, restore_snapshot
 from pycram.world.world import BulletWorld, Object
+from recorder.records import STEPS_PER_SECOND
 from recorder.tracing import journal
 from replay.errors import Damaged
 from replay.restore.recorded_world import description_of, model_of, world_state
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.records import LoadBody
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Body, World
+    from replay.state.state import Body, Sampled, World
 
 __all__ = ["load_body", "open_world", "reading", "rebuild", "unrecorded", "world_at"]
 
 
 def world_at(
-    log: RecordReader, step: int, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
+    log: RecordReader,
+    step: int,
+    world: str | None = None,
+    *,
+    exact: bool = False,
+    mode: str = "DIRECT",
+    moment: float | None = None,
 ) -> BulletWorld:
     """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current one, and time stands still.
 
     By default it is the one that was opened last. With ``exact`` every change is executed again, so that its future is
-    the original's too.
+    the original's too. A moment, in s of simulated time, that lies within the next record is known by its samples, or
+    with ``exact`` simulated up to its last step of 1/240 s.
 
     Raises:
         NotRestored: none was open then, or it can't be had exactly.
         Damaged: records or files are lost, or make no sense.
         DisplayError: no window can open.
     """
-    state = world_state(log, step, world)
+    state = world_state(log, step, world, moment)
+    within = state_at(log, step, moment).sampled
     with journal.unrecorded(), _reporting_damage(log, step):
         if exact:
             from replay.restore.reexecute import executed_again  # noqa: PLC0415  it opens and loads worlds by this module
 
             restored = executed_again(log, step, state.name, mode)
+            if within is not None and within.world == state.name:
+                restored.simulate_steps(math.floor(within.asked * STEPS_PER_SECOND) - restored.sim_step)
         else:
-            restored = rebuild(log, state, str(step), mode)
+            restored = rebuild(log, state, _suffix(step, within), mode)
     try:
         journal.announce(restored)
         BulletWorld.current_bullet_world = restored
@@ -65,16 +78,22 @@ def world_at(
     return restored
 
 
+def _suffix(step: int, within: Sampled | None) -> str:
+    return str(step) if within is None else f"{within.asked:g}s"
+
+
 @contextmanager
-def unrecorded(log: RecordReader, step: int, world: str | None = None) -> Iterator[BulletWorld]:
+def unrecorded(
+    log: RecordReader, step: int, world: str | None = None, moment: float | None = None
+) -> Iterator[BulletWorld]:
     """Yield a world as it was, for a question: never the current one, in no recording, closed after the block.
 
     The arguments and errors are those of :func:`world_at`.
     """
-    state = world_state(log, step, world)
+    state = world_state(log, step, world, moment)
     with journal.unrecorded():
         with _reporting_damage(log, step):
-            restored = rebuild(log, state, str(step))
+            restored = rebuild(log, state, _suffix(step, state_at(log, step, moment).sampled))
         with restored:
             yield restored
 

@@ -17,7 +17,19 @@ import pytest
 
 import replay
 from recorder.recording import record
-from recorder.records import BodyState, Effect, Keyframe, LoadBody, MoveBody, Mutation, OpenWorld, Query, Run
+from recorder.records import (
+    BodyState,
+    Effect,
+    Failure,
+    Keyframe,
+    LoadBody,
+    MoveBody,
+    Mutation,
+    OpenWorld,
+    Query,
+    Run,
+    Task,
+)
 from recorder.tracing import journal
 from tests.benchmarks.timing import goal
 
@@ -129,6 +141,48 @@ def test_a_million_records_are_read_as_ten_thousand_are(files: dict[int, Path]) 
     goal("random state of the large one, of that of the small one", large["median"] / (small["median"] + 0.3), 1.5)
     goal("backwards, of forwards", large["backward"] / large["forward"], 1.5)
     assert large["memory"] < 200
+
+
+EXPLAINER = """
+import json, pathlib, sys, time
+import replay
+
+start = time.process_time()
+with replay.open(sys.argv[1]) as log:
+    why = log.why()
+    assert why.failure.message == "gone"
+used = int(pathlib.Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 1e3
+print(json.dumps({"seconds": time.process_time() - start, "memory": used}))
+"""
+
+
+def write_tasks(file: Path, count: int) -> None:
+    """A long run of motions, each with its process module; the last one fails."""
+    with record(file, name="long"):
+        for number in range(1, count + 1, 2):
+            error = Failure(type="PlanFailure", message="gone") if number >= count - 1 else None
+            for phase, status in (
+                (Task.STARTED, Task.RUNNING),
+                (Task.FINISHED, Task.FAILED if error else Task.SUCCEEDED),
+            ):
+                parts = [("motion", "pick-up", number, 0), ("process-module", "PickUp", number + 1, number)]
+                for kind, name, task, parent in parts if phase == Task.STARTED else reversed(parts):
+                    failure = error if phase == Task.FINISHED else None
+                    made = Task(phase=phase, status=status, kind=kind, name=name, parent=parent, failure=failure)
+                    journal.emit(made, task=task)
+
+
+@pytest.mark.long
+def test_many_tasks_are_explained_in_the_memory_of_few(tmp_path: Path) -> None:
+    used, many = {}, 10 * SMALL
+    for count in (SMALL, many):
+        file = tmp_path / f"{count}.mcap"
+        write_tasks(file, count)
+        ended = subprocess.run([sys.executable, "-c", EXPLAINER, str(file)], capture_output=True, check=True)
+        used[count] = json.loads(ended.stdout)
+        print(f"\nwhy of {count} tasks: {used[count]['seconds']:.2f} s of computing, {used[count]['memory']:.0f} MB")
+    goal("ten times as many, in times", used[many]["seconds"] / used[SMALL]["seconds"], 12, 1.5)
+    goal("their memory, in times", used[many]["memory"] / used[SMALL]["memory"], 1.5, 1.5)
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import json
 import re
 from dataclasses import fields
@@ -12,14 +13,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
 import replay
 from pycram.bullet_world import BulletWorld
 from pycram.cli import run
 from pycram.designator import DesignatorError
-from pycram.failures import UsageError
+from pycram.failures import PlanFailure, UsageError
 from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
 from recorder.records import Run
+from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.causes import cause as kinds
 from replay.explain.causes.raised import USAGE_ERRORS
@@ -294,6 +297,154 @@ def test_what_let_go_of_an_object_tells_how_it_turned(
     assert threw.spin > 1
     text = words(tmp_path, capsys)
     assert f"it left its hold at step {threw.lets[0].step} while turning at {threw.spin:.0f} rad/s" in text
+
+
+# --- refusals, handlers, and very many tasks ---------------------------------------------------------------------------
+
+
+def refusals(why: Why) -> list[kinds.Refused]:
+    return [cause for cause in why.causes if isinstance(cause, kinds.Refused)]
+
+
+@pytest.mark.parametrize("done", ["", "milk.set_position([1, 0.5, 0.1])"])
+def test_a_refusal_counts_until_the_same_is_done_after_all(
+    explained: Callable[..., Why], tmp_path: Path, done: str
+) -> None:
+    why = explained(f"""
+        from pycram.failures import UsageError
+        from recorder.tracing.span import span
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        try:
+            milk.set_position([1, float("nan"), 0.1])
+        except UsageError:
+            pass
+        world.simulate(0.1)
+        {done}
+        with span("motion", "take", {{"object": milk}}):
+            raise PlanFailure("milk isn't at [1, 0, 0.1]")
+    """)
+    if done:
+        assert not refusals(why)
+        return
+    (refused,) = refusals(why)
+    assert (refused.precondition, refused.subject) == ("moved", "milk")
+    assert refused.line.number == line_of(tmp_path, "nan")
+    assert refused.went_on.number == line_of(tmp_path, "simulate")
+    assert refused.asked.seq in refused.steps
+
+
+def test_a_refusal_about_another_object_is_no_cause(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        from pycram.failures import UsageError
+        from recorder.tracing.span import span
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        cup = Object("cup", "cup", "cup.stl", [1, 0, 0.1])
+        try:
+            cup.set_position([1, 2])
+        except UsageError:
+            pass
+        with span("motion", "take", {"object": milk}):
+            raise PlanFailure("milk isn't there")
+    """)
+    assert not refusals(why)
+
+
+def test_a_refusal_in_a_handler_names_the_event(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    why = explained("""
+        from pycram.event import Event
+        from pycram.failures import UsageError
+        from recorder.tracing.span import span
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        def bring(who):
+            try:
+                milk.set_position("here")
+            except UsageError:
+                pass
+        bell = Event("bell", "door")
+        bell += bring
+        bell.fire("guest")
+        with span("motion", "take", {"object": milk}):
+            raise PlanFailure("milk isn't there")
+    """)
+    (refused,) = refusals(why)
+    assert refused.handler.name == "__main__.bring"
+    assert refused.handler.cause in refused.steps
+    assert f"the handler __main__.bring of event bell of step {refused.handler.cause}" in words(tmp_path, capsys)
+
+
+def test_a_wait_in_vain_tells_what_was_refused_where_it_should_have_been_fulfilled(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    why = explained("""
+        from pycram.failures import UsageError
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        full = Fluent(None, "full")
+        def fill():
+            try:
+                milk.set_position([1, 2])
+            except UsageError:
+                return
+            full.set_value(True)
+        with timeout(0.3):
+            par(full.wait_for, fill)
+    """)
+    (cause,) = why.causes
+    ((fulfiller,),) = (pending.fulfillers for pending in cause.pending)
+    assert fulfiller.refused.name == "set_position"
+    assert fulfiller.refused.seq in cause.steps
+    assert f"was refused at step {fulfiller.refused.seq}: BadArgument" in words(tmp_path, capsys)
+
+
+def test_a_refusal_in_another_world_or_before_a_removal_is_no_cause(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        from contextlib import suppress
+        from pycram.failures import UsageError
+        from recorder.tracing.span import span
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        other = BulletWorld(name="other")
+        with suppress(UsageError):
+            Object("milk", "milk", "milk.stl", world=other).set_position([1, 2])
+        with suppress(UsageError):
+            milk.set_position([1, 2])
+        milk.remove()
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1], world=world)
+        with span("motion", "take", {"object": milk}):
+            raise PlanFailure("milk isn't there")
+    """)
+    assert not refusals(why)
+
+
+def test_a_mistake_rests_on_its_refusal(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+        milk.set_position([1, 2])
+    """)
+    (raised,) = why.causes
+    with_refusal = [step for step in raised.steps if step != why.step]
+    assert with_refusal
+
+
+def test_of_very_many_failures_the_last_are_looked_at_and_the_others_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("replay.explain.failures._MAX_KEPT", 10)
+    with contextlib.suppress(PlanFailure), recorder.record(tmp_path / "x.mcap"), span("plan", "long", {}):
+        for number in range(40):
+            with (
+                contextlib.suppress(PlanFailure) if number < 39 else contextlib.nullcontext(),
+                span("motion", "take", {}),
+            ):
+                raise PlanFailure(f"no {number}")
+    with replay.open(tmp_path / "x.mcap") as log:
+        why = log.why()
+        assert why.failure.message == "no 39"
+        assert len(why.attempts) == 10
+        assert why.forgotten == 30
+    text = words(tmp_path, capsys)
+    assert "take was attempted at least 10 times" in text
+    assert "30 earlier failures aren't looked at here" in text
 
 
 # --- plans of a robot ------------------------------------------------------------------------------------------------

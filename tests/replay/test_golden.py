@@ -1,7 +1,8 @@
 """Recordings of every release stay readable: what each must give, whatever is added to the definition later.
 
 ``golden/VERSION.mcap`` was made by that release with ``pycram run tests/replay/golden/plan.py``,
-``golden/demos/VERSION-DEMO.mcap`` with the demo. A new release adds its own files; none is ever replaced.
+``golden/demos/VERSION-DEMO.mcap`` with the demo, ``golden/reasons/VERSION.mcap`` with the plan beside it. A new release
+adds its own files; none is ever replaced.
 ``golden/demos/why.json`` has the explanations of the demos: steps, causes and types, but no wording.
 """
 
@@ -9,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import replay
-from recorder.records import Event, Fluent, Keyframe, Mutation, Query, Run, Task
+from recorder.records import Event, Fluent, Keyframe, Mutation, Output, Query, Refusal, Run, Subscription, Task
 from replay.cli.main import main
 from replay.explain.task_tree import tree
 from replay.restore.verify import verify
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
+README = Path(__file__).parents[2] / "README.md"
+REASONS = sorted((Path(__file__).parent / "golden" / "reasons").glob("*.mcap"))
 DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
 EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
@@ -50,7 +54,8 @@ def log(request: pytest.FixtureRequest) -> Iterator[Recording]:
 
 def test_golden_recordings_are_small() -> None:
     assert GOLDEN
-    assert all(file.stat().st_size < 100_000 for file in GOLDEN)
+    assert REASONS
+    assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS))
 
 
 def test_golden_recording_is_complete(log: Recording) -> None:
@@ -115,6 +120,48 @@ def test_every_reading_verb_reads_the_golden_recording(
     output = capsys.readouterr()
     assert output.out.strip()
     assert not output.err
+
+
+@pytest.mark.parametrize("file", REASONS, ids=lambda file: file.stem)
+def test_recorded_reasons_stay_readable_and_explain_the_failure(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with replay.open(file) as log:
+        kinds = (Subscription, Refusal, Output, Query)
+        assert [sum(1 for _ in log.records(kind)) for kind in kinds] == [2, 1, 2, 1]
+        (choice,) = log.records(Query)
+        assert [(each.reason, each.count, list(each.names)) for each in choice.candidates] == [
+            ("OutOfReach", 2, ["middle", "upper"]),
+            ("Misfit", 1, ["lower"]),
+        ]
+        assert choice.chosen == -1
+        (moved,) = (change for change in log.records(Mutation) if change.HasField("move_body"))
+        event = log[moved.cause]
+        assert isinstance(event, Event)
+        assert (event.name, [each.handler for each in event.handlers]) == ("bell", ["__main__.main.<locals>.deliver"])
+        failed = next(node for _, node in tree(log).walk() if node.kind == "motion")
+        assert failed.decision is not None
+        assert failed.decision.resolver == "__main__.take"
+        why = log.why()
+        assert [(cause.kind, cause.steps) for cause in why.causes] == [
+            ("refused", (14, 16, 19)),
+            ("raised", (19,)),
+            ("no-candidate", (18, 19)),
+        ]
+        assert any(values.get("designator") for values in why.variables.values())
+        assert verify(log).sound
+    for verb in ("log", "tree", "why", "blame cereal"):
+        name, *rest = verb.split()
+        assert main([name, str(file), *rest]) == 0
+        assert not capsys.readouterr().err
+
+
+def test_the_readme_shows_what_is_recorded_of_a_refusal(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = README.read_text().partition("$ pycram-replay log shop.mcap")[2].partition("```")[0].splitlines()[1:]
+    main(["log", str(REASONS[0]), "--kind", "refusal"])
+    main(["why", str(REASONS[0])])
+    output = {re.sub(r"/\S*/plan.py", "plan.py", line) for line in capsys.readouterr().out.splitlines()}
+    lines = [line for line in shown if line != "..." and not line.startswith("$ ")]
+    assert len(lines) == 3
+    assert set(lines) <= output
 
 
 def without_wording(why: dict[str, Any]) -> dict[str, Any]:

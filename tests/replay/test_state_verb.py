@@ -54,6 +54,36 @@ def test_a_moment_within_a_simulation_is_known_by_its_samples(
     assert "no sample until then has a movement" in capsys.readouterr().out
 
 
+def test_worlds_questions_and_pictures_are_of_the_moment_too(
+    falling: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with replay.open(falling) as log:
+        sampled = log.state_at("0.71s").body("apple").position
+        end = log.state_at("1s").body("apple")
+        with log.world_at("0.71s") as world:
+            assert world.name == "kitchen@0.71s"
+            assert tuple(world.get_object("apple").get_position()) == pytest.approx(sampled, abs=1e-12)
+        with log.world_at("0.71s", exact=True) as world:
+            apple = world.get_object("apple")
+            assert world.sim_step == 170  # of 1/240 s
+            assert apple.get_position()[2] < sampled[2]  # two steps later than the sample
+            world.simulate_steps(240 - world.sim_step)
+            assert tuple(apple.get_position()) == end.position  # to the last bit
+        assert [log.ask(step, "stable(apple)").answer for step in ("0.2s", "0.71s")] == [True, False]
+        assert log.render("0.71s", eye=(2, 0, 0.8), target=(0, 0, 0.8), size=(60, 60)).tobytes() != (
+            log.render("0.51s", eye=(2, 0, 0.8), target=(0, 0, 0.8), size=(60, 60)).tobytes()
+        )
+    for verb in (["ask", "0.71s", "contact(apple, apple)"], ["render", "0.71s", "-o", str(tmp_path / "x.png")]):
+        assert main([verb[0], str(falling), *verb[1:]]) == 0
+        assert "as sampled at 0.700 s" in capsys.readouterr().err
+    script = tmp_path / "script.py"
+    script.write_text("print(world.get_object('apple').get_position()[2])")
+    assert main(["restore", str(falling), "0.71s", "--exact", "--script", str(script)]) == 0
+    output = capsys.readouterr()
+    assert float(output.out) < sampled[2]
+    assert "simulated again up to then" in output.err
+
+
 def test_where_links_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.mcap"
     with recorder.record(path), BulletWorld() as world:

@@ -17,6 +17,7 @@ from pycram.cli import run
 from pycram.failures import PlanFailure
 from pycram.language import par
 from recorder.records import Query, Run
+from recorder.records.choices import is_choice
 from recorder.tracing.span import span
 from replay.cli.main import main
 
@@ -243,7 +244,7 @@ def test_why_with_json_has_the_same_content(failed: Recording, capsys: pytest.Ca
     assert data["failure"]["type"] == "Unreachable"
     assert [each["parameters"]["arm"] for each in data["tries"]] == ["left", "right", "left", "right"]
     assert [asked["name"] for asked in data["asked"]] == ["visible", "reachable_object", "blocking"]
-    queries = [query.seq for query in failed.records(Query) if not query.HasField("chosen")]
+    queries = [query.seq for query in failed.records(Query) if not is_choice(query)]
     assert [asked["step"] for asked in data["asked"]] == queries[-3:]
     assert isinstance(failed[-1], Run)
     (choice,) = data["choices"]

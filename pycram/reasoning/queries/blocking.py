@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from pycram.reasoning.choosing import considering
 from pycram.reasoning.grasping import choice
 from pycram.reasoning.grasping.sides import grasp_orientation
 from pycram.reasoning.queries.query import Found, query
@@ -43,5 +44,8 @@ def blocking(
     """
     if grasp is not None:
         grasp_orientation(grasp, robot)  # refuses unknown ones
-    plan = choice.best(object, robot, gripper_name, None if grasp is None else (grasp,))
-    return Found(plan.obstacles, plan.evidence())
+    considered = considering()
+    plan = choice.best(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
+    if plan.grasp is not None:
+        considered.take(str(plan.grasp))
+    return Found(plan.obstacles, plan.evidence(), considered=considered)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
-from pycram.foundation.refusals import refusing
+from pycram.foundation.refusals import refused, refusing
 from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from typing import Self
 
+    from pycram.reasoning.choosing import Choice
     from recorder import records
 
 T = TypeVar("T")
@@ -33,18 +34,25 @@ class Verdict(int):
     Attributes:
         evidence: what the answer rests on.
         picture: what the camera saw, if one was asked.
+        considered: what was considered for it, if that goes on record.
     """
 
     evidence: Mapping[str, object]
     picture: records.Picture | None
+    considered: Choice | None
 
     def __new__(
-        cls, answer: object, evidence: Mapping[str, object] | None = None, picture: records.Picture | None = None
+        cls,
+        answer: object,
+        evidence: Mapping[str, object] | None = None,
+        picture: records.Picture | None = None,
+        considered: Choice | None = None,
     ) -> Self:
         """Make it from anything that is true or false."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})
         verdict.picture = picture
+        verdict.considered = considered
         return verdict
 
     def __repr__(self) -> str:
@@ -63,6 +71,7 @@ class Found(list[T], Generic[T]):
     Attributes:
         evidence: what the answer rests on.
         picture: what the camera saw, if one was asked.
+        considered: what was considered for it, if that goes on record.
     """
 
     def __init__(
@@ -70,10 +79,12 @@ class Found(list[T], Generic[T]):
         items: Iterable[T] = (),
         evidence: Mapping[str, object] | None = None,
         picture: records.Picture | None = None,
+        considered: Choice | None = None,
     ) -> None:
         super().__init__(items)
         self.evidence: Mapping[str, object] = dict(evidence or {})
         self.picture = picture
+        self.considered = considered
 
 
 Answer = TypeVar("Answer", bound="Verdict | Found[Any]")
@@ -113,7 +124,9 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
         try:
             bound = signature.bind(*args, **kwargs)
         except TypeError as error:
-            raise TypeError(f"{function.__name__}(): {error}") from None
+            wrong = TypeError(f"{function.__name__}(): {error}")
+            given = {**{str(number): value for number, value in enumerate(args)}, **kwargs}
+            raise refused(wrong, function.__name__, given) from None
         bound.apply_defaults()
         arguments = {name: unwrap(value) for name, value in bound.arguments.items()}
         return _answer(function, _check(arguments), arguments)
@@ -150,6 +163,7 @@ def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapp
     with question.asked(world):
         answer = function(**arguments)
         question.answer, question.evidence, question.picture = answer, answer.evidence, answer.picture
+        question.considered = answer.considered
     return answer
 
 

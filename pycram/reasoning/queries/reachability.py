@@ -7,18 +7,21 @@ from typing import TYPE_CHECKING, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
+from pycram.reasoning.choosing import considering
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.sides import grasp_orientation
 from pycram.reasoning.kinematics.arm import THRESHOLD
 from pycram.reasoning.kinematics.solver import Solver
 from pycram.reasoning.queries.query import Found, Verdict, query
+from pycram.reasoning.rejections import OutOfReach, Touching
 from pycram.scheduling.future import unwrap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from contextlib import AbstractContextManager
 
+    from pycram.reasoning.choosing import Choice
     from pycram.reasoning.kinematics.arm import Posture
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
@@ -187,7 +190,21 @@ def reachable_poses(
     return Found(
         verdicts,
         {"reached": sum(verdicts), "distances": [verdict.evidence["distance"] for verdict in verdicts]},
+        considered=_summed_up(verdicts),
     )
+
+
+def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
+    """Return why some of many targets aren't reached; the first that is reached is the chosen one."""
+    considered = considering()
+    for number, verdict in enumerate(verdicts, 1):
+        reasons = verdict.considered.reasons() if verdict.considered is not None else []
+        if reasons and not verdict:
+            considered.reject(f"target {number}", min(reasons, key=lambda reason: reason.miss()))
+    first = next((number for number, verdict in enumerate(verdicts, 1) if verdict), None)
+    if first is not None:
+        considered.take(f"target {first}")
+    return considered
 
 
 def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
@@ -240,14 +257,19 @@ def _judge(
     """
     postures = [posture for posture in found if posture.reaches(threshold)]
     evidence = (postures or found)[0].evidence()
+    considered = considering()
+    if not postures:
+        considered.reject("the nearest posture", OutOfReach(found[0].position_error, found[0].turn_error))
     if checker is None or not postures:
-        return Verdict(postures, evidence)
+        return Verdict(postures, evidence, considered=considered if not postures else None)
     constant = checker.constant_links(oriented)
     candidates = checker.predict([posture.positions for posture in postures], base)
-    for posture, candidate in zip(postures, candidates, strict=True):
+    for number, (posture, candidate) in enumerate(zip(postures, candidates, strict=True), 1):
         touched, own = checker.touched(candidate), checker.self_collisions(candidate)
         if not touched and not own:
-            return Verdict(True, posture.evidence() | {"obstacles": {}})
+            considered.take(f"posture {number}")
+            return Verdict(True, posture.evidence() | {"obstacles": {}}, considered=considered)
+        considered.reject(f"posture {number}", Touching([*(info["pair"] for info in touched.values()), *own]))
         obstacles: dict[str, object] = {body.name: info for body, info in touched.items()}
         if own:
             obstacles[checker.robot.name] = {
@@ -258,4 +280,4 @@ def _judge(
         evidence.setdefault("obstacles", obstacles)
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
             break  # no other posture will be better
-    return Verdict(False, evidence)
+    return Verdict(False, evidence, considered=considered)

@@ -23,7 +23,7 @@ from replay.state.fold import state_at
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from recorder.records import Failure, Keyframe, Plain, Task
+    from recorder.records import Failure, Keyframe, Plain, Refusal, Task
     from recorder.tasks import Node
     from replay.explain.blame import Blame
     from replay.explain.failures import Failures
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 _WITH_MOTIONS = ("motion", "process-module")
+HANDLER = "handler"  # kind of the task that is a call of an event's handler
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ class Case:
         settled = last.distance < _SETTLED[0] and last.angle < _SETTLED[1]
         if last.how == "physics" and last.earlier is not None and settled:
             last = last.earlier
-        first = min((motion.started.seq for motion in self.failed.motions), default=self.step)
+        first = self.step if self.failed.first_motion is None else self.failed.first_motion
         if last.how == "before" or (last.how == "load" and last.record.seq < first):
             return None
         return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
@@ -191,15 +192,18 @@ class Case:
         """Return a record as a change of a body."""
         because = causes(self.log, record)
         tasks = [each.started for each in because.tasks]
-        task = next((each for each in tasks if each.kind == "motion"), tasks[0] if tasks else None)
+        task = next((each for each in tasks if each.kind in ("motion", HANDLER)), tasks[0] if tasks else None)
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
+        handler = next((each for each in tasks if each.kind == HANDLER), None)
+        if task is not None and task is handler:
+            stack = because.call_stack or stack  # its own line, not that which fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
-        return Change(record.seq, body, joint, how, task, self.line(stack), other, *size)
+        return Change(record.seq, body, joint, how, task, self.line(stack), other, *size, handler=handler)
 
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
-    def line_of(self, record: Task | Mutation) -> Line | None:
+    def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
         """Return the plan's line that asked for something; None if that isn't known."""
         return self.line(self.source.call_stack(record))
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Plain, Query, Task
+    from recorder.records import Plain, Query, Refusal, Task
     from recorder.tasks import Node
     from replay.explain.plan_source import Line
 
@@ -38,7 +38,9 @@ class Change:
         body: name of the body.
         joint: name of its joint; "" for its pose.
         how: as in :class:`replay.explain.blame.Blame`, or "attached", "detached".
-        task: the start of the innermost motion, or else task, that it is part of; None if the plan itself did it.
+        task: the start of the innermost motion or handler, or else task, that it is part of; None if the plan itself
+            did it.
+        handler: the start of the handler's call that it is part of, whose cause is its event; None if it is of none.
         line: the plan's line that asked for it; None if that isn't known.
         mover: what the record's command moved, if that is something else: a body, or ``JOINT of BODY``.
         distance: by how much it changed, m or of a revolute joint rad.
@@ -54,6 +56,7 @@ class Change:
     mover: str = ""
     distance: float = 0.0
     angle: float = 0.0
+    handler: Task | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,29 @@ class Swallowed(Cause):
     line: Line | None
     went_on: Line | None
     also: tuple[Node, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Refused(Cause):
+    """What the plan asked for was refused, the plan went on, and so a later motion lacked what that would have done.
+
+    Attributes:
+        precondition: what it lacked: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`;
+            "moved" (the object or robot is elsewhere), "loaded" (the object exists).
+        subject: name of the object, joint or variable.
+        asked: the record of the refusal.
+        line: the plan's line that asked for it; None if that isn't known.
+        went_on: the plan's line with which it went on; None if that isn't known.
+        handler: the start of the handler's call that asked for it; None if it was none.
+    """
+
+    kind = "refused"
+    precondition: str
+    subject: str
+    asked: Refusal
+    line: Line | None
+    went_on: Line | None
+    handler: Task | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,12 +193,14 @@ class Fulfiller:
         task: the task that ran it, or should have; None if there is none.
         step: of the record by which it set the fluent last; None if it never did.
         failed: the last motion that failed in that task; None if none did.
+        refused: what was refused last in that task; None if nothing was.
     """
 
     line: Line | None
     task: Node | None
     step: int | None = None
     failed: Node | None = None
+    refused: Refusal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,6 +292,20 @@ class InTheWay(Cause):
     link: str
     mover: str
     change: Change | None
+
+
+@dataclass(frozen=True, slots=True)
+class NoCandidate(Cause):
+    """Of several ways to do it, as grasps or postures, none would do.
+
+    Attributes:
+        asked: the choice, with its candidates and why each was rejected.
+        count: how many were considered.
+    """
+
+    kind = "no-candidate"
+    asked: Query
+    count: int
 
 
 @dataclass(frozen=True, slots=True)

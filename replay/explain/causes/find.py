@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 from replay.explain.causes import (
@@ -10,11 +11,22 @@ from replay.explain.causes import (
     no_longer,
     physics,
     raised,
+    refused,
     surroundings,
     swallowed,
     timeout,
 )
-from replay.explain.causes.cause import HandState, InTheWay, NoLonger, OutOfReach, Physics, Swallowed
+from replay.explain.causes.cause import (
+    Change,
+    HandState,
+    InTheWay,
+    NoCandidate,
+    NoLonger,
+    OutOfReach,
+    Physics,
+    Refused,
+    Swallowed,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,6 +42,7 @@ def find(case: Case) -> tuple[Cause, ...]:
         return ended
     found: list[Cause] = [
         *swallowed.find(case),
+        *refused.find(case),
         *physics.find(case),
         *no_longer.find(case),
         *timeout.find(case),
@@ -38,17 +51,27 @@ def find(case: Case) -> tuple[Cause, ...]:
         *hand_states.find(case),
         *surroundings.in_the_way(case),
         *surroundings.out_of_reach(case),
+        *surroundings.no_candidate(case),
     ]
-    return tuple(cause for cause in found if not _is_explained(cause, found))
+    return tuple(_with_events(cause) for cause in found if not _is_explained(cause, found))
+
+
+def _with_events(cause: Cause) -> Cause:
+    """Return a cause with the steps of the events whose handlers made its changes."""
+    values = [getattr(cause, each.name) for each in fields(cause)]
+    changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
+    events = {each.handler.cause for each in changes if isinstance(each, Change) and each.handler is not None}
+    events.discard(0)  # before the recording
+    return replace(cause, steps=tuple(sorted({*cause.steps, *events}))) if events else cause
 
 
 def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
     """Return whether a deeper cause explains the same already."""
     if isinstance(cause, HandState):
-        swallowed_ones = [each for each in found if isinstance(each, Swallowed)]
-        return any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in swallowed_ones)
+        deeper = [each for each in found if isinstance(each, Swallowed | Refused)]
+        return any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
     if isinstance(cause, InTheWay):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
-    if isinstance(cause, OutOfReach):
+    if isinstance(cause, OutOfReach | NoCandidate):
         return any(isinstance(each, Physics | NoLonger | Swallowed) for each in found)
     return False

@@ -6,7 +6,7 @@ import ast
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Fluent, Task, from_json
+from recorder.records import Fluent, Refusal, Task, from_json
 from recorder.tasks import State, Tree
 from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import Fulfiller, Pending
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't one of its fluents
 _MAX_CHANGES: Final = 5
+_MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
 
 
 def subtree(case: Case, start: int, stop: int) -> Tree:
-    """Return the tasks of some steps."""
-    tree = Tree()
+    """Return the tasks of some steps; of very many the last ones."""
+    tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, start, stop):
         tree.apply(record)
     return tree
@@ -66,6 +67,8 @@ def steps_of(pending: Pending) -> Iterator[int]:
         if each.step is not None:
             yield each.step
         yield from (task.last_step for task in (each.task, each.failed) if task is not None)
+        if each.refused is not None:
+            yield each.refused.seq
 
 
 def _ran(motion: Node, waiting: Node, step: int) -> bool:
@@ -95,7 +98,7 @@ def _fulfillers(case: Case, leaves: Mapping[str, Plain], tree: Tree, step: int) 
             failed = _failed_in(case, task)
             done = record.seq if record is not None and task is not None and _is_in(record.task, task) else None
             found = True
-            yield Fulfiller(line, task, done, failed)
+            yield Fulfiller(line, task, done, failed, _refused_in(case, task, step))
     if found:
         return
     for record in last.values():
@@ -156,6 +159,14 @@ def _failed_in(case: Case, task: Node | None) -> Node | None:
         return None
     inside = (motion for motion in reversed(case.failed.motions) if motion.failed)
     return next((motion for motion in inside if any(each.id == task.id for each in motion.around())), None)
+
+
+def _refused_in(case: Case, task: Node | None, step: int) -> Refusal | None:
+    """Return the last refusal in a task."""
+    if task is None or not case.log.counts().get("refusal"):
+        return None
+    refusals = case.log.records(Refusal, task.started.seq, step + 1)
+    return next((each for each in reversed(list(refusals)) if _is_in(each.task, task)), None)
 
 
 def _is_in(number: int, task: Node) -> bool:

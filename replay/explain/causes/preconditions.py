@@ -133,11 +133,11 @@ def _clear(case: Case) -> Iterator[Lacking]:
 
 def _taken_out(case: Case) -> Iterator[Lacking]:
     """Yield the drawers and doors that should have been moved to get at what lies in them."""
-    names = [name for name in _wanted(case) if case.failure.type in _SHUT_IN]
+    names = shut_in(case)
     for task in case.motions("accessing") if names else ():
         given = values(task)
         owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
-        if task.failed and any(_lies_in(case, name, owner, joint) for name in names):
+        if task.failed and any(lies_in(case, name, owner, joint) for name in names):
 
             def fits(other: Node, owner: str = owner, joint: str = joint) -> bool:
                 slots = values(other)
@@ -147,7 +147,12 @@ def _taken_out(case: Case) -> Iterator[Lacking]:
             return
 
 
-def _lies_in(case: Case, name: str, owner: str, joint: str) -> bool:
+def shut_in(case: Case) -> list[str]:
+    """Return the objects that couldn't be got at, which may be for what they lie in."""
+    return _wanted(case) if case.failure.type in _SHUT_IN else []
+
+
+def lies_in(case: Case, name: str, owner: str, joint: str) -> bool:
     """Return whether an object is within what a joint of another body moves, by the boxes of its links."""
     assets = case.state.assets
     if case.world is None or assets is None or owner not in case.world.bodies or not joint:

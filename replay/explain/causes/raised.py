@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import builtins
+import re
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, Task
+from recorder.records import Query, Refusal, Task
+from recorder.records.choices import is_choice
 from replay.explain.causes.cause import Raised
 
 if TYPE_CHECKING:
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import Case
 
 _MAX_ANSWERS: Final = 3
+_RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the head of a statement
 #: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
 USAGE_ERRORS: Final = frozenset(
     (
@@ -38,9 +41,23 @@ def find(case: Case) -> Iterator[Raised]:
     if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
         return
     line = lines[-1] if error.own else case.line(lines) or lines[-1]
-    own = error.own and line.text.startswith(("raise", "assert"))
+    own = error.own and _RAISES.search(line.text) is not None
     judged = tuple(answers(case)) if own else ()
-    yield Raised((*(each.seq for each in judged), case.step), case.failure.type, line, own, case.task, judged)
+    steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
+    yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+
+def is_mistake(case: Case) -> bool:
+    """Return whether Python or PyCRAM refused what some code did, whatever the world was like."""
+    return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
+
+
+def refusal_of(case: Case) -> Iterator[int]:
+    """Yield the step of the refusal that the failure is, if it is one."""
+    for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
+        if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
+            yield refusal.seq
+        return
 
 
 def answers(case: Case) -> Iterator[Query | Task]:
@@ -53,7 +70,7 @@ def answers(case: Case) -> Iterator[Query | Task]:
     for record in case.log.backwards(case.step, (Query, Task)):
         if record.seq < start or len(found) == _MAX_ANSWERS:
             break
-        if isinstance(record, Query) and record.task in inside:
+        if isinstance(record, Query) and record.task in inside and not is_choice(record):
             found.append(record)
         elif isinstance(record, Task) and record.phase == Task.FINISHED and record.parent in inside:
             if record.kind == "wait":

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from replay.explain.causes.cause import Gone, InTheWay, OutOfReach
+from replay.explain.causes.cause import Gone, InTheWay, NoCandidate, OutOfReach
 from replay.explain.causes.preconditions import joints_to, lacking
+from replay.explain.task_tree import choices
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -46,6 +47,17 @@ def _obstacle(case: Case, body: str, link: str, mover: str) -> InTheWay:
             change = change or case.changed(f"{body}.{joint}")
     steps = (change.step, case.step) if change is not None else (case.step,)
     return InTheWay(steps, body, link, mover, change)
+
+
+def no_candidate(case: Case) -> Iterator[NoCandidate]:
+    """Yield the last choice of the failed motion, if several were considered and none would do."""
+    if case.task is None or case.motion is None:
+        return
+    last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
+    if last is not None and last.chosen < 0:
+        count = sum(each.count or len(each.names) for each in last.candidates)
+        if count > 1:
+            yield NoCandidate((last.seq, case.step), last, count)
 
 
 def out_of_reach(case: Case) -> Iterator[OutOfReach]:

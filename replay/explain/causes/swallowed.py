@@ -16,7 +16,7 @@ from replay.explain.causes.cause import Swallowed
 from replay.explain.causes.preconditions import about, lacking
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator, Sequence
 
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
@@ -67,12 +67,28 @@ def _went_on(case: Case, failed: Node) -> tuple[int, Line | None]:
     stack = case.source.call_stack(outer.started)
     around = {node.id for node in outer.around()} - {outer.id} | {0}
     stop = min(case.began + 1, outer.last_step + _SEARCHED)
-    for record in case.log.records((Task, Mutation), outer.last_step + 1, stop):
+    return went_on(case, outer.last_step + 1, stop, around, outer.started.thread, stack)
+
+
+def went_on(
+    case: Case, start: int, stop: int, around: Collection[int], thread: str, stack: Sequence[Line]
+) -> tuple[int, Line | None]:
+    """Return the first step with which a part of the plan went on, and its line; 0 and None if there is none.
+
+    Args:
+        case: the case.
+        start: the step from which on to look.
+        stop: the step before which to look.
+        around: ids of the tasks that are that part, 0 for the plan itself.
+        thread: name of its thread.
+        stack: the plan's lines after which it went on.
+    """
+    for record in case.log.records((Task, Mutation), start, stop):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
             continue
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
-        if lines and record.thread == outer.started.thread:
+        if lines and record.thread == thread:
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
     return 0, None
@@ -80,26 +96,33 @@ def _went_on(case: Case, failed: Node) -> tuple[int, Line | None]:
 
 def _results(case: Case) -> Iterator[Swallowed]:
     """Yield the failures that left a variable without a value, which the failed line reads."""
-    own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
-    texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
-    if not own_mistake or not any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts):
-        return
-    stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
-    lines = (*stack, *(line for error in case.traced for line in error.lines))
-    for motion in reversed(case.failed.motions):
+    for motion in reversed(case.failed.motions) if lacks_value(case) else ():
         if motion.last_step < case.step and motion is not case.motion:
-            setting = case.source.call_stack(motion.started)
-            places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
-            shared = places[0] & places[1]  # of helpers that perform both
-            read, written = (
-                case.names_in([line for line in each if (line.file, line.number) not in shared], context)
-                for each, context in ((lines, ast.Load), (setting, ast.Store))
-            )
-            names = read & written
+            names = values_from(case, case.source.call_stack(motion.started))
             if names and motion.status in _UNSUCCESSFUL:
-                yield _swallowed(case, "result", ", ".join(sorted(name for _, name in names)), "", motion)
+                yield _swallowed(case, "result", ", ".join(names), "", motion)
             if names:
                 return
+
+
+def lacks_value(case: Case) -> bool:
+    """Return whether a line of the plan failed for want of a value."""
+    own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
+    texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
+    return own_mistake and any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts)
+
+
+def values_from(case: Case, setting: Sequence[Line]) -> list[str]:
+    """Return the variables that some lines of the plan set, and those that failed read."""
+    stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
+    lines = (*stack, *(line for error in case.traced for line in error.lines))
+    places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
+    shared = places[0] & places[1]  # of helpers that perform both
+    read, written = (
+        case.names_in([line for line in each if (line.file, line.number) not in shared], context)
+        for each, context in ((lines, ast.Load), (setting, ast.Store))
+    )
+    return sorted(name for _, name in read & written)
 
 
 def _unset(case: Case, text: str) -> bool:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Failure, Query, argument_values
+from recorder.records.choices import is_choice
 from replay.errors import NoSuchStep
 from replay.explain.causes.case import Case
 from replay.explain.causes.find import find
@@ -126,7 +127,8 @@ def _task_failure(
         bodies=bodies(case, names),
         removed=tuple(name for name in names if world is not None and name not in world.bodies),
         attempts=tuple(_attempts(log, alike, world)),
-        other_failures=sum(1 for attempt in before.origins if attempt not in alike),
+        other_failures=len(before.origins) - len(alike),
+        forgotten=before.forgotten,
         choices=tuple(choices(log, task)),
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
@@ -156,6 +158,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
         is_default=world is None or world is state.world(),
         bodies=bodies(case, _of_world(objects, world)),
         other_failures=len(failed.origins),
+        forgotten=failed.forgotten,
         queries=tuple(_with_changes(log, query, world) for query in queries),
         earlier_queries=earlier,
         since_last_success=_since(log, last, state),
@@ -207,17 +210,22 @@ def _queries(
 
     What process modules chose isn't among them: plans don't rely on it.
     """
-    latest: dict[tuple[object, ...], Query] = {}
+    asked: set[int] = set()  # hashes, as there may be very many
+    queries: list[Query] = []
     names, ids = {name for name, _ in objects}, set(tasks)
-    for query in log.records(Query, start, stop):
-        if query.HasField("chosen"):
+    for query in log.backwards(stop - 1, Query) if stop > start else ():
+        if query.seq < start:
+            break
+        if is_choice(query):
             continue
         if not names or query.task in ids or any(mentions(query, name) for name in names):
-            question = (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
-            latest.pop(question, None)
-            latest[question] = query
-    queries = list(latest.values())
-    return queries[-_MAX_QUERIES:], max(len(queries) - _MAX_QUERIES, 0)
+            question = hash(
+                (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
+            )
+            if question not in asked and len(queries) < _MAX_QUERIES:
+                queries.append(query)
+            asked.add(question)
+    return queries[::-1], len(asked) - len(queries)
 
 
 def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:

@@ -134,6 +134,7 @@ class Why:
         removed: names of such bodies that were removed before the failure.
         attempts: all attempts of the same with the same objects, this one last.
         other_failures: number of other tasks that failed before.
+        forgotten: number of failures before those, which weren't looked at, as there are too many.
         choices: the queries with which the failed motion's process module chose what to do, in their order.
         queries: those that the plan relied on, in their order.
         earlier_queries: number of further queries about the same.
@@ -159,6 +160,7 @@ class Why:
     removed: tuple[str, ...] = ()
     attempts: tuple[Attempt, ...] = ()
     other_failures: int = 0
+    forgotten: int = 0
     choices: tuple[Query, ...] = ()
     queries: tuple[RelevantQuery, ...] = ()
     earlier_queries: int = 0

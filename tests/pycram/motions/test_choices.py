@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pycram import bullet_world_reasoning as btr
 from pycram.designator import MotionDesignator
 from pycram.failures import Blocked, ChangeRefused, GraspFailed, HandleUnreachable, PlaceFailed, Unreachable
 from pycram.process_module import ProcessModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Rejection, Unfit
 from recorder.records import Mutation, Query, Task, argument_values
-from recorder.records.choices import chosen_name, rejection_lines
+from recorder.records.choices import chosen_name, is_choice, rejection_lines
 
 if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
@@ -202,3 +203,55 @@ def test_without_a_recording_no_candidates_are_kept(world: BulletWorld) -> None:
     assert not choice.wanted
     assert not choice._rejected
     assert choice.answer == "top"
+
+
+LEFT = "l_gripper_tool_frame"
+
+
+def test_what_a_plan_asks_has_what_was_considered_for_the_answer(scene: BulletWorld, sink: MemorySink) -> None:
+    milk, bowl, robot = scene.get_object("milk"), scene.get_object("bowl"), scene.robot
+    bowl.set_position([1.18, 1.0, 0.8835])
+    assert btr.blocking(milk, robot, LEFT, grasp="front") == [bowl]
+    free = btr.blocking(milk, robot, LEFT)
+    blocked, least = sink.of(Query)
+    assert chosen_name(blocked).startswith("front")
+    assert chosen_name(least) == free.evidence["grasp"]
+    assert any("would touch bowl" in line for line in rejection_lines(least))
+    assert not is_choice(blocked), "a plan relies on it"
+
+
+def test_a_pose_out_of_reach_has_by_how_much_and_one_in_reach_needs_no_reasons(
+    scene: BulletWorld, sink: MemorySink
+) -> None:
+    robot = scene.robot
+    far = btr.reachable([3, 1, 1], robot, LEFT)
+    near = btr.reachable([1.3, 0.8, 1.1], robot, LEFT)
+    assert (bool(far), bool(near)) == (False, True)
+    no, yes = sink.of(Query)
+    assert reasons(no)["OutOfReach"]["distance"] == pytest.approx(far.evidence["distance"], abs=1e-6)
+    assert no.chosen == -1
+    assert not yes.candidates
+    assert not yes.HasField("chosen")
+
+
+def test_of_postures_that_touch_something_each_says_what(scene: BulletWorld, sink: MemorySink) -> None:
+    milk, bowl, robot = scene.get_object("milk"), scene.get_object("bowl"), scene.robot
+    bowl.set_position([1.18, 1.0, 0.8835])
+    assert not btr.reachable(milk, robot, LEFT, grasp="front", collision_free=True)
+    (query,) = sink.of(Query)
+    assert "bowl" in {pair["body"] for pair in reasons(query)["Touching"]["pairs"]}
+    assert query.chosen == -1
+
+
+def test_of_many_targets_those_out_of_reach_say_so_once(scene: BulletWorld, sink: MemorySink) -> None:
+    targets = [[3, 1, 1], [1.3, 0.8, 1.1], *([3 + number, 1, 1] for number in range(1, 7))]
+    btr.reachable_poses(targets, scene.robot, LEFT)
+    (query,) = sink.of(Query)
+    away, kept = query.candidates
+    assert (away.reason, away.count, list(away.names)) == (
+        "OutOfReach",
+        7,
+        ["target 1", *(f"target {n}" for n in (3, 4, 5))],
+    )
+    assert list(kept.names) == ["target 2"]
+    assert query.chosen == 1
