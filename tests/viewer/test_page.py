@@ -100,7 +100,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     (folder / "index.html").write_text('<link\n rel="preconnect" href="https://x.org" /><link href="icon.ico" />here')
     (folder / "viewer.wasm").write_bytes(bytes(range(256)) * 1000)
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
+    threading.Thread(target=server.serve_forever, args=[0.01], daemon=True).start()
     yield server.server_port
     server.shutdown()
     server.server_close()

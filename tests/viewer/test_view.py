@@ -400,6 +400,7 @@ def test_the_viewer_shows_the_demo(
     assert not headless.complaints()
 
 
+@pytest.mark.slow
 def test_a_collision_marks_the_links_that_would_meet(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w") as world:
