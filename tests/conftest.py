@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import signal
 import subprocess
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,10 +19,12 @@ from recorder.tracing import journal
 from tests import measures, needs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from recorder.records import Record
     from recorder.records.asset import AssetFile
+
+DEMOS = Path(__file__).parent.parent / "demos"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -29,9 +35,45 @@ def pytest_configure(config: pytest.Config) -> None:
     # A shell ignores SIGINT for what it starts in the background, and processes inherit that.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.environ["PYCRAM_CACHE"] = ""  # what a test loads is read from its files, and the user's folder stays as it is
+    os.environ["PYCRAM_CACHE"] = ""  # the user's folder stays as it is
     config.pluginmanager.register(needs)
     measures.pytest_configure(config)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    # viewers take long: no worker is to begin with one when the others are done
+    items.sort(key=lambda item: "viewer" not in item.path.parts)
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of this run have."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session", autouse=True)
+def converted_meshes(shared_folder: Path) -> None:
+    """What one process of a run has converted, the others find."""
+    os.environ["PYCRAM_CACHE"] = str(shared_folder / "converted meshes")
+
+
+@pytest.fixture(scope="session")
+def recorded_demo(shared_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Gives a copy of a demo's recording, which is made once in a run."""
+
+    def recorded(name: str) -> Path:
+        made = shared_folder / f"{name}.mcap"
+        with (shared_folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not made.exists():
+                new = tmp_path_factory.mktemp(name) / made.name
+                command = [sys.executable, "-m", "pycram", "run", str(DEMOS / f"{name}.py"), "--log", str(new)]
+                subprocess.run(command, capture_output=True, check=False, timeout=300)
+                shutil.copy(new, made)
+        return shutil.copy(made, tmp_path_factory.mktemp(name) / made.name)
+
+    return recorded
 
 
 class MemorySink:

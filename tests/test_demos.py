@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import runpy
 import subprocess
@@ -34,7 +35,7 @@ def pycram(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         text=True,
         check=False,
         timeout=120,
-        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin"},
+        env={"PYTHONPATH": str(REPO), "PATH": "/usr/bin:/bin", "PYCRAM_CACHE": os.environ["PYCRAM_CACHE"]},
     )
 
 
@@ -147,6 +148,7 @@ def test_the_failing_demo_records_its_failure(tmp_path: Path) -> None:
         assert {attempt.status for attempt in handling.attempts} == {State.FAILED}
 
 
+@pytest.mark.slow
 def test_run_records_any_plan_with_its_arguments(tmp_path: Path) -> None:
     plan = tmp_path / "plan.py"
     plan.write_text(

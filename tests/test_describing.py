@@ -117,6 +117,7 @@ def test_the_robots_in_the_box_pass_all_checks(describe: Callable[..., Ended], t
     assert len(colors) > 200, "more than a sky"
 
 
+@pytest.mark.slow
 def test_a_robot_that_nobody_described_takes_things(
     describe: Callable[..., Ended], tmp_path: Path, world: BulletWorld
 ) -> None:

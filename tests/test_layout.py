@@ -9,6 +9,8 @@ import ast
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 REPO = Path(__file__).parent.parent
 PACKAGES = ("recorder", "pycram", "replay")
 
@@ -39,6 +41,7 @@ def room(module: str, known: dict[str, Path]) -> str:
     return module if known[module].name == "__init__.py" or package in PACKAGES else package
 
 
+@pytest.mark.slow
 def test_no_circle_between_rooms() -> None:
     known = modules()
     graph: dict[str, set[str]] = {}

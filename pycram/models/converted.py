@@ -1,9 +1,10 @@
 """Meshes that earlier processes converted: a folder of the user's, so that the text of large ones is read once.
 
-COLLADA and OBJ are text, and hulls of fine meshes take long: some robots took 1-3 s to load, each time. An entry is
-named after the hash of all that its conversion reads: the mesh, materials and textures beside it, and the code that
-does it. So it is never out of date, and all may be deleted at any time. A folder that can't be written is done without,
-as is one that others can write into (:mod:`recorder.user_folders`).
+COLLADA and OBJ are text, and hulls of fine meshes take long: some robots took 1-3 s to load, each time. To make an
+object of a mesh takes a second: as long as the library loads that does it. An entry is named after the hash of all that
+its conversion reads: the mesh, what lies beside it and belongs to it, and the code that does it. So it is never
+out of date, and all may be deleted at any time. A folder that can't be written is done without, as is one that others
+can write into (:mod:`recorder.user_folders`).
 """
 
 from __future__ import annotations
@@ -14,44 +15,47 @@ import re
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from pycram.models.files import read_bytes
-from pycram.models.parts import LIBRARIES
 from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # bytes from which on a mesh takes longer to convert than to be found again
+_WORTH: Final = 50_000  # bytes from which on a binary STL takes longer to convert than to be found again
 _LARGEST: Final = 1_000_000_000  # bytes of all entries; those that weren't used for longest go
-_CODE: Final = ("mesh.py", "parts.py", "texture.py")
+_CODE: Final = ("links.py", "mesh.py", "parts.py", "texture.py")
+_LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<init_from>\s*([^<]*?)\s*</init_from>")
 _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
 _MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE)
 
 
-def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
+def get(
+    kind: str, file: Path, convert: Callable[[], Sequence[Piece]], beside: Iterable[Path] | None = None
+) -> Sequence[Piece]:
     """Return what a mesh is converted to: file name, content and colour RGBA 0..1 of each piece.
 
     Args:
         kind: Into what: one mesh has an entry for each.
         file: The mesh.
         convert: Converts it.
+        beside: Files that it reads besides, if they are there, to make an object of it.
 
     Raises:
         AssetError: It can't be read or, of ``convert``, converted.
     """
     content = read_bytes(file)
-    where = cache_folder() if len(content) >= _WORTH else None
+    needs_library = beside is not None or file.suffix.lower() != ".stl"
+    where = cache_folder() if needs_library or len(content) >= _WORTH else None
     if where is None:
         return convert()
-    entry = where / f"{_name(kind, file, content)}.mesh"
+    entry = where / f"{_name(kind, file, content, beside or ())}.mesh"
     with suppress(OSError, ValueError, LookupError, TypeError):  # there is none, or it is damaged
         pieces = _read(entry.read_bytes())
         os.utime(entry)
@@ -62,9 +66,10 @@ def get(kind: str, file: Path, convert: Callable[[], Sequence[Piece]]) -> Sequen
     return pieces
 
 
-def _name(kind: str, file: Path, content: bytes) -> str:
+def _name(kind: str, file: Path, content: bytes, beside: Iterable[Path]) -> str:
     digest = sha256(_code())
-    for part in (kind.encode(), os.fsencode(file.name), content, *_beside(file, content)):
+    more = (_content(other) for other in beside)
+    for part in (kind.encode(), os.fsencode(file.name), content, *_beside(file, content), *more):
         digest.update(b"%d:" % len(part) + part)
     return digest.hexdigest()
 
@@ -73,7 +78,14 @@ def _name(kind: str, file: Path, content: bytes) -> str:
 def _code() -> bytes:
     """Return what tells conversions of this release, with these libraries, from others."""
     sources = [(Path(__file__).parent / name).read_bytes() for name in _CODE]
-    return sha256(b"".join(sources) + f"{np.__version__} {LIBRARIES}".encode()).digest()
+    return sha256(b"".join(sources) + " ".join(map(_version, _LIBRARIES)).encode()).digest()
+
+
+def _version(library: str) -> str:
+    try:
+        return version(library)
+    except PackageNotFoundError:  # not all are needed for all
+        return "none"
 
 
 def _beside(file: Path, content: bytes) -> Iterator[bytes]:
@@ -83,16 +95,16 @@ def _beside(file: Path, content: bytes) -> Iterator[bytes]:
         names = [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
     elif file.suffix.lower() == ".obj":
         for library in _MATERIALS.findall(content):
-            materials = _content(file, library)
+            materials = _content(file.parent / os.fsdecode(library))
             yield materials
             names += _MAP.findall(materials)
     for name in names:
-        yield _content(file, name)
+        yield _content(file.parent / os.fsdecode(name))
 
 
-def _content(file: Path, name: bytes) -> bytes:
+def _content(file: Path) -> bytes:
     try:
-        return (file.parent / os.fsdecode(name)).read_bytes()
+        return file.read_bytes()
     except (OSError, ValueError):
         return b""
 

@@ -13,17 +13,19 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models import visual
+from pycram.models.lazy_module import LazyModule
 from recorder.packages import needed
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from numpy.typing import NDArray
+    from scipy import spatial
 
     Array = NDArray[np.float64]
-
-with needed():
-    from scipy.spatial import ConvexHull, QhullError
+else:
+    with needed():
+        spatial = LazyModule("scipy.spatial")
 
 _PLANE_DECIMALS: Final = 9  # to which triangles of one face have the same plane
 
@@ -71,8 +73,8 @@ def _planes(corners: Array) -> Array:
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
     try:
-        hull = ConvexHull(corners).equations
-    except QhullError:  # it is flat
+        hull = spatial.ConvexHull(corners).equations
+    except spatial.QhullError:  # it is flat
         return box
     hull[:, 3] *= -1.0
     planes: Array = np.unique(np.vstack([box, hull]).round(_PLANE_DECIMALS), axis=0)

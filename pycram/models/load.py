@@ -101,10 +101,20 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
         if kind == ".urdf":
             return _canonical(file, read_bytes(file), file.stem, packages_of.check_folders(packages))
         if kind in _MESH_SUFFIXES:
-            return _canonical(file, mesh.as_urdf(file, color, _decompose).encode(), file.stem)
+            return _canonical(file, _object_urdf(file, color), file.stem)
     if kind == ".xacro":
         canonical.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
+
+
+def _object_urdf(file: Path, color: Sequence[float] | None) -> bytes:
+    """Return the URDF of an object that is one mesh, and write its meshes into the store."""
+    kind = f"object {None if color is None else [float(part) for part in color]}"
+    files = converted.get(kind, file, lambda: [*mesh.as_urdf(file, color, _decompose)], mesh.beside(file))
+    *meshes, (_, urdf, _) = files
+    for name, content, _ in meshes:
+        store.write_mesh(name, content)
+    return urdf
 
 
 def _decompose(content: bytes) -> bytes:

@@ -19,20 +19,22 @@ import numpy as np
 from pycram.foundation.checks import number
 from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_toml, read_text
+from pycram.models.lazy_module import LazyModule
 from pycram.models.links import DENSITY
 from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, quiet, read_parts, stl
-from pycram.models.store import write_mesh
 from recorder.packages import needed
 from recorder.records import escaped
+from recorder.records.asset import AssetFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
-with needed():
     import trimesh
+    from numpy.typing import NDArray
+else:
+    with needed():
+        trimesh = LazyModule("trimesh")
 
 _MIN_CONVEXITY: Final = 0.9  # share of its hull's volume that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
@@ -226,8 +228,25 @@ def _exported(shape: trimesh.Trimesh, kind: str, **options: Any) -> bytes:
     return content.encode() if isinstance(content, str) else bytes(content)
 
 
-def as_urdf(file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]) -> str:
-    """Return a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
+def beside(file: Path) -> Iterator[Path]:
+    """Yield the files beside a mesh that :func:`as_urdf` reads: pieces, its table, meshes that this names.
+
+    Raises:
+        AssetError: The table is broken.
+    """
+    yield _pieces(file)
+    yield _table(file)
+    for part in _colored(_properties(file)) or ():
+        yield file.parent / str(part["mesh"])
+
+
+def as_urdf(
+    file: Path, color: Sequence[float] | None, decompose: Callable[[bytes], bytes]
+) -> Iterator[tuple[str, bytes, None]]:
+    """Yield the files of a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
+
+    Each has a name, a content and no colour, for :mod:`pycram.models.converted`. The URDF is the last, and names the
+    others by their keys.
 
     Args:
         file: The mesh.
@@ -249,28 +268,32 @@ def as_urdf(file: Path, color: Sequence[float] | None, decompose: Callable[[byte
     _add_inertia(link, shape, _mass(shape, entry))
     for name, content, rgba in _visuals(file, color, entry):
         visual = ET.SubElement(link, "visual")
-        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=write_mesh(name, content).key)
+        ET.SubElement(ET.SubElement(visual, "geometry"), "mesh", filename=AssetFile(name, content).key)
+        yield name, content, None
         material = ET.SubElement(visual, "material", name=name)
         ET.SubElement(material, "color", rgba=" ".join(f"{part:g}" for part in rgba))
     collision = ET.SubElement(ET.SubElement(link, "collision"), "geometry")
-    ET.SubElement(collision, "mesh", filename=write_mesh(*_collision(file, shape, decompose)).key)
-    return escaped(ET.tostring(robot, encoding="unicode"))  # pieces have the name of the file
+    name, content = _collision(file, shape, decompose)
+    ET.SubElement(collision, "mesh", filename=AssetFile(name, content).key)
+    yield name, content, None
+    # pieces have the name of the file
+    yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
 
 
 def _visuals(
     file: Path, color: Sequence[float] | None, entry: Mapping[str, object]
 ) -> list[tuple[str, bytes, Sequence[float]]]:
-    parts = entry.get("visual")
+    parts = _colored(entry)
     if color is not None or (parts is None and file.suffix.lower() == ".stl"):
         name, content = convert(file)
         return [(name, content, color if color is not None else _GREY)]
-    if isinstance(parts, list):
+    if parts is not None:
         return [(*convert(file.parent / str(part["mesh"])), part["rgba"]) for part in parts]
     return [(name, content, rgba or _GREY) for name, content, rgba in convert_visual(file)]
 
 
 def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], bytes]) -> tuple[str, bytes]:
-    pieces = file.with_suffix(".collision.obj")
+    pieces = _pieces(file)
     if pieces.is_file():
         return convert(pieces)
     hull = shape.convex_hull
@@ -279,9 +302,23 @@ def _collision(file: Path, shape: trimesh.Trimesh, decompose: Callable[[bytes], 
     return f"{file.stem}.collision.obj", decompose(_obj(shape))
 
 
+def _pieces(file: Path) -> Path:
+    return file.with_suffix(".collision.obj")
+
+
+def _table(file: Path) -> Path:
+    return file.parent / "objects.toml"
+
+
+def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
+    """Return the coloured visual parts that a mesh's table gives; None if it gives none."""
+    parts = entry.get("visual")
+    return parts if isinstance(parts, list) else None
+
+
 def _properties(file: Path) -> Mapping[str, object]:
     """Return a mesh's table in the ``objects.toml`` beside it; empty if there is none."""
-    table = file.parent / "objects.toml"
+    table = _table(file)
     entry = parse_toml(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
 

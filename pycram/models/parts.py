@@ -16,24 +16,24 @@ import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.models import texture
+from pycram.models.lazy_module import LazyModule
 from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
     from pathlib import Path
 
+    import collada
+    import trimesh
     from numpy.typing import NDArray
+    from PIL import Image
 
     Array = NDArray[np.float64]
     Rgba = tuple[float, float, float, float]
+else:
+    with needed("executor"):
+        collada, trimesh, Image = (LazyModule(name) for name in ("collada", "trimesh", "PIL.Image"))
 
-with needed("executor"):
-    import collada
-    import PIL
-    import trimesh
-    from PIL import Image
-
-LIBRARIES: Final = f"collada {collada.__version__} trimesh {trimesh.__version__} pillow {PIL.__version__}"
 STL_HEADER: Final = 84
 STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
 _MAX_COORDINATE: Final = 1e4  # m; larger ones are not in metres
@@ -77,7 +77,8 @@ def read_parts(file: Path, content: bytes) -> tuple[Part, ...]:
         AssetError: It can't be parsed, or a number isn't finite or too large for metres.
     """
     try:
-        with quiet():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             found = list(_dae(file, content) if file.suffix.lower() == ".dae" else _obj(file, content))
     except Exception as error:  # the parsers raise whatever goes wrong in them
         raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
@@ -152,8 +153,9 @@ def _obj(file: Path, content: bytes) -> Iterator[Part]:
     _check_faces(content)
     has_materials = b"mtllib" in content
     resolver = trimesh.resolvers.FilePathResolver(str(file))
-    scene = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False)
-    for mesh in scene.dump():
+    with quiet():
+        meshes = trimesh.load_scene(io.BytesIO(content), file_type="obj", resolver=resolver, process=False).dump()
+    for mesh in meshes:
         if not isinstance(mesh, trimesh.Trimesh):
             continue
         triangles = np.asarray(mesh.triangles, dtype=np.float64)

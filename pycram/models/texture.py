@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.lazy_module import LazyModule
 from recorder.packages import needed
 
 if TYPE_CHECKING:
@@ -18,9 +19,9 @@ if TYPE_CHECKING:
     from PIL import Image
 
     Array = NDArray[np.float64]
-
-with needed("executor"):
-    from PIL.Image import Quantize
+else:
+    with needed("executor"):
+        Image = LazyModule("PIL.Image")
 
 _COLORS: Final = 8  # of a palette; each is a shape of its own
 _SPOT: Final = 1 / 48  # of the texture's width that a triangle may span
@@ -36,7 +37,9 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
         uv: (n, 3, 2) of these in the texture, from its lower left corner; it repeats outside of 0..1.
         image: The texture.
     """
-    reduced = image.reduce(max(1, max(image.size) // _MAX_SIDE)).convert("RGB").quantize(_COLORS, Quantize.FASTOCTREE)
+    reduced = (
+        image.reduce(max(1, max(image.size) // _MAX_SIDE)).convert("RGB").quantize(_COLORS, Image.Quantize.FASTOCTREE)
+    )
     palette = np.array(reduced.getpalette(), dtype=np.float64).reshape(-1, 3) / 255
     pixels = np.asarray(reduced)
     triangles, uv = _divide(triangles, uv)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar, overload
 
 import numpy as np
@@ -13,7 +13,6 @@ import numpy as np
 from pycram.models import mesh, store
 from recorder import geometry
 from recorder.geometry.shapes import shapes_in
-from recorder.packages import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -23,15 +22,16 @@ if TYPE_CHECKING:
 
     from recorder.geometry.shapes import Shape
 
-with needed():
-    import trimesh
-
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"
 """Lowest and highest corner of a box, m."""
 
 _SECTIONS: Final = 32  # sides of cylinders and spheres
-_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners
+_NO_AREA: Final = 1e-12  # m^2 of a triangle of a solid of 1 m, which has lost its third corner on the axis
+_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners, of edges of 1 m
+#: Numbers of the corners of each side of the cube, counter-clockwise as they are seen from outside.
+_SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+_CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
 
 
 class Each(Sequence[T]):
@@ -166,20 +166,32 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
         return
     corners: list[list[float]] = []
     groups: list[set[str]] = [set()]  # numbers as they are written: each stands there some six times
-    for line in (folder / shape.mesh).read_text(encoding="utf-8", errors="replace").splitlines():
-        key, *words = line.split() or [""]
+    for key, words in _obj_lines(folder / shape.mesh):
         if key == "v":
-            corners.append([float(word) for word in words[:3]])
+            corners.append([float(word) for word in words])
+        elif key == "f":
+            groups[-1].update(words)
         elif key in {"o", "g"}:
             groups.append(set())
-        elif key == "f":  # counted from 1, or backwards from the last
-            numbers = [word.split("/")[0] for word in words] if "/" in line else words
-            if "-" in line:
-                numbers = [str(len(corners) + 1 + int(word)) if word.startswith("-") else word for word in numbers]
-            groups[-1].update(numbers)
     for group in groups:
         if group:
             yield np.array([corners[number - 1] for number in sorted(set(map(int, group)))]) * np.array(shape.size)
+
+
+def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
+    """Yield key and words of the lines of an OBJ: three coordinates of a corner, numbers from 1 of those of a face."""
+    count = 0
+    for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        key, *words = line.split() or [""]
+        if key == "v":
+            count += 1
+            words = words[:3]
+        elif key == "f":
+            if "/" in line:  # numbers of normals and textures follow
+                words = [word.split("/")[0] for word in words]
+            if "-" in line:  # counted backwards from the last
+                words = [str(count + 1 + int(word)) if word.startswith("-") else word for word in words]
+        yield key, words
 
 
 def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
@@ -188,23 +200,35 @@ def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
         scaled: NDArray[np.float64] = _mesh(folder / shape.mesh) * np.array(shape.size)
         return scaled
     if shape.kind == "box":
-        return _cube() * shape.size
-    if shape.kind == "sphere":
-        solid = trimesh.creation.uv_sphere(shape.size[0], count=(_SECTIONS // 2, _SECTIONS))
-    elif shape.kind == "cylinder":
+        return _CUBE_TRIANGLES * shape.size
+    if shape.kind == "cylinder":
         radius, height = shape.size
-        solid = trimesh.creation.cylinder(radius, height, sections=_SECTIONS)
-    else:
-        radius, height = shape.size
-        solid = trimesh.creation.capsule(height, radius, count=(_SECTIONS, _SECTIONS))
-        solid.apply_translation(-solid.bounds.mean(axis=0))
-    return np.asarray(solid.triangles, dtype=np.float64)
+        return _revolved(np.array([(0, -height / 2), (radius, -height / 2), (radius, height / 2), (0, height / 2)]))
+    radius, height = shape.size if shape.kind == "capsule" else (shape.size[0], 0.0)
+    angles = np.linspace(-np.pi / 2, 0, _SECTIONS // 4 + 1)
+    below = np.column_stack([np.cos(angles), np.sin(angles)]) * radius - (0, height / 2)
+    return _revolved(np.concatenate([below, below[::-1] * (1, -1)]))
 
 
-@cache
-def _cube() -> NDArray[np.float64]:
-    """Return the triangles of a cube with edges of 1 m."""
-    return np.asarray(trimesh.creation.box((1.0, 1.0, 1.0)).triangles, dtype=np.float64)
+def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the triangles of what a line sweeps around the z axis, counter-clockwise as they are seen from outside.
+
+    Args:
+        profile: (k, 2) points of the line, from below to above: distance from the axis and height, m.
+    """
+    angles = np.arange(_SECTIONS) * 2 * np.pi / _SECTIONS
+    distance, height = profile.T
+    rings = np.empty((_SECTIONS, len(profile), 3))
+    rings[..., 0], rings[..., 1], rings[..., 2] = (
+        np.outer(np.cos(angles), distance),
+        np.outer(np.sin(angles), distance),
+        height,
+    )
+    following = np.roll(rings, -1, axis=0)
+    a, b, c, d = rings[:, :-1], following[:, :-1], following[:, 1:], rings[:, 1:]
+    triangles = np.concatenate([np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))])
+    areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    return np.asarray(triangles[areas > _NO_AREA * np.abs(profile).max() ** 2])
 
 
 @lru_cache(maxsize=1024)
@@ -217,5 +241,13 @@ def _mesh_ends(file: Path) -> NDArray[np.float64]:
 def _mesh(file: Path) -> NDArray[np.float64]:
     if file.suffix == ".stl":  # binary: ASCII ones were converted
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
-    loaded = trimesh.load_mesh(file, process=False)
-    return np.array(loaded.triangles, dtype=np.float64)
+    corners: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    for key, words in _obj_lines(file):
+        if key == "v":
+            corners.append([float(word) for word in words])
+        elif key == "f":
+            first, *others = (int(word) - 1 for word in words)
+            faces += [(first, second, third) for second, third in itertools.pairwise(others)]
+    triangles: NDArray[np.float64] = np.array(corners)[np.array(faces)]
+    return triangles

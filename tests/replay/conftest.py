@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,19 +17,11 @@ from pycram.world import current
 from tests.conftest import furnish
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from replay.recording import Recording
 
 GOLDEN = Path(__file__).parent / "golden"
-DEMOS = Path(__file__).parents[2] / "demos"
-
-
-def recorded(plan: str, folder: Path) -> Path:
-    file = folder / f"{plan}.mcap"
-    command = [sys.executable, "-m", "pycram", "run", str(DEMOS / f"{plan}.py"), "--log", str(file)]
-    subprocess.run(command, capture_output=True, check=False, timeout=300)
-    return file
 
 
 @pytest.fixture
@@ -42,13 +32,13 @@ def nothing_left() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def demo_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return recorded("set_the_table", tmp_path_factory.mktemp("demo"))
+def demo_log(recorded_demo: Callable[[str], Path]) -> Path:
+    return recorded_demo("set_the_table")
 
 
 @pytest.fixture(scope="session")
-def failed_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return recorded("fails_to_reach", tmp_path_factory.mktemp("failed"))
+def failed_log(recorded_demo: Callable[[str], Path]) -> Path:
+    return recorded_demo("fails_to_reach")
 
 
 @pytest.fixture(scope="session")

@@ -258,6 +258,7 @@ def test_wrong_usage_is_reported_on_stderr(
     assert output.err.startswith("pycram-replay: ")
 
 
+@pytest.mark.slow
 def test_odd_arguments_are_answered_or_refused(tmp_path: Path) -> None:
     """Never an error of another kind, whatever is asked."""
     with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="w"):

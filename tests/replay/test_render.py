@@ -91,6 +91,7 @@ def closed(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_what_hides_a_thing_from_all_sides_is_cut_away(closed: Path) -> None:
     with replay.open(closed) as log:
         inside = log.render(9, target="bowl", size=SMALL)

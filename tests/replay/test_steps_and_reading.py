@@ -201,6 +201,7 @@ def test_reading_verbs_work_without_engine_viewer_and_meshes(small_log: Path) ->
     assert exit_codes_without(f"{ENGINE_AND_VIEWER},pycram,trimesh,collada,PIL", small_log, *verbs) == ["0"] * 8
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_without_engine_and_viewer(small_log: Path, tmp_path: Path) -> None:
     verbs = [f"render 9 -o {tmp_path}/x.png", f"why --pictures {tmp_path}"]
     assert exit_codes_without(ENGINE_AND_VIEWER, small_log, *verbs) == ["0"] * 2

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     import psutil
-    from conftest import Headless, Server
+    from conftest import Server
 
 pytestmark = pytest.mark.slow
 
@@ -70,6 +70,11 @@ live_sink._START_TIMEOUTS = dict.fromkeys(live_sink.Kind, 60.0)
 BRIEF = """
 from recorder.viewer import live_sink
 live_sink._LINGER_TIMEOUT = 3.0
+"""
+
+
+FEW = """
+live_sink.LiveQueue.__init__.__defaults__ = (1_000, 128 << 20)
 """
 
 
@@ -224,13 +229,19 @@ def test_another_program_has_the_port(plan: Callable[..., Plan]) -> None:
     assert ended.missed() == (count, count)
 
 
-def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], headless: Headless, until) -> None:
-    running = plan("wait_for('more'); move(10); wait_for('go'); move(3000)", f"connect:{headless.url}")
-    until(lambda: headless.end_of("step") > 100, "the viewer shows it")
-    shown = headless.end_of("step")
+def changes_in(server: Server) -> int:
+    """How many changes the viewer has got."""
+    return server.rows()["/records/mutation"]
+
+
+def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve: Callable[[], Server], until) -> None:
+    server = serve()
+    running = plan("wait_for('more'); move(10); wait_for('go'); move(3000)", f"connect:{server.url}")
+    until(lambda: changes_in(server) > 100, "the viewer has it")
+    shown = changes_in(server)
     (running.folder / "more").touch()
-    until(lambda: headless.end_of("step") > shown, "it has taken what was before")
-    os.kill(headless.pid, signal.SIGKILL)
+    until(lambda: changes_in(server) > shown, "it has taken what was before")
+    server.end()
     (running.folder / "go").touch()
     ended = running.end()
     count = ended.check()
@@ -242,21 +253,22 @@ def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], headl
 
 @pytest.mark.parametrize("at_the_end", [True, False])
 def test_a_viewer_is_stopped_while_the_plan_runs(
-    plan: Callable[..., Plan], headless: Headless, until, *, at_the_end: bool
+    plan: Callable[..., Plan], serve: Callable[[], Server], until, *, at_the_end: bool
 ) -> None:
+    server = serve()
     # it is let go on, or not, before the plan ends; a stopped process' socket takes some, so there is more than that
     flood = "\nwait_for('go')\nfor _ in range(40): world.simulate(1)\nfor _ in range(10): world.simulate(30)"
     code = f"{flood}\nPath('flooded').touch()\n" + ("" if at_the_end else "wait_for('end')")
-    running = plan(code, f"connect:{headless.url}", before=BRIEF)
-    until(lambda: headless.end_of("step") > 100, "the viewer shows it")
-    os.kill(headless.pid, signal.SIGSTOP)
+    running = plan(code, f"connect:{server.url}", before=BRIEF)
+    until(lambda: changes_in(server) > 100, "the viewer has it")
+    server.stall()
     (running.folder / "go").touch()
     until((running.folder / "flooded").exists, "the plan goes on")
     if not at_the_end:
-        os.kill(headless.pid, signal.SIGCONT)
+        server.go_on()
         with replay.open(running.folder / "plan.mcap") as log:
-            last = len(log) - 1
-        until(lambda: headless.end_of("step") >= last, "the viewer catches up")
+            changes = log.counts()["mutation"]
+        until(lambda: changes_in(server) >= changes, "the viewer catches up")
         (running.folder / "end").touch()
     ended = running.end()
     ended.check()
@@ -266,8 +278,8 @@ def test_records_that_a_stopped_viewer_misses_are_counted(
     plan: Callable[..., Plan], serve: Callable[[], Server]
 ) -> None:
     server = serve()
-    code = f"os.kill({server.process.pid}, signal.SIGSTOP); move(30_000)"
-    ended = plan(code, f"connect:{server.url}", before=BRIEF).end()
+    code = f"os.kill({server.process.pid}, signal.SIGSTOP); move(8_000)"
+    ended = plan(code, f"connect:{server.url}", before=BRIEF + FEW).end()
     count = ended.check()
     missed, of = ended.missed()
     assert of == count
@@ -276,10 +288,13 @@ def test_records_that_a_stopped_viewer_misses_are_counted(
         assert 0 < int(log.metadata["pycram.end.viewer_dropped"]) <= missed
 
 
-def test_a_viewer_that_lives_gets_all_of_many_records(plan: Callable[..., Plan], headless: Headless, until) -> None:
-    running = plan("move(5_000); Path('flooded').touch(); wait_for('seen')", f"connect:{headless.url}")
+def test_a_viewer_that_lives_gets_all_of_many_records(
+    plan: Callable[..., Plan], serve: Callable[[], Server], until
+) -> None:
+    server = serve()
+    running = plan("move(5_000); Path('flooded').touch(); wait_for('seen')", f"connect:{server.url}")
     until((running.folder / "flooded").exists, "the plan has done its part")
-    until(lambda: headless.end_of("step") > 5_000, "the viewer catches up", 100)
+    until(lambda: changes_in(server) > 5_000, "the viewer catches up")
     (running.folder / "seen").touch()
     ended = running.end()
     assert ended.check() > 5_000

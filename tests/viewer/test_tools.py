@@ -17,6 +17,8 @@ from rerun.chunk import McapReader
 from replay.cli.main import main as replay_command
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import pyarrow as pa
     from conftest import Headless
     from google.protobuf.message import Message
@@ -36,12 +38,9 @@ RECORDS = (
 
 
 @pytest.fixture(scope="module", params=["set_the_table", "fails_to_reach"])
-def log(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(request: pytest.FixtureRequest, recorded_demo: Callable[[str], Path]) -> Path:
     """A recording of a demo."""
-    file = tmp_path_factory.mktemp("log") / f"{request.param}.mcap"
-    command = [sys.executable, "-m", "pycram", "demo", request.param, "--log", str(file)]
-    subprocess.run(command, cwd=REPO, capture_output=True, check=False)
-    return file
+    return recorded_demo(request.param)
 
 
 class Stranger:

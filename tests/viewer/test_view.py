@@ -39,10 +39,8 @@ NEAR = 1e-5  # m; the viewer's numbers are 32 bits
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    file = tmp_path_factory.mktemp("demo") / "demo.mcap"
-    subprocess.run([sys.executable, "-m", "pycram", "demo", "--log", file], check=True, capture_output=True, cwd=REPO)
-    return file
+def demo(recorded_demo: Callable[[str], Path]) -> Path:
+    return recorded_demo("set_the_table")
 
 
 @pytest.fixture(scope="module")
@@ -402,6 +400,7 @@ def test_the_viewer_shows_the_demo(
     assert not headless.complaints()
 
 
+@pytest.mark.slow
 def test_a_collision_marks_the_links_that_would_meet(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     with recorder.record(log), BulletWorld(name="w") as world:

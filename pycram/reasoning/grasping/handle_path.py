@@ -216,11 +216,15 @@ class _Search:
         free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite where something would be touched
         obstacles: dict[int, list[CollisionPair]] = {}
         nodes: list[int] = []
+        checked: set[tuple[int, int]] = set()  # paths have most of their nodes in common
         for _ in range(tries):
             nodes = self._cheapest(layers, edges, free)
             postures = [self._posture(layers[step].joints[node]) for step, node in enumerate(nodes)]
+            unchecked = [step for step, node in enumerate(nodes) if (step, node) not in checked]
+            checked.update((step, nodes[step]) for step in unchecked)
             touching = False
-            for step, candidate in enumerate(self._checker.predict(postures, self._base)):
+            candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
+            for step, candidate in zip(unchecked, candidates, strict=True):
                 pairs = self._touching(candidate, self._values[step])
                 if pairs:
                     touching = True

@@ -22,6 +22,7 @@ def test_exported_failures_have_their_public_module(name: str) -> None:
     assert modules
 
 
+@pytest.mark.slow
 def test_a_traceback_names_the_public_module_though_nothing_has_imported_it() -> None:
     program = "from pycram.bullet_world import BulletWorld; BulletWorld('WINDOW')"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

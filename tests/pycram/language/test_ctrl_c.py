@@ -83,6 +83,7 @@ def test_ctrl_c_in_a_branch_is_raised_in_the_outermost_block_at_the_next_checkpo
     assert_nothing_left()
 
 
+@pytest.mark.slow
 def test_one_ctrl_c_while_all_branches_wait_ends_them() -> None:
     main, rounds = threading.get_ident(), 40
     go = threading.Semaphore(0)

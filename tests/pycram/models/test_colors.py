@@ -153,6 +153,7 @@ def test_a_link_of_which_lines_are_drawn_shows_nothing(tmp_path: Path) -> None:
     assert shapes_of(load.load(tmp_path / "thing.urdf").path).links == ()
 
 
+@pytest.mark.slow
 def test_large_meshes_collide_as_their_hull(tmp_path: Path, world: BulletWorld) -> None:
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.2)
     dented = sphere.copy()

@@ -1,4 +1,4 @@
-"""Large meshes are converted once for all processes, and never out of date."""
+"""Meshes are converted once for all processes, and never out of date."""
 
 from __future__ import annotations
 
@@ -19,7 +19,12 @@ URDF = """<robot name="ball"><link name="ball">
 <visual><geometry><mesh filename="ball.obj"/></geometry></visual>
 <collision><geometry><mesh filename="ball.obj"/></geometry></collision>
 </link></robot>"""
-FILES = "import sys; from pycram.models import load; print(*sorted(file.key for file in load.load(sys.argv[1]).files))"
+FILES = """
+import sys
+from pycram.models import load
+print(*sorted(file.key for path in sys.argv[1:] for file in load.load(path).files))
+print("trimesh" in sys.modules, "scipy" in sys.modules, file=sys.stderr)
+"""
 
 
 @pytest.fixture
@@ -53,19 +58,55 @@ def pieces(ball: Path) -> list[tuple[str, bytes, list[float] | None]]:
     return [(name, content, None if rgba is None else list(rgba)) for name, content, rgba in made]
 
 
-def files_in_a_new_process(ball: Path) -> str:
+def files_in_a_new_process(*models: Path) -> tuple[str, str]:
+    """The files of models, and whether the libraries were imported that convert meshes."""
     environment = {**os.environ, "PYTHONPATH": str(REPO)}
-    command = [sys.executable, "-c", FILES, str(ball)]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    command = [sys.executable, "-c", FILES, *map(str, models)]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return ended.stdout, ended.stderr
 
 
 @pytest.mark.slow
-def test_a_second_process_loads_the_same_without_converting(cache: Path, ball: Path) -> None:
-    first = files_in_a_new_process(ball)
+def test_a_second_process_loads_the_same_without_converting(cache: Path, ball: Path, bowl: Path) -> None:
+    first, imported = files_in_a_new_process(ball, bowl)
+    assert imported == "True True\n"
     entries = {entry.name: entry.read_bytes() for entry in cache.iterdir()}
-    assert len(entries) == 2, "what is seen, and what collides"
-    assert files_in_a_new_process(ball) == first
+    assert len(entries) == 4, "what is seen and what collides, of one; of the other an object, and its pieces"
+    assert files_in_a_new_process(ball, bowl) == (first, "False False\n")
     assert {entry.name: entry.read_bytes() for entry in cache.iterdir()} == entries
+
+
+@pytest.fixture
+def bowl(tmp_path: Path) -> Path:
+    """A small mesh with pieces and a table beside it."""
+    bowl = tmp_path / "bowl.stl"
+    trimesh.creation.box((0.2, 0.2, 0.1)).export(bowl)
+    trimesh.creation.box((0.2, 0.2, 0.1)).export(tmp_path / "bowl.collision.obj")
+    trimesh.creation.box((0.2, 0.2, 0.02)).export(tmp_path / "rim.stl")
+    (tmp_path / "objects.toml").write_text(TABLE)
+    return bowl
+
+
+TABLE = """
+[bowl]
+mass = 0.5
+visual = [{ mesh = "bowl.stl", rgba = [1, 0, 0, 1] }, { mesh = "rim.stl", rgba = [0, 0, 1, 1] }]
+"""
+
+
+def test_an_object_is_made_anew_when_its_color_or_something_beside_it_changes(cache: Path, bowl: Path) -> None:
+    def files(color: list[float] | None = None) -> tuple[str, ...]:
+        return tuple(file.key for file in load.load(bowl, color).files)
+
+    found = [files(), files([0, 1, 0, 1])]
+    bowl.with_name("objects.toml").write_text(TABLE.replace("0.5", "0.6"))
+    found.append(files())
+    trimesh.creation.box((0.2, 0.2, 0.05)).export(bowl.with_name("rim.stl"))
+    found.append(files())
+    trimesh.creation.box((0.1, 0.2, 0.1)).export(bowl.with_name("bowl.collision.obj"))
+    found.append(files())
+    assert len(set(found)) == len(found)
+    assert found[-1] == files()
 
 
 def test_what_was_converted_is_not_read_again(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,6 +132,7 @@ def test_a_handle_out_of_reach_is_named_with_joint_value_and_orientation_and_wha
     access(scene, joint, handle, place[1], 0.3)
 
 
+@pytest.mark.slow
 def test_an_arm_that_gets_no_further_says_how_far_it_gets(scene: BulletWorld) -> None:
     joint, handle = FRIDGE
     before = take_snapshot(scene.robot)
@@ -160,6 +161,7 @@ def test_what_is_in_the_way_is_named_with_the_links_that_would_touch(scene: Bull
     assert raised.value.bodies == ["pot"]
 
 
+@pytest.mark.slow
 def test_links_that_touch_with_several_shapes_are_named_once(scene: BulletWorld) -> None:
     joint, handle = "kitchen_island_left_lower_drawer_main_joint", "kitchen_island_left_lower_drawer_handle"
     perform(type="move-arm-joints", left_arm="park", right_arm="park")
@@ -193,6 +195,7 @@ def test_a_drawer_near_the_floor_is_opened_and_closed_with_the_torso_down(scene:
     assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_an_arm_in_the_way_is_named_and_parking_it_helps_where_the_failure_says_so(scene: BulletWorld) -> None:
     joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
     perform(type="move-arm-joints", left_arm="park", right_arm="park")
@@ -206,6 +209,7 @@ def test_an_arm_in_the_way_is_named_and_parking_it_helps_where_the_failure_says_
     assert scene.get_object("kitchen").get_joint_position(joint) == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_an_arm_that_is_in_the_way_where_it_is_parked_is_named(scene: BulletWorld) -> None:
     perform(type="move-arm-joints", left_arm="park", right_arm="park")
     go(0.58, -0.37, 0.0)
@@ -214,6 +218,7 @@ def test_an_arm_that_is_in_the_way_where_it_is_parked_is_named(scene: BulletWorl
     assert "the right arm is in the way, also when it is parked" in raised.value.remedies
 
 
+@pytest.mark.slow
 def test_a_door_doesnt_open_through_the_robot(scene: BulletWorld) -> None:
     kitchen, robot, (joint, handle) = scene.get_object("kitchen"), scene.robot, FRIDGE
     x, y, _ = kitchen.get_link_position(handle)

@@ -141,6 +141,7 @@ def test_a_place_that_is_taken_rejects_all_orientations_for_one_reason(scene: Bu
     assert next(rejection_lines(choice)).startswith(f"{', '.join(rejected.names)} and 8 more: cereal")
 
 
+@pytest.mark.slow
 def test_a_drawer_out_of_reach_has_each_grip_and_what_was_tried_instead(scene: BulletWorld, sink: MemorySink) -> None:
     scene.robot.set_position([0.1, 1.9, 0])
     kitchen = scene.get_object("kitchen")
