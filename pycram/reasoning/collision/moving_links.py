@@ -86,8 +86,11 @@ class MovingLinks:
         self.drivers = self._all_drivers[moving]
         names, own_links = np.array(links), np.arange(len(links)) < len(boxes.links)
         own = _own_joints(robot.urdf, links, joints)
-        still = np.where(moving, 0, _own_joints(robot.urdf, links, robot.urdf.movable).T)  # another arm's, say
+        every = _own_joints(robot.urdf, links, robot.urdf.movable)
+        still = np.where(moving, 0, every.T)  # another arm's, say
         apart = moving[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
+        # the trunk is a hull, to which hands bring what they carry: what is held meets what other joints move
+        apart &= (own_links & own_links[:, None]) | ((every > 0) & (every.T > 0))
         for link, other in robot.description.may_touch if robot.description else ():
             pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
             apart &= ~(pair | pair.T)
@@ -96,7 +99,8 @@ class MovingLinks:
     def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[Owner, Owner]]:
         """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
 
-        What a link holds is as far from others as the link is; where one of the two is held, it comes first.
+        What a link holds is as far from others as the link is, and meets only what hangs on other joints than the link:
+        other arms. Where one of the two is held, it comes first.
 
         Args:
             transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
