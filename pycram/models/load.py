@@ -196,7 +196,7 @@ def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple
         for texture in material.findall("texture"):
             material.remove(texture)  # it is in the shapes' colours
     text, tree = canonical.write(source, root)
-    path, asset = store.write_urdf(f"{stem}.urdf", text)
+    path, asset = store.write_urdf(f"{stem}.urdf", text, root)
     return Model(path, tree, (asset, *used.values()))
 
 

@@ -30,6 +30,7 @@ T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"
 """Lowest and highest corner of a box, m."""
 
+_FEW: Final = 300  # numbers
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners
 
@@ -107,6 +108,9 @@ def _colors_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
 
 def bounds(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest of corners (..., 3): coordinate by coordinate, which is many times as fast."""
+    if corners.size <= _FEW:
+        few = corners.reshape(-1, 3)
+        return few.min(axis=0), few.max(axis=0)
     x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
 
@@ -164,12 +168,12 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
     if not shape.mesh.endswith(".obj"):
         yield _triangles(shape, folder)
         return
-    corners: list[list[float]] = []
+    corners: list[list[str]] = []
     groups: list[set[str]] = [set()]  # numbers as they are written: each stands there some six times
     for line in (folder / shape.mesh).read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split() or [""]
         if key == "v":
-            corners.append([float(word) for word in words[:3]])
+            corners.append(words[:3])
         elif key in {"o", "g"}:
             groups.append(set())
         elif key == "f":  # counted from 1, or backwards from the last
@@ -177,9 +181,10 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
             if "-" in line:
                 numbers = [str(len(corners) + 1 + int(word)) if word.startswith("-") else word for word in numbers]
             groups[-1].update(numbers)
+    every = np.array(corners, dtype=np.float64) * np.array(shape.size)
     for group in groups:
         if group:
-            yield np.array([corners[number - 1] for number in sorted(set(map(int, group)))]) * np.array(shape.size)
+            yield every[np.array(sorted(set(map(int, group)))) - 1]
 
 
 def _triangles(shape: Shape, folder: Path) -> NDArray[np.float64]:
@@ -210,6 +215,8 @@ def _cube() -> NDArray[np.float64]:
 @lru_cache(maxsize=1024)
 def _mesh_ends(file: Path) -> NDArray[np.float64]:
     """Return lowest and highest corner (2, 3) of a mesh."""
+    if file.suffix == ".stl":  # as its numbers are, which is exact too
+        return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
 
