@@ -32,6 +32,8 @@ _AWAY: Final = 0.02  # m from where it was let go
 _TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
 _TOUCHING: Final = 1e-3  # m of air that count as touching
 _LOAD: Final = 0.01  # of its weight that a finger bears which holds it up
+_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which something may fall
+_MAX_LIFTED: Final = 4  # poses that are tried so
 _FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical in which putting down is tried
@@ -101,11 +103,13 @@ class _Refusals:
         no_room: there is none for the object.
         misses: m that the nearest posture stays away.
         pairs: links that would meet, by the name of what is in the way.
+        low: poses in which the hand would meet what the object is put on.
     """
 
     no_room: list[PlaceFailed] = field(default_factory=list)
     misses: list[float] = field(default_factory=list)
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
+    low: list[Pose] = field(default_factory=list)
 
 
 def _plan(
@@ -126,10 +130,11 @@ def _plan(
         geometry.invert(body.get_position_and_orientation()),
         arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
     )
+    hand = {arm.gripper.palm, *arm.gripper.fingers}
     refusals = _Refusals()
     turns = _orientations(robot, body, body_T_tool, orientation)
-    for pose, quick in _poses(body, target, turns, refusals, choice):
-        name = _name(pose[1])
+    for pose, quick, lift in _poses(body, target, turns, refusals, choice):
+        name = _name(pose[1]) + (f", let go {1e3 * lift:.0f} mm higher" if lift else "")
         position, turn = geometry.multiply(pose, body_T_tool)
         for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
             if not posture.reaches():
@@ -143,6 +148,12 @@ def _plan(
                     choice.take(name, position=short(pose[0]), orientation=short(pose[1]))
                     return _Plan(posture.positions, pose, opening.positions)
                 pairs = list(opening.stopped_by)
+            elif (
+                quick
+                and not lift
+                and all(pair.link in hand and robot.world.get_object(pair.body).is_environment for pair in pairs)
+            ):
+                refusals.low.append(pose)
             choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
@@ -156,8 +167,15 @@ def _plan(
 
 def _poses(
     body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals, choice: Choice
-) -> Iterator[tuple[Pose, bool]]:
-    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly."""
+) -> Iterator[tuple[Pose, bool, float]]:
+    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly.
+
+    Last come those in which only the hand would meet what is below, a little higher: what sticks out on both sides of
+    something narrow may hang lower there than where the fingers are.
+
+    Yields:
+        The pose, whether to search quickly, and by how much it is higher than where the object touches something, m.
+    """
     tried: list[Pose] = []
     for turn in turns:
         try:
@@ -167,8 +185,11 @@ def _poses(
             choice.reject(_name(turn), NoRoom(failure.reason))
             continue
         tried.append((position, turn))
-        yield tried[-1], True
-    yield from ((pose, False) for pose in tried)
+        yield tried[-1], True, 0.0
+    yield from ((pose, False, 0.0) for pose in tried)
+    for lift in _LIFTS:
+        for (x, y, z), turn in refusals.low[:_MAX_LIFTED]:
+            yield ((x, y, z + lift), turn), True, lift
 
 
 def _name(turn: Quaternion) -> str:
