@@ -90,13 +90,13 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     """Check where the fingers are, open and closed, by the corners of their shapes."""
     corners = Corners(robot.model)
     about = f"{arm.name} gripper"
-    opened, closed = (
-        corners.jaws(gripper.fingers, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)
-    )
+    fingers = gripper.jaws(robot.urdf, arm.tool_frame, arm.tool_offset)
+    opened, closed = (corners.jaws(fingers, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0))
     if opened is None or closed is None:
         yield Finding(False, about, "its fingers have no shapes on both sides of the tool frame")
         return
-    middle = max(abs(jaws.left + jaws.right) / 2 for jaws in (opened, closed))
+    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # where the middle is between jaws that go unevenly
+    middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
         middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm beside the tool frame"
     )

@@ -8,26 +8,29 @@ The same store can be built again from a recording's attachments on another mach
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import canonical, converted, mesh, packages as packages_of, robot_urdfs, store
+from pycram.models import canonical, converted, covered, mesh, packages as packages_of, robot_urdfs, store
 from pycram.models.files import read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from recorder.geometry.urdf import Urdf
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
+_SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # that take a texture
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,53 +131,84 @@ def _decompose(content: bytes) -> bytes:
 
 
 def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = ()) -> Model:
-    found = {name: packages_of.find_mesh(source, name, packages) for name in _mesh_names(source, content)}
-    versions = ((name, file, file.stat()) for name, file in found.items())
-    return _cached_model(
-        source,
-        content,
-        stem,
-        tuple(_MeshVersion(name, file, of.st_mtime_ns, of.st_size) for name, file, of in versions),
+    meshes, textures = _file_names(source, content)
+    found = {name: packages_of.find_mesh(source, name, packages) for name in meshes}
+    for name in textures:
+        with suppress(AssetError):  # many published models lack theirs
+            found[name] = packages_of.find_mesh(source, name, packages)
+    versions = tuple(
+        (name, _FileVersion(file, of.st_mtime_ns, of.st_size)) for name, file in found.items() if (of := file.stat())
     )
+    return _cached_model(source, content, stem, versions)
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def _mesh_names(source: Path, content: bytes) -> tuple[str, ...]:
-    """Check a URDF's links and return the file names of its meshes."""
+def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Check a URDF's links and return the file names of its meshes, and those of its textures."""
     root = canonical.read(source, content)
-    return tuple(dict.fromkeys(element.get("filename", "") for element in root.iter("mesh")))
+    meshes, textures = (
+        tuple(dict.fromkeys(element.get("filename", "") for element in root.iter(tag))) for tag in ("mesh", "texture")
+    )
+    return meshes, textures
 
 
-class _MeshVersion(NamedTuple):
-    """A mesh as a URDF names it, its file, and what changes with the file's content."""
+class _FileVersion(NamedTuple):
+    """A file, and what changes with its content."""
 
-    name: str
     file: Path
     modified: int
     size: int
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[_MeshVersion, ...]) -> Model:
-    """Return the model of a URDF with these versions of its meshes; most of a world's loading time would be this."""
+def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...]) -> Model:
+    """Return the model of a URDF with these versions of its files; most of a world's loading time would be this."""
     root = canonical.read(source, content)
-    files = {version.name: version[1:] for version in versions}
+    files = dict(versions)
     used: dict[str, AssetFile] = {}
+    named = {material.get("name"): material for material in root.findall("material")}
     for link in root.findall("link"):
         for collision in link.findall("collision"):
             for element in collision.iter("mesh"):
-                asset = _collision_mesh(*files[element.get("filename", "")])
+                asset = _collision_mesh(files[element.get("filename", "")])
                 element.set("filename", used.setdefault(asset.key, asset).key)
         for visual in link.findall("visual"):
             shown = visual.find("geometry/mesh")
+            picture = _texture(visual, named, files)
             if shown is not None:
-                _color(link, visual, shown, _visual_meshes(*files[shown.get("filename", "")]), used)
+                _color(link, visual, shown, _visual_meshes(files[shown.get("filename", "")], picture), used)
+            elif picture is not None:
+                _cover(link, visual, picture, used)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
-            material.remove(texture)  # they are for meshes, which have their own
+            material.remove(texture)  # it is in the shapes' colours
     text, tree = canonical.write(source, root)
-    path, asset = store.write_urdf(f"{stem}.urdf", text)
+    path, asset = store.write_urdf(f"{stem}.urdf", text, root)
     return Model(path, tree, (asset, *used.values()))
+
+
+def _texture(
+    visual: ET.Element, named: Mapping[str | None, ET.Element], files: Mapping[str, _FileVersion]
+) -> _FileVersion | None:
+    """Return the texture of a visual's material, given there or by name; None if it has none, or that isn't there."""
+    material = visual.find("material")
+    if material is not None and len(material) == 0:
+        material = named.get(material.get("name"))
+    texture = None if material is None else material.find("texture")
+    return None if texture is None else files.get(texture.get("filename", ""))
+
+
+def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: dict[str, AssetFile]) -> None:
+    """Put meshes in the place of a shape that is covered with a texture."""
+    geometry = visual.find("geometry")
+    shape = None if geometry is None else next(iter(geometry), None)
+    if geometry is None or shape is None or shape.tag not in _SIZES:
+        return
+    size = tuple(float(value) for key in _SIZES[shape.tag] for value in shape.get(key, "").split())
+    parts = _covered(shape.tag, size, picture)
+    if parts:
+        geometry.remove(shape)
+        _color(link, visual, ET.SubElement(geometry, "mesh"), parts, used)
 
 
 def _color(
@@ -202,14 +236,24 @@ class _Painted(NamedTuple):
 
 
 @cache
-def _collision_mesh(file: Path, _modified: int, _size: int) -> AssetFile:
+def _collision_mesh(version: _FileVersion) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
+    file = version.file
     ((name, content, _),) = converted.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
     return store.write_mesh(name, content)
 
 
 @cache
-def _visual_meshes(file: Path, _modified: int, _size: int) -> tuple[_Painted, ...]:
-    """Write what is seen of a mesh into the store, by colour; checked once per version of the file."""
-    parts = converted.get("visual", file, lambda: mesh.convert_visual(file))
+def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple[_Painted, ...]:
+    """Write what is seen of a mesh into the store, by colour; checked once per version of the files."""
+    file, cover = version.file, None if picture is None else read_bytes(picture.file)
+    kind = "visual" if cover is None else f"visual {sha256(cover).hexdigest()}"
+    parts = converted.get(kind, file, lambda: mesh.convert_visual(file, cover))
+    return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)
+
+
+@cache
+def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
+    """Write what is seen of a shape with a texture into the store, by colour."""
+    parts = covered.cover(kind, size, picture.file)
     return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)

@@ -21,7 +21,7 @@ from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_toml, read_text
 from pycram.models.lazy_module import LazyModule
 from pycram.models.links import DENSITY
-from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, quiet, read_parts, stl
+from pycram.models.parts import STL_FACE, STL_HEADER, check_vertices, mean, quiet, read_image, read_parts, stl
 from recorder.packages import needed
 from recorder.records import escaped
 from recorder.records.asset import AssetFile
@@ -126,17 +126,23 @@ def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
     return faces
 
 
-def convert_visual(file: Path) -> list[tuple[str, bytes, Sequence[float] | None]]:
+def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, bytes, Sequence[float] | None]]:
     """Return what is to be seen of a mesh: file name, content and colour RGBA 0..1 of each part.
 
     A colour is None where the file gives none. A file without faces has no parts: lines are not shown.
+
+    Args:
+        file: The mesh.
+        cover: The texture's content, of what has no material of its own; its mean colour where the mesh doesn't say
+            which spot of it is where.
 
     Raises:
         AssetError: As for :func:`convert`.
     """
     if file.suffix.lower() not in (".dae", ".obj"):
-        return [(*convert(file), None)]
-    parts = read_parts(file, _bytes(file))
+        image = None if cover is None else read_image(io.BytesIO(cover))
+        return [(*convert(file), None if image is None else mean(image))]
+    parts = read_parts(file, _bytes(file), cover)
     if file.suffix.lower() == ".obj" and len(parts) == 1:
         return [(*convert(file), parts[0].rgba)]  # with its normals
     return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]

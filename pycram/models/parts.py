@@ -66,12 +66,13 @@ def quiet() -> Iterator[None]:
 
 
 @lru_cache(maxsize=2)  # most models collide with what is seen of them, which is asked for next
-def read_parts(file: Path, content: bytes) -> tuple[Part, ...]:
+def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[Part, ...]:
     """Return the parts of a .dae or .obj file that have triangles, those of one colour together.
 
     Args:
         file: Where it is, for textures and materials beside it.
         content: What it contains.
+        cover: The texture's content, of what has no material of its own.
 
     Raises:
         AssetError: It can't be parsed, or a number isn't finite or too large for metres.
@@ -79,7 +80,8 @@ def read_parts(file: Path, content: bytes) -> tuple[Part, ...]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = list(_dae(file, content) if file.suffix.lower() == ".dae" else _obj(file, content))
+            image = None if cover is None else read_image(io.BytesIO(cover))
+            found = list((_dae if file.suffix.lower() == ".dae" else _obj)(file, content, image))
     except Exception as error:  # the parsers raise whatever goes wrong in them
         raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
     by_color: dict[Rgba | None, list[Array]] = {}
@@ -110,7 +112,7 @@ def stl(triangles: Array) -> bytes:
     return content
 
 
-def _dae(file: Path, content: bytes) -> Iterator[Part]:
+def _dae(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
     """As ROS reads them: in the file's unit of length, whichever axis it says is up."""
     document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
     unit = document.assetInfo.unitmeter or 1.0
@@ -122,9 +124,10 @@ def _dae(file: Path, content: bytes) -> Iterator[Part]:
             triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
             diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
             if isinstance(diffuse, collada.material.Map):
-                image = _image(file, diffuse.sampler.surface.image.path)
-                uv = mesh.texcoordset[0][mesh.texcoord_indexset[0]] if image and mesh.texcoordset else None
-                yield from _textured(triangles, uv, image)
+                image = read_image(file.parent / _path(diffuse.sampler.surface.image.path))
+                yield from _textured(triangles, _dae_uv(mesh) if image else None, image)
+            elif diffuse is None and cover is not None:
+                yield from _textured(triangles, _dae_uv(mesh), cover)
             else:
                 yield Part(triangles, _rgba(diffuse))
 
@@ -149,7 +152,11 @@ def _check_faces(content: bytes) -> None:
                         raise ValueError(f"the face {line.decode(errors='replace')!r} has a corner that isn't there")
 
 
-def _obj(file: Path, content: bytes) -> Iterator[Part]:
+def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
+    return mesh.texcoordset[0][mesh.texcoord_indexset[0]] if mesh.texcoordset else None
+
+
+def _obj(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
     _check_faces(content)
     has_materials = b"mtllib" in content
     resolver = trimesh.resolvers.FilePathResolver(str(file))
@@ -161,26 +168,38 @@ def _obj(file: Path, content: bytes) -> Iterator[Part]:
         triangles = np.asarray(mesh.triangles, dtype=np.float64)
         material = getattr(mesh.visual, "material", None) if has_materials else None
         image, uv = getattr(material, "image", None), getattr(mesh.visual, "uv", None)
-        if image is not None and uv is not None:
-            yield from _textured(triangles, np.asarray(uv)[mesh.faces], image)
+        image = cover if material is None else image
+        if image is not None and (uv is not None or image is cover):
+            yield from _textured(triangles, None if uv is None else np.asarray(uv)[mesh.faces], image)
         else:
             color = getattr(material, "diffuse", None)
             yield Part(triangles, None if color is None else _rgba([float(part) / 255 for part in color]))
 
 
 def _textured(triangles: Array, uv: Array | None, image: Image.Image | None) -> Iterator[Part]:
-    if uv is None or image is None:
+    if image is None:
         yield Part(triangles, None)
-        return
-    for some, rgba in texture.bake(triangles, np.asarray(uv, dtype=np.float64)[:, :, :2], image):
-        yield Part(some, rgba)
+    elif uv is None:
+        yield Part(triangles, mean(image))
+    else:
+        for some, rgba in texture.bake(triangles, np.asarray(uv, dtype=np.float64)[:, :, :2], image):
+            yield Part(some, rgba)
 
 
-def _image(file: Path, name: str) -> Image.Image | None:
-    """Return a texture; None if it isn't there, as in many published models."""
-    path = file.parent / name.removeprefix("file://").replace("%20", " ")
+def mean(image: Image.Image) -> Rgba:
+    """Return the mean colour of a picture, for what doesn't say where it is in it."""
+    red, green, blue = np.asarray(image.convert("RGB"), dtype=np.float64).reshape(-1, 3).mean(axis=0) / 255
+    return float(red), float(green), float(blue), 1.0
+
+
+def _path(name: str) -> str:
+    return name.removeprefix("file://").replace("%20", " ")
+
+
+def read_image(source: Path | io.BytesIO) -> Image.Image | None:
+    """Return a texture; None if it isn't there, as in many published models, or no picture."""
     try:
-        image = Image.open(path)
+        image = Image.open(source)
         image.load()
     except OSError:
         return None

@@ -94,10 +94,18 @@ def write(name: str, content: bytes) -> Path:
     return target
 
 
-@lru_cache(maxsize=_CACHED_DOCUMENTS)
 def document(path: Path) -> ET.Element:
     """Return the root element of a canonical URDF in the store; nobody may change it."""
-    return ET.fromstring(path.read_bytes())  # noqa: S314  written by PyCRAM
+    known = _known(path)
+    if not known:
+        known.append(ET.fromstring(path.read_bytes()))  # noqa: S314  written by PyCRAM
+    return known[0]
+
+
+@lru_cache(maxsize=_CACHED_DOCUMENTS)
+def _known(_path: Path) -> list[ET.Element]:
+    """Return where the root element of a URDF is kept; nowhere yet if it is empty."""
+    return []
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:
@@ -107,7 +115,16 @@ def write_mesh(name: str, content: bytes) -> AssetFile:
     return asset
 
 
-def write_urdf(name: str, content: bytes) -> tuple[Path, AssetFile]:
-    """Write a URDF into the store; it lies flat, beside the folders of its meshes, where PyBullet looks for them."""
+def write_urdf(name: str, content: bytes, root: ET.Element | None = None) -> tuple[Path, AssetFile]:
+    """Write a URDF into the store; it lies flat, beside the folders of its meshes, where PyBullet looks for them.
+
+    Args:
+        name: The file's name in recordings.
+        content: Its text.
+        root: Its root element if that is known, which nobody changes from now on.
+    """
     asset = AssetFile(name, content, URDF_TYPE)
-    return write(f"{asset.sha256}.urdf", content), asset
+    path = write(f"{asset.sha256}.urdf", content)
+    if root is not None:
+        _known(path)[:] = [root]
+    return path, asset

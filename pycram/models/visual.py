@@ -26,6 +26,7 @@ T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | NDArray[np.float64], Sequence[float] | NDArray[np.float64]]"
 """Lowest and highest corner of a box, m."""
 
+_FEW: Final = 300  # numbers
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _NO_AREA: Final = 1e-12  # m^2 of a triangle of a solid of 1 m, which has lost its third corner on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners, of edges of 1 m
@@ -107,6 +108,9 @@ def _colors_of(parts: Sequence[Shape], folder: Path) -> NDArray[np.float64]:
 
 def bounds(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the lowest and highest of corners (..., 3): coordinate by coordinate, which is many times as fast."""
+    if corners.size <= _FEW:
+        few = corners.reshape(-1, 3)
+        return few.min(axis=0), few.max(axis=0)
     x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
 
@@ -164,18 +168,19 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
     if not shape.mesh.endswith(".obj"):
         yield _triangles(shape, folder)
         return
-    corners: list[list[float]] = []
+    corners: list[list[str]] = []
     groups: list[set[str]] = [set()]  # numbers as they are written: each stands there some six times
     for key, words in _obj_lines(folder / shape.mesh):
         if key == "v":
-            corners.append([float(word) for word in words])
+            corners.append(words)
         elif key == "f":
             groups[-1].update(words)
         elif key in {"o", "g"}:
             groups.append(set())
+    every = np.array(corners, dtype=np.float64) * np.array(shape.size)
     for group in groups:
         if group:
-            yield np.array([corners[number - 1] for number in sorted(set(map(int, group)))]) * np.array(shape.size)
+            yield every[np.array(sorted(set(map(int, group)))) - 1]
 
 
 def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
@@ -234,6 +239,8 @@ def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
 @lru_cache(maxsize=1024)
 def _mesh_ends(file: Path) -> NDArray[np.float64]:
     """Return lowest and highest corner (2, 3) of a mesh."""
+    if file.suffix == ".stl":  # as its numbers are, which is exact too
+        return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
 

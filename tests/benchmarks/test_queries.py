@@ -19,7 +19,7 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models import rigid_parts, store, visual
+from pycram.models import rigid_parts, visual
 from pycram.models.convex import solids_of
 from pycram.physics.engine import bullet
 from pycram.reasoning.collision import boxes, simulation_clone
@@ -141,7 +141,7 @@ def forget() -> None:
     """Begin as if no query had been asked yet, nor anything been loaded for one."""
     for cached in (visual.shapes_of, visual._read, visual._mesh, visual._mesh_ends, boxes._bounds, solids_of):
         cached.cache_clear()
-    for cached in (store.document, rigid_parts.divided, rigid_parts.single_link):
+    for cached in (rigid_parts.divided, rigid_parts.single_link):
         cached.cache_clear()
     for clones in simulation_clone._clones.values():
         for clone in clones.values():

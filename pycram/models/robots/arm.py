@@ -77,6 +77,10 @@ class Arm:
             values |= {joint: [self.hand.at(0.0)[joint], self.hand.at(1.0)[joint]] for joint in self.hand.joints}
         return values
 
+    def bias(self, urdf: Urdf) -> float:
+        """Return how unevenly the sides of its gripper close; see :meth:`Gripper.bias`."""
+        return self.gripper.bias(urdf, self.tool_frame, self.tool_offset)
+
     def problems(self, urdf: Urdf) -> Iterator[str]:
         """Yield what doesn't fit a URDF that has its links and joints.
 

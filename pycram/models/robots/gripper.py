@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 _SIZES: Final = (0.0, 1.0)  # m
 _STILL: Final = 1e-4  # m that a link moves at most that isn't moved by closing
-_ALONG: Final = math.cos(math.radians(45))  # of a finger's way that leads along y
+_ALONG: Final = math.cos(math.radians(45))  # of a side's way that leads along y
+_ACROSS: Final = 0.4  # of a finger's way; if less of it leads along y, the finger is on neither side
+_EVEN: Final = 0.01  # of the way: both sides close alike
+_AIR: Final = 2e-3  # m to a jaw that stands still: the engine pads shapes by less
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +67,9 @@ class Gripper:
     def wrong_ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> Iterator[str]:
         """Yield what is wrong with how the fingers close: they have to, from both sides, along the tool frame's y axis.
 
-        A finger that stands still is one side. Only the kinematics are looked at; what is between the fingers, the
-        whole check (``pycram describe --check``) looks at.
+        A jaw that stands still is one side. Several fingers of one side may close at angles to y if they do along y
+        together, as of hands with three fingers around a centre. Only the kinematics are looked at; what is between
+        the fingers, the whole check (``pycram describe --check``) looks at.
 
         Args:
             urdf: of the robot.
@@ -74,21 +78,43 @@ class Gripper:
         """
         if self.suction:
             return
-        sides: set[float] = set()
-        for finger in self.fingers:
-            x, y, z = way = self._closing(urdf, tool_frame, tool_offset, finger)
-            length = math.hypot(*way)
-            if length < _STILL:
-                sides.add(0.0)
-            elif abs(y) < _ALONG * length:
-                axis = "x" if abs(x) > abs(z) else "z"
-                yield f"its finger {finger} closes along the tool frame's {axis} axis, not along y"
-            else:
-                sides.add(math.copysign(1.0, y))
-        if self.fingers and not sides - {0.0}:
+        ways = self._ways(urdf, tool_frame, tool_offset)
+        moving = {finger: way for finger, way in ways.items() if math.hypot(*way) >= _STILL}
+        across = [finger for finger, way in moving.items() if _is_across(way)]
+        sides = [[f for f, way in moving.items() if f not in across and way[1] * sign > 0] for sign in (1.0, -1.0)]
+        for side in [*filter(None, sides), *([finger] for finger in across)]:
+            x, y, z = (sum(ways[finger][axis] for finger in side) for axis in range(3))
+            held_by_others = side[0] in across and all(sides) and abs(z) > abs(x)
+            if abs(y) < _ALONG * math.hypot(x, y, z) and not held_by_others:
+                closing = f"finger {side[0]} closes" if len(side) == 1 else f"fingers {', '.join(side)} close"
+                yield f"its {closing} along the tool frame's {'x' if abs(x) > abs(z) else 'z'} axis, not along y"
+        if self.fingers and not any(sides):
             yield f"its joints {', '.join(self.joints)} move none of its fingers"
-        elif self.fingers and len(sides) < 2:
+        elif self.fingers and not all(sides) and len(moving) == len(ways):
             yield "its fingers all close from one side"
+
+    def jaws(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> list[str]:
+        """Return the fingers that are on one of both sides, as not all of a hand with four around a centre are."""
+        ways = self._ways(urdf, tool_frame, tool_offset)
+        return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
+
+    def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
+        """Return how unevenly its sides close: what the fingers on the +y side go more than the others, -1 to 1.
+
+        It is 1 where one jaw on that side is all that moves, and 0 where both sides go as far. Arguments as for
+        :meth:`wrong_ways`.
+        """
+        ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
+        left, right = -min(ways), max(ways)
+        bias = (left - right) / (left + right) if left + right > _STILL else 0.0
+        return bias if abs(bias) > _EVEN else 0.0
+
+    def middle(self, width: float, bias: float) -> float:
+        """Return y in the tool frame, m, of the middle of something of a width in m when the fingers close on it."""
+        return bias * ((width - self.gap) / 2 + _AIR)
+
+    def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
+        return {finger: self._closing(urdf, tool_frame, tool_offset, finger) for finger in self.fingers}
 
     def _closing(self, urdf: Urdf, tool_frame: str, tool_offset: Pose, finger: str) -> Vector:
         """Return the way in m, in the tool frame, that a finger's point has gone which is at its origin when closed."""
@@ -100,6 +126,10 @@ class Gripper:
         positions = self.at(share)
         tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)
         return geometry.multiply(geometry.invert(tool), urdf.forward_kinematics(positions, finger))
+
+
+def _is_across(way: Vector) -> bool:
+    return abs(way[1]) < _ACROSS * math.hypot(*way)
 
 
 def read_gripper(table: tables.Table) -> Gripper:

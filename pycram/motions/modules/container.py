@@ -123,16 +123,18 @@ def _in_the_way(pairs: Sequence[CollisionPair]) -> str:
 
 
 def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:
-    """Yield what a drawer or door would push away, and at which value; what lies in it moves along."""
+    """Yield what a drawer or door would push away, and at which value; what lies in it moves along.
+
+    What hands hold counts: they stay where they are.
+    """
     container = handle.container
     moved = carried.moved_links(container.urdf, [handle.joint])
     supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
     clone.sync()
     solid = shapes_of(container.model.path, "collision").links
-    others = [
-        body for body in container.world.objects if not body.fixed and body not in supported and body.carrier is None
-    ]
+    along = {container, *supported}
+    others = [body for body in container.world.objects if not body.fixed and carried.root_of(body) not in along]
     known: set[str] = set()
     try:
         for value, link in itertools.product(values[1:], moved):

@@ -31,8 +31,9 @@ _TIMEOUT: Final = 5  # s of simulated time within which all has to be at rest
 _AWAY: Final = 0.02  # m from where it was let go
 _TURNED: Final = math.radians(10)  # from the orientation that was asked for, or from upright
 _TOUCHING: Final = 1e-3  # m of air that count as touching
-_LEANING: Final = math.radians(1)  # by which it has moved towards a finger that holds it up
-_LOAD: Final = 0.01  # of its weight that a finger bears then
+_LOAD: Final = 0.01  # of its weight that a finger bears which holds it up
+_LIFTS: Final = (0.005, 0.01, 0.015)  # m from which something may fall
+_MAX_LIFTED: Final = 4  # poses that are tried so
 _FROM_BELOW: Final = 0.5  # of a unit vector pointing up, in which the hand would come
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # orientations about the vertical in which putting down is tried
@@ -57,7 +58,8 @@ class Place(SimulatedModule):
     """Puts a held object down on what is there: upright if no orientation is given.
 
     It has succeeded when everything that it set in motion is at rest again, the object stands where it was let go, and
-    what it touched there stands as it stood.
+    what it touched there stands as it stood. If it leans on the hand, the hand is drawn back, and what comes of that
+    counts: only time tells whether it stands without.
     """
 
     def _execute(self, designator: Designator) -> None:
@@ -80,8 +82,17 @@ class Place(SimulatedModule):
             beside = [robot.world.get_object(pair.body) for pair in _touching(body)]
             free = [other for other in beside if not (other.fixed or other.is_robot)]
             neighbours = {other: other.get_position_and_orientation() for other in free}
-            restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
-            _check_outcome(robot, body, target, plan.pose, orientation, restless, neighbours)
+            reasons = _settled(robot, body, target, plan.pose, orientation, neighbours)
+            if not reasons and _load(robot, body) > _LOAD:
+                with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
+                    posture = placing.retreat(robot, arm, choice)
+                if posture is None:
+                    reasons = ["it leans on the gripper, which can't be drawn back"]
+                else:
+                    robot.set_joint_positions(posture)
+                    reasons = _settled(robot, body, target, plan.pose, orientation, neighbours)
+            if reasons:
+                raise _failure(body, target, plan.pose, orientation, reasons)
 
 
 @dataclass(slots=True)
@@ -92,11 +103,13 @@ class _Refusals:
         no_room: there is none for the object.
         misses: m that the nearest posture stays away.
         pairs: links that would meet, by the name of what is in the way.
+        low: poses in which the hand would meet what the object is put on.
     """
 
     no_room: list[PlaceFailed] = field(default_factory=list)
     misses: list[float] = field(default_factory=list)
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
+    low: list[Pose] = field(default_factory=list)
 
 
 def _plan(
@@ -117,23 +130,30 @@ def _plan(
         geometry.invert(body.get_position_and_orientation()),
         arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame)),
     )
+    hand = {arm.gripper.palm, *arm.gripper.fingers}
     refusals = _Refusals()
     turns = _orientations(robot, body, body_T_tool, orientation)
-    for pose, quick in _poses(body, target, turns, refusals, choice):
-        name = _name(pose[1])
+    for pose, quick, lift in _poses(body, target, turns, refusals, choice):
+        name = _name(pose[1]) + (f", let go {1e3 * lift:.0f} mm higher" if lift else "")
         position, turn = geometry.multiply(pose, body_T_tool)
         for posture in solver.postures(robot, arm.tool_frame, position, turn, quick=quick):
             if not posture.reaches():
                 refusals.misses.append(posture.position_error)
                 choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
                 continue
-            pairs = [collision["pair"] for collision in checker.touched(robot, posture.positions).values()]
+            pairs = checker.in_the_way(robot, posture.positions)
             if not pairs:
                 opening = fingers.moved(robot, arm, 1.0, posture=posture.positions, release=body, pose=pose)
                 if opening.gap >= fingers.CLEAR or not opening.stopped_by:
                     choice.take(name, position=short(pose[0]), orientation=short(pose[1]))
                     return _Plan(posture.positions, pose, opening.positions)
                 pairs = list(opening.stopped_by)
+            elif (
+                quick
+                and not lift
+                and all(pair.link in hand and robot.world.get_object(pair.body).is_environment for pair in pairs)
+            ):
+                refusals.low.append(pose)
             choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
@@ -147,8 +167,15 @@ def _plan(
 
 def _poses(
     body: Object, target: Sequence[float], turns: Iterable[Quaternion], refusals: _Refusals, choice: Choice
-) -> Iterator[tuple[Pose, bool]]:
-    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly."""
+) -> Iterator[tuple[Pose, bool, float]]:
+    """Yield poses in which an object may be put down, to be searched for quickly; then all again, thoroughly.
+
+    Last come those in which only the hand would meet what is below, a little higher: what sticks out on both sides of
+    something narrow may hang lower there than where the fingers are.
+
+    Yields:
+        The pose, whether to search quickly, and by how much it is higher than where the object touches something, m.
+    """
     tried: list[Pose] = []
     for turn in turns:
         try:
@@ -158,8 +185,11 @@ def _poses(
             choice.reject(_name(turn), NoRoom(failure.reason))
             continue
         tried.append((position, turn))
-        yield tried[-1], True
-    yield from ((pose, False) for pose in tried)
+        yield tried[-1], True, 0.0
+    yield from ((pose, False, 0.0) for pose in tried)
+    for lift in _LIFTS:
+        for (x, y, z), turn in refusals.low[:_MAX_LIFTED]:
+            yield ((x, y, z + lift), turn), True, lift
 
 
 def _name(turn: Quaternion) -> str:
@@ -169,16 +199,15 @@ def _name(turn: Quaternion) -> str:
     return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
 
 
-def _check_outcome(
+def _settled(
     robot: Object,
     body: Object,
     target: Sequence[float],
     wanted: Pose,
     orientation: Sequence[float] | None,
-    restless: Sequence[Object],
     neighbours: Mapping[Object, PoseLike],
-) -> None:
-    """Raise PlaceFailed unless an object stands where it was let go, and so does what it touched there.
+) -> list[str]:
+    """Simulate until all is at rest, and say why an object doesn't stand where it was let go; nothing if it does.
 
     Args:
         robot: the robot that let it go.
@@ -186,15 +215,14 @@ def _check_outcome(
         target: where it was to be put.
         wanted: its pose when it was let go.
         orientation: that was asked for; None for upright.
-        restless: what doesn't come to rest, there or elsewhere.
         neighbours: what it touched when it was let go, with the poses then.
     """
+    restless, _ = settling.settle(robot.world, _TIMEOUT * STEPS_PER_SECOND)
     position, turn = body.get_position_and_orientation()
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to where it was wanted
     turned = geometry.angle(turn, wanted[1])
     lean = geometry.lean(turn, wanted[1])
-    touching = _touching(body)
-    near = {body.name, *(pair.body for pair in touching)}
+    near = {body.name, *(pair.body for pair in _touching(body))}
     moving = [other.name for other in restless if other.name in near]
     reasons = []
     if moving:
@@ -205,21 +233,24 @@ def _check_outcome(
         reasons.append(f"it leans by {math.degrees(lean):.0f} degrees")
     elif orientation is not None and turned > _TURNED:
         reasons.append(f"it is turned by {math.degrees(turned):.0f} degrees")
-    elif lean > _LEANING and _load(robot, body) > _LOAD and not placing.stands_alone(body):
-        reasons.append("it leans on the gripper")
-    reasons += _pushed(neighbours)
-    if reasons:
-        at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
-        reason = f"{', '.join(reasons)}; it touches {at}"
-        raise PlaceFailed(
-            body.name,
-            target,
-            reason,
-            orientation=orientation,
-            wanted=wanted,
-            rest=(position, turn),
-            touching=touching,
-        )
+    return reasons + _pushed(neighbours)
+
+
+def _failure(
+    body: Object, target: Sequence[float], wanted: Pose, orientation: Sequence[float] | None, reasons: Sequence[str]
+) -> PlaceFailed:
+    """Return the failure that says why an object doesn't stand where it was let go, and what it touches."""
+    touching = _touching(body)
+    at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
+    return PlaceFailed(
+        body.name,
+        target,
+        f"{', '.join(reasons)}; it touches {at}",
+        orientation=orientation,
+        wanted=wanted,
+        rest=body.get_position_and_orientation(),
+        touching=touching,
+    )
 
 
 def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:

@@ -104,23 +104,26 @@ class CollisionChecker:
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
         names = tuple(joints)
+        self._held = _held(robot)
+        states = tuple((body.name, body.model.path, link, clone.state(body)) for body, link, _ in self._held)
         self._links = links = clone.cached(
             robot,
-            (MovingLinks, names, all_links),
+            (MovingLinks, names, all_links, states),
             lambda: MovingLinks(
-                robot.world.engine, robot.handle, robot, clone.boxes(robot), names, all_links=all_links
+                robot.world.engine,
+                robot.handle,
+                robot,
+                clone.boxes(robot),
+                [(body, link, clone.boxes(body)) for body, link, _ in self._held],
+                names,
+                all_links=all_links,
             ),
         )
         self.moving = links.moving
-        self._held = _held(robot)
         self._link_of = {body: link for body, link, _ in self._held}
-        swung = [(body, link, clone.boxes(body)) for body, link, _ in self._held if link in links.moving]
-        self._boxes = concatenate([links.boxes, *(boxes for *_, boxes in swung)])
-        self._owners = [(robot, link) for link in links.boxes.links]
-        self._owners += [(body, own) for body, _, boxes in swung for own in boxes.links]
-        drivers = [links.articulation.drivers[link] for _, link, boxes in swung for _ in boxes.links]
-        self._drivers = np.concatenate([links.drivers, np.array(drivers, dtype=np.intp)])
-        skipped = {robot, *self._link_of, *ignored}
+        self._own = {body.name: body for body in (robot, *self._link_of)}
+        self._owners = [(self._own[name], link) for name, link in links.owners]
+        skipped = {robot, *(body for body in self._link_of if body.name in links.held), *ignored}
         others = [(body, clone.boxes(body)) for body in robot.world.objects if body not in skipped]
         every = concatenate([boxes for _, boxes in others])
         owners = [(body, link) for body, boxes in others for link in boxes.links]
@@ -151,8 +154,8 @@ class CollisionChecker:
         moved = transforms
         if base is not None:
             moved = geometry.pose_matrix(geometry.multiply(base, geometry.invert(self._links.base_pose))) @ transforms
-        centers, axes = self._boxes.moved(moved[:, self._drivers])
-        posture, box, other = overlaps(centers, axes, self._boxes.half_extents, self._other_boxes)
+        centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
+        posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
         return [
             Candidate(positions, base, (box[start:end], other[start:end]), each)
@@ -228,19 +231,22 @@ class CollisionChecker:
             pair: max((-touch.distance for touch in touches), default=0.0)
             for pair, touches in candidate.touches.items()
         }
-        least = {pair: _SELF_DEPTH if pair[2] is self.robot else DEPTH for pair in depths}
-        found = [self._named(pair, depth) for pair, depth in depths.items() if depth >= least[pair]]
+        found = [self._named(pair, depth) for pair, depth in depths.items() if depth >= self._least(pair)]
         return sorted(found, key=lambda pair: -pair.depth)
 
     def self_collisions(self, candidate: Candidate) -> list[CollisionPair]:
-        """Return pairs of the robot's own links, more than a shoulder apart, that overlap in a candidate."""
+        """Return pairs of the robot's own links, or of what they hold, more than a shoulder apart, that overlap."""
         found = []
-        for link, other in self._links.self_overlaps(candidate.transforms):
-            pair = self.robot, link, self.robot, other
+        for (name, link), (met, other) in self._links.self_overlaps(candidate.transforms):
+            pair = self._own[name], link, self._own[met], other
             depth = max((-touch.distance for touch in self._touches(candidate, pair)), default=0.0)
-            if depth >= _SELF_DEPTH:
+            if depth >= self._least(pair):
                 found.append(self._named(pair, depth))
         return found
+
+    def _least(self, pair: Pair) -> float:
+        """Return the overlap in m from which on two links collide."""
+        return _SELF_DEPTH if pair[0] is pair[2] else DEPTH
 
     def _named(self, pair: Pair, depth: float) -> CollisionPair:
         """Return a pair of links by their names."""
@@ -330,6 +336,19 @@ def touched(
         return checker.touched(candidate)
 
 
+def in_the_way(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
+    """Return what a robot would collide with in a posture, by the links that overlap most, and which of its own links.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        positions: joint values in rad or m by name that differ from the present ones.
+    """
+    with CollisionChecker(robot, positions) as checker:
+        (candidate,) = checker.predict([positions])
+        found = checker.touched(candidate)
+        return [collision["pair"] for collision in found.values()] + checker.self_collisions(candidate)
+
+
 def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
     """Return what a robot would collide with in a posture, but for what it touches already, as on purpose.
 
@@ -346,10 +365,14 @@ def newly_touched(robot: Object, positions: Mapping[str, float]) -> list[Collisi
         found = checker.touched(there)
         own = checker.self_collisions(there)
         known = checker.touched(here) if found else {}
-        known_own = {(pair.link, pair.body_link) for pair in (checker.self_collisions(here) if own else ())}
+        known_own = {_ends(pair) for pair in (checker.self_collisions(here) if own else ())}
         new = [collision["pair"] for body, collision in found.items() if body not in known]
-        new_own = [pair for pair in own if (pair.link, pair.body_link) not in known_own]
+        new_own = [pair for pair in own if _ends(pair) not in known_own]
         return sorted(new, key=lambda pair: pair.body) + new_own
+
+
+def _ends(pair: CollisionPair) -> tuple[str, ...]:
+    return pair.mover, pair.link, pair.body, pair.body_link
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:

@@ -1,20 +1,21 @@
-"""What of a robot some joints move, as it stands: its links, the boxes around them, and which of these could overlap.
+"""What of a robot some joints move, as it stands: its links and what they hold, boxes around them, which could overlap.
 
 It is worked out once for a state of the robot, since there are many queries while the robot stays where it is.
 """
 
 from __future__ import annotations
 
+import itertools
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.reasoning.collision.boxes import overlapping_pairs
+from pycram.reasoning.collision.boxes import concatenate, overlapping_pairs
 from pycram.reasoning.kinematics.articulation import Articulation
 from pycram.world import carried
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -24,32 +25,46 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry.urdf import Urdf
 
+    #: Names of an object and of one of its links.
+    Owner = tuple[str, str]
+
 _NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart; their hulls overlap
 
 
 class MovingLinks:
-    """Links that joints move, and the others of the same robot.
+    """Links that joints move, with what they hold, and the others of the same robot.
 
     Args:
         engine: where it stands.
         body: the engine's side of it.
         robot: the robot.
         boxes: around all its pieces, as it stands there.
+        held: what it holds: object, the robot's link, and the boxes around the object's pieces.
         joints: names of the joints that will be moved.
         all_links: check all links, not just those that the joints move.
 
     Attributes:
         moving: links that are checked.
+        held: names of the objects that they hold.
         joint_counts: how many of the joints each link hangs on.
         positions: values of the joints, rad or m.
         base_pose: of the robot.
         articulation: how the joints move the links.
-        boxes: around the links that are checked.
+        boxes: around the links that are checked, and what they hold.
+        owners: (k,) whose these boxes are.
         drivers: (k,) the number of the joint that moves each of these boxes, -1 where none does.
     """
 
     def __init__(
-        self, engine: Engine, body: Body, robot: Object, boxes: Boxes, joints: tuple[str, ...], *, all_links: bool
+        self,
+        engine: Engine,
+        body: Body,
+        robot: Object,
+        boxes: Boxes,
+        held: Sequence[tuple[Object, str, Boxes]],
+        joints: tuple[str, ...],
+        *,
+        all_links: bool,
     ) -> None:
         self.moving = frozenset(robot.links if all_links else carried.moved_links(robot.urdf, joints))
         self.joint_counts = joint_counts(robot.urdf, joints)
@@ -57,22 +72,35 @@ class MovingLinks:
         self.positions = {name: positions[name] for name in joints}
         self.base_pose = engine.pose(body)
         self.articulation = Articulation(engine, body, robot.urdf, joints)
-        self._all_boxes = boxes
-        self._all_drivers = np.array([self.articulation.drivers[link] for link in boxes.links], dtype=np.intp)
-        moving = np.array([link in self.moving for link in boxes.links], dtype=bool)
-        self.boxes = boxes.subset(moving)
+        swung = [each for each in held if each[1] in self.moving]
+        self.held = frozenset(other.name for other, *_ in swung)
+        self._all_boxes = concatenate([boxes, *(each for *_, each in swung)])
+        self._robot = robot.name
+        self._all_owners: list[Owner] = [(robot.name, link) for link in boxes.links]
+        self._all_owners += [(other.name, link) for other, _, each in swung for link in each.links]
+        links = [*boxes.links, *(link for _, link, each in swung for _ in each.links)]  # what is held moves as its link
+        self._all_drivers = np.array([self.articulation.drivers[link] for link in links], dtype=np.intp)
+        moving = np.array([link in self.moving for link in links], dtype=bool)
+        self.boxes = self._all_boxes.subset(moving)
+        self.owners = list(itertools.compress(self._all_owners, moving))
         self.drivers = self._all_drivers[moving]
-        names = np.array(boxes.links)
-        own = _own_joints(robot.urdf, boxes.links, joints)
-        still = np.where(moving, 0, _own_joints(robot.urdf, boxes.links, robot.urdf.movable).T)  # another arm's, say
+        names, own_links = np.array(links), np.arange(len(links)) < len(boxes.links)
+        own = _own_joints(robot.urdf, links, joints)
+        every = _own_joints(robot.urdf, links, robot.urdf.movable)
+        still = np.where(moving, 0, every.T)  # another arm's, say
         apart = moving[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
+        # the trunk is a hull, to which hands bring what they carry: what is held meets what other joints move
+        apart &= (own_links & own_links[:, None]) | ((every > 0) & (every.T > 0))
         for link, other in robot.description.may_touch if robot.description else ():
-            pair = (names[:, None] == link) & (names == other)
+            pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
             apart &= ~(pair | pair.T)
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
 
-    def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[str, str]]:
+    def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[Owner, Owner]]:
         """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
+
+        What a link holds is as far from others as the link is, and meets only what hangs on other joints than the link:
+        other arms. Where one of the two is held, it comes first.
 
         Args:
             transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
@@ -80,8 +108,8 @@ class MovingLinks:
         a, b = self._pairs
         centers, axes = self._all_boxes.moved(transforms[None, self._all_drivers])
         found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
-        links = self._all_boxes.links
-        return dict.fromkeys((links[a[pair]], links[b[pair]]) for pair in found)
+        pairs = [(self._all_owners[a[pair]], self._all_owners[b[pair]]) for pair in found]
+        return dict.fromkeys((a, b) if b[0] == self._robot else (b, a) for a, b in pairs)
 
 
 def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:

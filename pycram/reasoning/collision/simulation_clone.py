@@ -111,7 +111,7 @@ class SimulationClone:
             key: identifies the value.
             compute: makes it.
         """
-        now = self._state(body)
+        now = self.state(body)
         values = self._values.setdefault(body, {})
         state, value = values.get(key, (None, None))
         if state != now:
@@ -121,7 +121,7 @@ class SimulationClone:
             values[key] = now, value
         return cast("T", value)
 
-    def _state(self, body: Object) -> Snapshot:
+    def state(self, body: Object) -> Snapshot:
         """Return the state of an object in the world."""
         return take_snapshot(body)
 
@@ -160,7 +160,8 @@ class PosingClone(SimulationClone):
         copy.state = now
         return copy.body
 
-    def _state(self, body: Object) -> Snapshot:
+    def state(self, body: Object) -> Snapshot:
+        """Return the state of an object in the world, as it was synced."""
         return self._states[body.name]
 
     def link(self, body: Object, link: str) -> Body:

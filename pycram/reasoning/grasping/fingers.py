@@ -31,6 +31,8 @@ _HALVINGS: Final = 6  # of such a step
 _AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
 _CLOSING_STEPS: Final = 8  # from open to closed, less than a finger's thickness each
 _CLOSING_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
+_MANY: Final = 3  # fingers from which on each closes until it touches; two jaws are one mechanism
+_ALONE: Final = 64  # of the way between open and closed, by which each of them goes on
 _REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
 _ACROSS: Final = 0.5  # of a unit normal along the way of the fingers
 _NEAR: Final = 0.25  # m from the tool frame: fingers don't get farther
@@ -130,6 +132,8 @@ class Closing:
 def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: Object) -> Closing | None:
     """Return how a gripper closes on an object, from open until the first finger touches it; None if none ever does.
 
+    Of a hand with many fingers the others go on, each until it touches, as their motors would.
+
     Args:
         robot: the robot; its world's lock is held.
         arm: the arm.
@@ -141,12 +145,14 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
     clone.sync()
     engine, hand, target = clone.engine, clone.body(robot.name), clone.body(body.name)
 
-    def touches(share: float) -> bool:
-        engine.pose_joints(hand, coupled(robot, gripper.at(share)))
+    parts = _parts(robot, gripper)
+    moving = [finger for fingers, _ in parts for finger in fingers]
+
+    def touches(share: float, fingers: Sequence[str] = moving, joints: Sequence[str] = gripper.joints) -> bool:
+        at = gripper.at(share)
+        engine.pose_joints(hand, coupled(robot, {joint: at[joint] for joint in joints}))
         return any(
-            touch.distance < -_SLACK
-            for finger in gripper.fingers
-            for touch in engine.link_closest_points(hand, finger, target)
+            touch.distance < -_SLACK for finger in fingers for touch in engine.link_closest_points(hand, finger, target)
         )
 
     try:
@@ -166,7 +172,12 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
                 stuck = share
             else:
                 free = share
-        engine.pose_joints(hand, coupled(robot, gripper.at(stuck)))
+        positions = gripper.at(stuck)
+        for own, joints in parts if len(parts) >= _MANY else ():  # each of many fingers goes on until it touches
+            shares = (stuck - step / _ALONE for step in range(math.ceil(stuck * _ALONE)))
+            end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
+            positions |= {joint: end[joint] for joint in joints}
+        engine.pose_joints(hand, coupled(robot, positions))
         position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
         across = geometry.rotate(turn, (0.0, 1.0, 0.0))
         sides = set()
@@ -179,7 +190,22 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
     finally:
         clone.invalidate(robot.name)
     deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}
-    return Closing(gripper.at(stuck), len(sides), _pairs(robot, deep))
+    return Closing(positions, len(sides), _pairs(robot, deep))
+
+
+def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]:
+    """Return the fingers that move, as parts that could move alone: links, and the gripper's joints that move them."""
+    urdf, opened, closed = robot.urdf, gripper.at(1.0), gripper.at(0.0)
+    parts: dict[str, tuple[list[str], list[str]]] = {}
+    for finger in gripper.fingers:
+        chain = [joint.name for joint in urdf.chain(urdf.root, finger)]
+        joints = [joint for joint in chain if opened.get(joint) != closed.get(joint)]
+        if joints:
+            mimic = urdf.mimics.get(joints[0])
+            fingers, moving = parts.setdefault(mimic.leader if mimic else joints[0], ([], []))
+            fingers.append(finger)
+            moving.extend(joint for joint in joints if joint not in moving)
+    return list(parts.values())
 
 
 def _depths(engine: Engine, hand: Body, gripper: Gripper, others: Mapping[Object, Body]) -> Depths:

@@ -12,6 +12,7 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -45,6 +46,8 @@ _LONG: Final = 2.0  # times as long as it is wide
 _BESIDE: Final = 0.01  # m from the middle of something long, seen from the top, that are another place
 _LEANING: Final = math.radians(5)  # from which on the gripper leans as the object does
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
+
+_biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +192,7 @@ def _upright(
     if arm.gripper.suction:
         fitting = _on_surface(caster, every, arm)
     else:
-        fitting = iter(_between_fingers(caster, every, arm, middle))
+        fitting = iter(_between_fingers(caster, every, arm, middle, _bias(robot, arm)))
     found: list[Grasp] = []
     for label, options in zip(labels, sides, strict=True):
         (_, turn), *_ = options
@@ -221,8 +224,16 @@ def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         return
 
 
+def _bias(robot: Object, arm: Arm) -> float:
+    """Return how unevenly the sides of an arm's gripper close; it is worked out once for a robot."""
+    known = _biases.setdefault(robot, {})
+    if arm.name not in known:
+        known[arm.name] = arm.bias(robot.urdf)
+    return known[arm.name]
+
+
 def _between_fingers(
-    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector
+    caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, bias: float
 ) -> Iterator[Grasp | Misfit]:
     """Yield for each side and orientation the grasp with the object centered between the fingers, or why not."""
     if not options:
@@ -256,7 +267,8 @@ def _between_fingers(
     found = zip(options, scans, *(column.tolist() for column in columns), strict=True)
     for (name, turn), scan, fit, solid_there, deep, low, high in found:
         if fit:
-            yield Grasp(name, geometry.transform(scan.frame, (deep, (low + high) / 2, 0.0)), turn, high - low)
+            across = (low + high) / 2 - gripper.middle(high - low, bias)
+            yield Grasp(name, geometry.transform(scan.frame, (deep, across, 0.0)), turn, high - low)
         else:
             yield Misfit(high - low if solid_there else None, least, most)
 
@@ -282,7 +294,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
 
 def _rims(caster: RayCaster, robot: Object, arm: Arm, choice: Choice) -> Iterator[Grasp]:
     """Yield grasps over the wall of something hollow that is too wide: on the arm's side, in front, on the far side."""
-    gripper = arm.gripper
+    gripper, bias = arm.gripper, _bias(robot, arm)
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0
     x, y, _ = caster.center
@@ -311,5 +323,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, choice: Choice) -> Iterato
             choice.reject(label, Misfit(outside - inside, gripper.gap, gripper.aperture - FREE))
             continue
         turn = geometry.product(geometry.product(facing, GRASPS["top"]), geometry.from_rpy(roll, 0.0, 0.0))
+        width = outside - inside
         grasp_x, grasp_y, _ = geometry.transform(frame, ((inside + outside) / 2, 0.0, 0.0))
-        yield Grasp("top", (grasp_x, grasp_y, tips), turn, outside - inside, label)
+        between = (grasp_x, grasp_y, tips), turn
+        yield Grasp("top", geometry.transform(between, (0.0, -gripper.middle(width, bias), 0.0)), turn, width, label)

@@ -1,18 +1,21 @@
-"""Where an object comes to rest when it is set down: the height at which it touches what is below."""
+"""Setting an object down: the height at which it touches what is below, and the hand's way out."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PlaceFailed
+from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.world import carried
+from pycram.reasoning.kinematics import solver
+from pycram.reasoning.rejections import OutOfReach, Touching
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from pycram.models.robots.description import Arm
+    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
     from recorder.geometry import Quaternion, Vector
 
@@ -20,8 +23,7 @@ _ABOVE: Final = 0.05  # m by which the support may be higher than the target say
 _BELOW: Final = 0.10  # m by which it may be lower
 _STEP: Final = 0.005  # m between heights that are tried; thinner things than this are thick enough to stop a gripper
 _ACCURACY: Final = 2e-4  # m
-_ALONE: Final = 240  # steps in which an object falls that only the gripper held up
-_STILL: Final = (0.01, math.radians(5))  # m, rad by which it may move then, as in `stable`
+_BACK: Final = (0.1, 0.15, 0.2)  # m by which a hand is drawn back: fingers take in less
 _OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
 
 
@@ -75,16 +77,31 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
     return x, y, high
 
 
-def stands_alone(body: Object) -> bool:
-    """Return whether an object stays where it is without robots and what they hold: tried for 1 s in a clone."""
-    without = [other for other in body.world.objects if not carried.root_of(other).is_robot]
-    clone = clone_of(body.world, "physics")
-    copies, _ = clone.sync(without)
-    try:
-        before = clone.engine.pose(copies[body.name])
-        clone.engine.step(_ALONE)
-        after = clone.engine.pose(copies[body.name])
-    finally:
-        clone.invalidate(*(other.name for other in without))
-    moved, turned = math.dist(before[0], after[0]), geometry.angle(before[1], after[1])
-    return moved < _STILL[0] and turned < _STILL[1]
+def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:
+    """Return joint values of an arm whose hand is drawn back out of what it has let go of; None if it can't be.
+
+    Args:
+        robot: the robot; its world's lock is held.
+        arm: the arm.
+        choice: is told why other ways won't do.
+    """
+    tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
+    for back in _BACK:
+        name = f"{back:g} m back"
+        position = geometry.transform(tool, (-back, 0.0, 0.0))
+        for posture in solver.postures(robot, arm.tool_frame, position, tool[1]):
+            if not posture.reaches():
+                choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
+                continue
+            pairs = checker.in_the_way(robot, posture.positions)
+            if not pairs:
+                choice.take(name)
+                return posture.positions
+            choice.reject(name, Touching(pairs))
+    for name in arm.poses:
+        pairs = checker.in_the_way(robot, arm.posture(name))
+        if not pairs:
+            choice.take(name)
+            return arm.posture(name)
+        choice.reject(name, Touching(pairs))
+    return None

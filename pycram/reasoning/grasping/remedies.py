@@ -103,7 +103,8 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
     links = carried.moved_links(robot.urdf, arm.joints)
     own = {pair.link} if pair.mover == robot.name else set()
     own |= {pair.body_link} if pair.body == robot.name else set()
-    return pair.gripper == arm.name or not own.isdisjoint(links)
+    holds = any(held.body.name == pair.body and held.carrier_link in links for held in robot.carried)
+    return holds or pair.gripper == arm.name or not own.isdisjoint(links)
 
 
 def remedies(

@@ -118,6 +118,62 @@ def test_a_texture_that_isn_t_there_is_grey(tmp_path: Path) -> None:
     assert color_at(found, 0.5, 0.9) == pytest.approx(BLUE, abs=1e-5)
 
 
+def halves(folder: Path, upper: tuple[float, ...] = RED) -> str:
+    """A picture with a blue lower half, and a URDF's material with it."""
+    picture = np.zeros((64, 64, 3), dtype=np.uint8)
+    picture[:32], picture[32:] = np.array(upper) * 255, np.array(BLUE) * 255
+    Image.fromarray(picture).save(folder / "label.png")
+    return '<material name="label"><color rgba="0 1 0 1"/><texture filename="label.png"/></material>'
+
+
+@pytest.mark.parametrize(
+    "shape", ['<box size="0.2 0.4 0.6"/>', '<cylinder radius="0.2" length="0.6"/>', '<sphere radius="0.3"/>']
+)
+def test_a_urdf_s_texture_covers_shapes(tmp_path: Path, shape: str) -> None:
+    material = halves(tmp_path)
+    file = tmp_path / "thing.urdf"
+    visual = f"<visual><geometry>{shape}</geometry>{{}}</visual>"
+    plainly = f'<robot name="thing"><link name="a">{visual.format("")}</link></robot>'
+    inline = f'<robot name="thing"><link name="a">{visual.format(material)}</link></robot>'
+    by_name = visual.format('<material name="label"/>')
+    named = f'<robot name="thing">{material}<link name="a">{by_name}</link></robot>'
+    file.write_text(plainly)
+    bare = shapes_of(load.load(file).path)
+    for text in (inline, named):
+        file.write_text(text)
+        model = load.load(file)
+        shapes = shapes_of(model.path)
+        assert shapes.low == pytest.approx(bare.low, abs=2e-3)
+        assert shapes.high == pytest.approx(bare.high, abs=2e-3)
+        drawn = read_shapes(model.files[0].content, "visual")["a"]  # what viewers show
+        assert len({part.color[:3] for part in drawn}) == 2
+        middles, colors = shapes.triangles[0].mean(axis=1), shapes.colors[0]
+        outside = np.abs(middles[:, 2]) < 0.29  # not the ends
+        assert np.abs(colors[outside & (middles[:, 2] > 0.02)] - RED).max() < 0.05
+        assert np.abs(colors[outside & (middles[:, 2] < -0.02)] - BLUE).max() < 0.05
+        edges = shapes.triangles[0]
+        normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
+        assert (np.einsum("ij,ij->i", normals, middles) > 0).all(), "they are seen from outside"
+
+
+def test_a_urdf_s_texture_covers_meshes_that_have_no_material(tmp_path: Path) -> None:
+    material = halves(tmp_path)
+    (tmp_path / "square.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    found = seen(tmp_path, "square.obj", material)
+    assert color_at(found, 0.5, 0.9) == pytest.approx(RED, abs=0.05)
+    assert color_at(found, 0.5, 0.1) == pytest.approx(BLUE, abs=0.05)
+    trimesh.creation.box().export(tmp_path / "box.stl")  # which says nothing of textures
+    assert seen(tmp_path, "box.stl", material)[1] == pytest.approx(np.tile(np.add(RED, BLUE) / 2, (12, 1)), abs=0.01)
+    dae(tmp_path, plain(RED), plain(YELLOW))
+    assert color_at(seen(tmp_path, "square.dae", material), 0.5, 0.9) == pytest.approx(YELLOW, abs=1e-5)
+    halves(tmp_path, YELLOW)
+    assert color_at(seen(tmp_path, "square.obj", material), 0.5, 0.9) == pytest.approx(YELLOW, abs=0.05), "as it is now"
+    (tmp_path / "label.png").unlink()
+    assert color_at(seen(tmp_path, "square.obj", material), 0.5, 0.9) == pytest.approx((0.0, 1.0, 0.0))
+
+
 def test_collada_units_are_scaled_to_metres(tmp_path: Path) -> None:
     dae(tmp_path, plain(RED), plain(BLUE), unit=0.01)
     middles, _ = seen(tmp_path, "square.dae")

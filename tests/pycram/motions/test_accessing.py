@@ -235,3 +235,22 @@ def test_a_door_doesnt_open_through_the_robot(scene: BulletWorld) -> None:
             kitchen.set_joint_position(joint, 0.0)
         for arm in robot.description.arms.values():
             robot.set_joint_positions(arm.posture("park"))
+
+
+def test_what_the_other_hand_holds_is_in_a_drawers_way(scene: BulletWorld) -> None:
+    kitchen, milk, robot = scene.get_object("kitchen"), scene.get_object("milk"), scene.robot
+    joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
+    x, y, z = kitchen.get_link_position(handle)
+    milk.set_position([x - 0.12, y - 0.25, z])  # before the drawer's end
+    robot.attach(milk, "r_gripper_tool_frame")
+    before = robot.get_joint_positions()
+    with pytest.raises(
+        HandleBlocked, match=r"milk would be in the way: sink_area_left_upper_drawer\w* would touch milk"
+    ):
+        access(scene, joint, handle, "left", 0.3)
+    assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
+    assert robot.get_joint_positions() == before
+    robot.detach(milk)
+    milk.set_position([x, y - 2.0, z])
+    access(scene, joint, handle, "left", 0.3)
+    assert kitchen.get_joint_position(joint) == pytest.approx(0.3)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram import bullet_world_reasoning as btr
+from pycram.bullet_world import Object
 from pycram.designator import MotionDesignator
 from pycram.failures import Blocked, CollisionPair, InCollision, PostureInCollision, Unreachable
 from pycram.process_module import ProcessModule
@@ -102,3 +103,35 @@ def test_a_posture_in_the_robots_own_body_is_refused(scene: BulletWorld) -> None
     assert robot.get_joint_positions() == joints
     robot.set_joint_positions(dict(zip(robot.description.arm("left").joints, inside, strict=True)))
     perform(type="move-arm-joints", left_arm="park")  # out of there it gets
+
+
+def test_what_the_other_hand_holds_is_in_the_way(scene: BulletWorld, sink: MemorySink) -> None:
+    milk, robot = scene.get_object("milk"), scene.robot
+    perform(type="pick-up", object=milk, arm="right")
+    perform(type="move-tcp", target=[1.15, 0.65, 1.1], orientation=[0, 0, 0, 1], arm="right")
+    x, y, z = milk.get_position()
+    before = robot.get_joint_positions()
+    with pytest.raises(Blocked, match=r"l_gripper_\w+ would touch milk") as raised:
+        perform(type="move-tcp", target=[x, y, z], orientation=[0, 0, 0, 1], arm="left")
+    assert "milk" in raised.value.bodies
+    assert recorded_pairs(sink) == [pair.__record__() for pair in raised.value.pairs]
+    assert robot.get_joint_positions() == before
+    perform(type="move-tcp", target=[x, y + 0.3, z], orientation=[0, 0, 0, 1], arm="left")  # beside it there is room
+
+
+def test_what_a_hand_holds_meets_the_other_hand(scene: BulletWorld) -> None:
+    robot = scene.robot
+    forward = [0, 0, 0, 1]
+    perform(type="move-tcp", target=[1.15, 0.95, 1.1], orientation=forward, arm="left")
+    perform(type="move-tcp", target=[1.1, 0.4, 1.1], orientation=forward, arm="right")
+    x, y, z = robot.get_link_position("r_gripper_tool_frame")
+    tray = Object("tray", "tray", "milk.stl", [x, y + 0.3, z])  # it sticks out of the hand to the left
+    robot.attach(tray, "r_gripper_tool_frame")
+    before = robot.get_joint_positions()
+    with pytest.raises(Blocked, match=r"tray in the right gripper would touch l_gripper_\w+ of pr2") as raised:
+        perform(type="move-tcp", target=[1.15, 0.65, 1.1], orientation=forward, arm="right")
+    held = [pair for pair in raised.value.pairs if pair.mover == "tray"]
+    assert {(pair.body, pair.gripper) for pair in held} == {(robot.name, "right")}
+    assert robot.get_joint_positions() == before
+    perform(type="move-arm-joints", left_arm="park")
+    perform(type="move-tcp", target=[1.15, 0.65, 1.1], orientation=forward, arm="right")

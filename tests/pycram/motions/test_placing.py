@@ -11,7 +11,7 @@ import pytest
 from pycram.bullet_world import Object
 from pycram.failures import PlaceFailed, PlanFailure
 from recorder import geometry
-from recorder.records import Task
+from recorder.records import Query, Task
 from tests.measures import seeded
 from tests.pycram.motions.placing_scenes import (
     HEIGHTS,
@@ -148,6 +148,45 @@ def test_what_slides_to_its_target_is_a_success(table: BulletWorld, tmp_path: Pa
     finally:
         cup.remove()
         wedge.remove()
+
+
+@pytest.mark.slow
+def test_what_leans_on_the_hand_is_judged_without_it(table: BulletWorld, tmp_path: Path, sink: MemorySink) -> None:
+    """A bottle that tips on a slope towards a finger: it stands, a little lower, when the hand is drawn back."""
+    placing = random_placing(table, tmp_path, 282)
+    try:
+        perform(type="place", object=placing.body, target=placing.target, arm="left")
+        (retreat,) = [record for record in sink.of(Query) if record.name == "retreat"]
+        assert retreat.candidates[retreat.chosen].names == ["0.1 m back"]
+        assert finger_depth(table, placing.body) < -0.01
+        assert placing.off() < STANDS_AT[0]
+        moved, turned = fall(table, placing.body)
+        assert moved <= STABLE[0]
+        assert turned <= STABLE[1]
+    finally:
+        placing.remove()
+
+
+@pytest.mark.parametrize("kind", ["spoon", "fork"])
+def test_what_sticks_out_on_both_sides_of_something_narrow_is_put_there(
+    table: BulletWorld, tmp_path: Path, kind: str
+) -> None:
+    """The fingers would be lower than the ledge when it touches there: they let go a little higher."""
+    body = hold(table, kind, 0.0)
+    ledge = Object("ledge", "environment", box(tmp_path, "ledge", (0.03, 0.3, 0.05)), [0.62, 0.15, TOP + 0.025])
+    local = geometry.invert(body.get_position_and_orientation())
+    middle = geometry.transform(local, table.engine.center_of_mass(body.handle)[0])
+    target = [0.62 - middle[0], 0.15, TOP + 0.05 + HEIGHTS[kind]]
+    try:
+        perform(type="place", object=body, target=target, orientation=[0, 0, 0, 1], arm="left")
+        assert math.dist(body.get_position(), target) < STANDS_AT[0]
+        assert body.get_AABB()[0][2] > TOP + 0.01, "it lies on the ledge alone"
+        moved, turned = fall(table, body)
+        assert moved <= STABLE[0]
+        assert turned <= STABLE[1]
+    finally:
+        body.remove()
+        ledge.remove()
 
 
 @seeded("placings beside a neighbour", range(50), 10)
