@@ -244,7 +244,7 @@ def run(
         code = _report(raised)
     finally:
         sys.argv, sys.path[:] = before
-    if recording is not None and recording.path.is_file() and not _was_lost(error):
+    if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
         if live == Kind.SERVE.value and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)

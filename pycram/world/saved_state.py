@@ -81,7 +81,9 @@ def put_back(world: BulletWorld, command: records.Restore, objects: Collection[O
         present = world.objects if objects is None else [body for body in world.objects if body in objects]
         bodies = {body.name: body for body in present}
         added = [body.name for body in world.objects if body not in present]
-        removed = [state.body for state in command.bodies if state.body not in bodies]
+        named = [state.body for state in command.bodies]
+        named += [name for held in command.attachments for name in (held.carrier, held.body)]
+        removed = list(dict.fromkeys(name for name in named if name not in bodies))
         if added or removed:
             raise ObjectsChanged(world.name, added, removed)
         saved = {(held.carrier, held.body): held for held in command.attachments}

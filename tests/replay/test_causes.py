@@ -21,6 +21,7 @@ from pycram.designator import DesignatorError
 from pycram.failures import PlanFailure, UsageError
 from pycram.language import timeout
 from pycram.motions.modules.simulated import NoDescription
+from pycram.projection import NotProjectable
 from recorder.records import Run
 from recorder.tracing.span import span
 from replay.cli.main import main
@@ -117,7 +118,7 @@ def test_all_of_pycram_s_usage_errors_are_known_as_mistakes() -> None:
                 yield each.__name__
                 yield from below(each)
 
-    assert {DesignatorError, NoDescription} <= set(UsageError.__subclasses__())
+    assert {DesignatorError, NoDescription, NotProjectable} <= set(UsageError.__subclasses__())
     assert timeout  # the words of the plan language are loaded, with what they refuse
     assert {*below(UsageError), "UsageError"} == USAGE_ERRORS
 

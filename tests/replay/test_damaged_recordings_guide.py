@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from replay.cli.main import VERBS, main
 from tests.replay.copies import CHUNK, container_records, zeroed
+from tests.replay.hostile import rewritten
+from tests.replay.test_hostile_recordings import named, urdf
 from tests.replay.test_newer import forge
 
 if TYPE_CHECKING:
@@ -26,15 +28,16 @@ def test_commands_print_what_the_guide_shows(
     chunks = [(start, end) for opcode, start, end in container_records(content) if opcode == CHUNK]
     Path("plan.mcap").write_bytes(zeroed(content, *chunks[8]))
     forge(Path("future.mcap"))
+    rewritten(GOLDEN, Path("hostile.mcap"), urdf(lambda text, _: named(text, "/etc/passwd")))
     blocks = re.findall(r"```console\n\$ (.*?)\n(.*?)```", GUIDE, re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 6
     for command, shown in blocks:
         program, *arguments = shlex.split(command)
         assert program == "pycram-replay"
         code = main(arguments)
         output = capfd.readouterr()
         assert output.out + output.err == shown
-        assert code == (3 if "incomplete" in shown else 0)
+        assert code == (3 if "incomplete" in shown or "is damaged" in shown else 0)
 
 
 def test_the_guide_has_the_exit_codes_of_verify() -> None:

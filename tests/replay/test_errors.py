@@ -11,6 +11,9 @@ import pytest
 from recorder.errors import PortableError, RecordingError
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.restore.question import BadQuestion
+from replay.retrace.fork import NotForked
+from replay.retrace.guide import Difference
+from replay.retrace.plan_process import CantRetrace
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,6 +29,8 @@ ERRORS: tuple[PortableError, ...] = (
     NoSuchName("object", "milc", ["milk", "cup"]),
     NotRestored(3, "no world is open then"),
     BadQuestion("stable(", "it can't be read"),
+    CantRetrace("plan.py: the plan isn't there"),
+    NotForked(12, Difference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
 )
 
 

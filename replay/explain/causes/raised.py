@@ -22,8 +22,8 @@ USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock", "DesignatorError",
         "DisplayError", "JointLimitError", "LockHeld", "Misnested", "NoDescription", "NoProcessModule", "NoResult",
-        "NoWorld", "NotSettable", "NotTrueOrFalse", "ReadOnly", "ResourceError", "RunsEarly",
-        "UnknownName", "UsageError", "WorldClosed",
+        "NoWorld", "NotProjectable", "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly",
+        "ResourceError", "RunsEarly", "UnknownName", "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
