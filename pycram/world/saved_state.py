@@ -17,7 +17,7 @@ from pycram.world.read_only import update
 from recorder import records
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from pycram.world.object import Object
     from pycram.world.transaction import Transaction
@@ -86,6 +86,7 @@ def put_back(world: BulletWorld, command: records.Restore, objects: Collection[O
         removed = list(dict.fromkeys(name for name in named if name not in bodies))
         if added or removed:
             raise ObjectsChanged(world.name, added, removed)
+        _check(command, bodies)
         saved = {(held.carrier, held.body): held for held in command.attachments}
         kept = {}
         for body in world.objects:
@@ -104,6 +105,22 @@ def put_back(world: BulletWorld, command: records.Restore, objects: Collection[O
         world.engine.set_gravity((x, y, z))
         update(world, gravity=(x, y, z))
         world._robot = bodies.get(command.robot)  # noqa: SLF001  as set_robot does, in one record with the rest
+
+
+def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
+    """Refuse a command that isn't one for these objects: one that was recorded may say anything."""
+    for state in command.bodies:
+        joints = len(bodies[state.body].handle.joints)
+        numbers = (state.joint_positions, state.joint_velocities, state.joint_targets)
+        whole = (len(state.position), len(state.orientation)) == (3, 4) and len(state.velocity) in (0, 6)
+        if not whole or any(len(values) != joints for values in numbers):
+            raise BadArgument("saved", state.body, f"a pose, a velocity and {joints} joints of {state.body}")
+    for held in command.attachments:
+        for name, link in ((held.carrier, held.carrier_link), (held.body, held.body_link)):
+            if link:
+                bodies[name].check_link(link)
+    if len(command.gravity) != 3:
+        raise BadArgument("saved", command.gravity[:], "three numbers of gravity")
 
 
 def _has_same_links(one: records.Attachment, other: records.Attachment) -> bool:
