@@ -32,6 +32,7 @@ _START: Final = b"<robot "  # of canonical text: no declarations, no entities, n
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
 _MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and one is written under a longer name first
 _MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer ones, where it reads something else then
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # of a byte that isn't UTF-8, as recorders write it
 _RESERVED: Final = ("", ".", "..")
 
 
@@ -58,7 +59,7 @@ def _file(key: str, content: bytes) -> AssetFile:
     name = key.partition("/")[2]
     asset = AssetFile(name, content, store.URDF_TYPE if name.endswith(".urdf") else store.MESH_TYPE)
     forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
-    if asset.key != key or forbidden or "/" in name or "\\" in name:
+    if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
         raise AssetError(key, "is not the file that its name says")
     return asset
 

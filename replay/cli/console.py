@@ -39,11 +39,13 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Print a result as a line of JSON; numbers that JSON doesn't have become strings, as "nan"."""
+    """Print a result as a line of JSON; numbers that JSON lacks become strings ("nan"), bytes in names escapes."""
     try:
         text = json.dumps(value, allow_nan=False)
     except ValueError:  # rare: only in recordings that make no sense
-        text = json.dumps(_finite(value), allow_nan=False)
+        text = json.dumps(_sound(value), allow_nan=False)
+    if "\\udc" in text:  # or in other characters' pairs
+        text = json.dumps(_sound(value), allow_nan=False)
     print(text.replace("\x7f", "\\u007f"), flush=flush)
 
 
@@ -55,11 +57,15 @@ def print_result(data: Callable[[], object], lines: Iterable[str], *, as_json: b
         print_text("\n".join(lines))
 
 
-def _finite(value: object) -> object:
+def _sound(value: object) -> object:
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {_sound(key): _sound(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [_sound(item) for item in value]
+    if isinstance(value, str):
+        from recorder.records import escaped  # noqa: PLC0415  --help needn't wait for it
+
+        return escaped(value)
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 

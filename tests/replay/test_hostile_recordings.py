@@ -216,8 +216,8 @@ def packed(record: McapRecord) -> bytes:
 class Bomb(McapWriter):
     """A writer whose next chunk is what it isn't."""
 
-    def inflate(self, compression: str, data: bytes, size: int) -> None:
-        chunk = Chunk(compression, data, 0, 0, 0, size)
+    def inflate(self, compression: str, data: bytes, size: int, crc: int = 1) -> None:
+        chunk = Chunk(compression, data, 0, 0, crc, size)
         at, content = self._at, packed(chunk)
         self._write(content)
         self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0, 2: 0}, 0, size))
@@ -275,7 +275,7 @@ def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
         writer = Bomb(stream, "pycram")
         begin(writer)
         for _ in range(100):
-            writer.inflate("zstd", zstandard.compress(chunk), len(chunk))
+            writer.inflate("zstd", zstandard.compress(chunk), len(chunk), zlib.crc32(chunk))
         writer.finish()
     assert file.stat().st_size < MEGABYTE / 10
     check(file, tmp_path, ["info"], ["tree"], ["why"], says="inflate to more than")

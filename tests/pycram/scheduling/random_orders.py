@@ -48,6 +48,9 @@ class Digest:
     def attach(self, asset: object) -> None:
         """Models are the same for all."""
 
+    def flush(self) -> None:
+        """Nothing waits."""
+
     def close(self) -> None:
         """Nothing is open."""
 
