@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 
     from recorder.records import Record
 
+pytestmark = pytest.mark.slow
+
 GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
 ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
 READING: Final = (
@@ -117,7 +119,6 @@ MESHES: Final[dict[str, tuple[str, bytes]]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", MESHES)
 def test_a_mesh_that_would_end_the_process_is_damage(what: str, tmp_path: Path) -> None:
     name, content = MESHES[what]
@@ -145,7 +146,6 @@ def named(text: bytes, name: str) -> bytes:
     return before + b'filename="' + name.encode() + b'"' + rest.partition(b'"')[2]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["{folder}/there.obj", "../there.obj", "there.obj", "http://127.0.0.1:9/x.obj", "{folder}/pipe.obj"]
 )
@@ -156,7 +156,6 @@ def test_a_model_names_no_file_but_those_of_its_recording(name: str, tmp_path: P
     check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
 
 
-@pytest.mark.slow
 def test_a_model_names_no_file_of_another_body(tmp_path: Path) -> None:
     """It is in the recording, but the record that loads the body doesn't list it."""
     other = "plan.py"
@@ -188,7 +187,6 @@ TEXTS: Final[dict[str, Callable[[bytes], bytes]]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", TEXTS)
 def test_a_model_that_makes_no_sense_is_damage(what: str, tmp_path: Path) -> None:
     model = urdf(lambda text, _: TEXTS[what](text))
@@ -241,7 +239,6 @@ def unsized() -> bytes:
     return compressor.compress(bytes(GIGABYTE // 4))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", BOMBS)
 def test_a_chunk_inflates_to_no_more_than_it_claims_and_that_is_bounded(what: str, tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
@@ -264,7 +261,6 @@ def begin(writer: McapWriter) -> None:
     writer.flush()
 
 
-@pytest.mark.slow
 def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
     """Each is as large as a recorder's; a hundred of them have 100 MB of tasks in a few kB."""
     file = tmp_path / "x.mcap"
@@ -380,14 +376,12 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", SAID)
 def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
     file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", SAID[what])
     check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("number", [-1, 2**63 - 1, 2**39])
 @pytest.mark.parametrize("place", [3, -1])
 def test_a_step_that_can_not_be_is_damage(number: int, place: int, tmp_path: Path) -> None:
@@ -410,7 +404,6 @@ def test_metadata_of_many_digits_harms_nobody(values: dict[str, str], tmp_path: 
 PLACES: Final = (0, 8, 2**31, 2**62, 2**64 - 1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [ChunkIndex, AttachmentIndex])
 @pytest.mark.parametrize("field", ["offset", "length"])
 def test_an_index_that_lies_harms_nobody(kind: type[Any], field: str, tmp_path: Path) -> None:
@@ -432,7 +425,6 @@ def test_a_simulation_of_years_is_damage(tmp_path: Path) -> None:
     check(file, tmp_path, ["verify"], ["restore", "-9", "--exact", "--json"], says="and ends at")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("far", [9e8, 1e30, float("nan")])
 def test_a_question_about_what_is_far_away_ends(far: float, tmp_path: Path) -> None:
     """The engine's own loops can't be ended."""
@@ -498,7 +490,7 @@ def test_the_bounds_are_those_of_the_page() -> None:
 # --- anything ---------------------------------------------------------------------------------------------------------
 
 
-@seeded("mutations of a small recording", range(20_000), 50)
+@seeded("mutations of a small recording", range(20_000), 25, always=20 if "CI" in os.environ else 1)
 def test_mutations_harm_nobody(seeds: range, tmp_path: Path) -> None:
     """Each through a verb that uses the engine and two that only read."""
     for seed in seeds:

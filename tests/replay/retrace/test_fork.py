@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from replay.retrace.fork import Fork
 
 
+pytestmark = pytest.mark.slow
+
+
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("fork") / "plan.py"
@@ -44,7 +47,7 @@ def assert_same(first: Path, second: Path) -> None:
         assert verify(other).exact
 
 
-@seeded("forks without a change, at each step", range(60), 4)
+@seeded("forks without a change, at each step", range(60), 2)
 def test_a_fork_without_a_change_goes_on_as_the_original(log: Path, tmp_path: Path, seeds: range) -> None:
     with replay.open(log) as recording:
         steps = len(recording)
@@ -55,7 +58,6 @@ def test_a_fork_without_a_change_goes_on_as_the_original(log: Path, tmp_path: Pa
         assert_same(log, file)
 
 
-@pytest.mark.slow
 def test_an_edited_plan_goes_on_from_where_it_is_another(log: Path, tmp_path: Path) -> None:
     edited = tmp_path / "edited.py"
     edited.write_text(text().replace("level.set_value(5)", "level.set_value(7)"))
@@ -77,7 +79,6 @@ def test_an_edited_plan_goes_on_from_where_it_is_another(log: Path, tmp_path: Pa
     assert not (tmp_path / "late.mcap").exists()
 
 
-@pytest.mark.slow
 def test_what_is_printed_before_the_fork_is_held_back(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "prints.py"
     file.write_text(
@@ -103,7 +104,7 @@ def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "on.mcap").exists()
 
 
-@seeded("killed runs, resumed", range(50), 2)
+@seeded("killed runs, resumed", range(50), 1)
 def test_a_killed_plan_goes_on_and_ends_as_the_undisturbed_one(tmp_path: Path, seeds: range) -> None:
     file, order = tmp_path / "plan.py", tmp_path / "kill_at"
     loop = (
