@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Refusal, Run, Task
 from recorder.records.choices import is_choice
+from recorder.records.values import from_json, to_json
 from replay.explain.causing_tasks import causes
 from replay.explain.paired_names import PairedNames
 from replay.explain.run_summary import Summary, summary
@@ -41,6 +42,7 @@ _GIVEN: Final = (
     "by_program", "origin",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
+_PROJECTION: Final = "projection"  # kind of task
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
@@ -222,6 +224,10 @@ def _bare(record: Record) -> Record:
     if isinstance(bare, Run):
         for field in _GIVEN:
             bare.ClearField(field)
+    elif isinstance(bare, Task) and bare.kind == _PROJECTION and bare.result_json:
+        outcome = from_json(bare.result_json)
+        if isinstance(outcome, dict):  # but for where its recording lies
+            bare.result_json = to_json({name: value for name, value in outcome.items() if name != "recording"})
     return bare
 
 

@@ -33,11 +33,16 @@ _STDOUT = 1
 
 
 class _Fork:
-    """A sink that writes a recording of its own, guided by another one to its step."""
+    """A sink that writes a recording of its own, guided by another one to its step.
+
+    Attributes:
+        path: the recording's.
+    """
 
     def __init__(self, guide: Guide, file: McapSink) -> None:
         self._guide = guide
         self._file = file
+        self.path = file.path
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self._file.write(topic, record, payload)
@@ -87,10 +92,13 @@ def main(
         os.dup2(sys.stderr.fileno(), _STDOUT)  # what the plan prints from here on is new
 
     guide = Guide(recorded, report, until)
+    guided = False
 
     def sink_of(run: Run) -> Guide | _Fork | None:
-        if run.by_program != by_program:
+        nonlocal guided
+        if guided or run.by_program != by_program:  # later ones are others: of projections, or of the plan's own
             return None
+        guided = True
         if file is None:
             return guide
         began = recorded[0]

@@ -174,6 +174,25 @@ def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> No
     assert other.difference.line == f"{file}:5"
 
 
+def test_what_a_plan_imagined_is_imagined_again(tmp_path: Path) -> None:
+    file = tmp_path / "imagines.py"
+    file.write_text(
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "from pycram.projection import project\n"
+        "world = BulletWorld()\n"
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 1])\n'
+        "if project(milk.set_position, [1, 2, 3]):\n"
+        "    milk.set_position([1, 2, 3])\n"
+    )
+    log = record(file)
+    before = sorted(tmp_path.iterdir())
+    assert tmp_path / "imagines.projection-1.mcap" in before
+    assert retraced(log).identical
+    assert sorted(tmp_path.iterdir()) == before
+    assert main(["fork", str(log), "--at", "2", "-o", str(tmp_path / "on.mcap")]) == 0
+    assert (tmp_path / "on.projection-1.mcap").exists()
+
+
 def test_a_killed_run_is_retraced_to_its_last_record(tmp_path: Path) -> None:
     file = tmp_path / "killed.py"
     file.write_text(
