@@ -213,6 +213,7 @@ def test_threads_that_outlive_the_main_thread_are_recorded(tmp_path: Path) -> No
         assert list(log.state_at(-1).world().bodies) == ["late"]
 
 
+@pytest.mark.slow
 def test_a_recording_that_cannot_be_written_stops_the_plan(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text("print('ran unrecorded')")
     ended = pycram("run", "plan.py", "--log", "nowhere/out.mcap", cwd=tmp_path)

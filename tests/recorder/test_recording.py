@@ -40,6 +40,7 @@ def test_nested_tasks_and_their_failure_are_recorded_and_the_error_is_raised(tmp
         assert not end.succeeded
 
 
+@pytest.mark.slow
 def test_a_world_that_exists_already_begins_with_its_keyframe(tmp_path: Path) -> None:
     """Another thread changes the world while the recording begins: changes before the keyframe are part of it."""
     file = tmp_path / "x.mcap"

@@ -172,6 +172,7 @@ def interrupted(file: Path, ended: list[BaseException]) -> None:
         ended.append(error)
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_while_the_recording_is_closed_changes_nothing(tmp_path: Path) -> None:
     file = tmp_path / "x.mcap"
     closing = modules("recorder/mcap/writer.py", "recorder/mcap/output_file.py", "recorder/tracing/journal.py")

@@ -108,6 +108,7 @@ def test_numbers_that_json_lacks_become_strings(capsys: pytest.CaptureFixture[st
     assert "\x7f" not in output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "verb",
     [

@@ -133,6 +133,7 @@ def originals(file: Path) -> dict[int, bytes]:
         return {record.seq: record.SerializeToString() for record in log}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_copies_give_their_readable_part(
     small_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str

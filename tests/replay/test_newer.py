@@ -156,6 +156,7 @@ def test_unknown_fields_are_no_difference(future: Path, capfd: pytest.CaptureFix
     assert "written by PyCRAM 9.0.0" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_record_of_an_unknown_kind_keeps_its_step(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     step = next_query()
     file = forge(tmp_path / "future.mcap", thinking)

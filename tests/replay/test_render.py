@@ -118,6 +118,7 @@ def test_a_picture_from_a_side(tmp_path: Path) -> None:
             assert not picture.info["cut"]
 
 
+@pytest.mark.slow
 def test_after_the_end_of_its_worlds_a_plan_shows_its_last_step(
     closed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

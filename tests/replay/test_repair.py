@@ -103,6 +103,7 @@ def test_a_damaged_recording_becomes_a_sound_one(
     assert capsys.readouterr().out == readable
 
 
+@pytest.mark.slow
 def test_what_is_left_of_a_repaired_recording_verifies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Behind what is lost, a world goes on from its next keyframe."""
     content = GOLDEN.read_bytes()

@@ -44,6 +44,7 @@ def told(file: Path, verb: str, capsys: pytest.CaptureFixture[str]) -> list[Any]
     return [code, output.err, said]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", COPIES.values(), ids=COPIES.keys())
 def test_every_reading_verb_says_the_same_of_a_copy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: dict[str, Any]

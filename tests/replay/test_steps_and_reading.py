@@ -68,6 +68,7 @@ def follow(file: Path, *more: str) -> subprocess.Popen:
     )
 
 
+@pytest.mark.slow
 def test_follow_prints_new_records_until_the_recording_is_closed(writer: subprocess.Popen, tmp_path: Path) -> None:
     write(writer, 30)
     reader = follow(tmp_path / "x.mcap", "--json")
@@ -81,6 +82,7 @@ def test_follow_prints_new_records_until_the_recording_is_closed(writer: subproc
     assert reader.returncode == 0, said
 
 
+@pytest.mark.slow
 def test_follow_ends_when_the_writer_is_killed(writer: subprocess.Popen, tmp_path: Path) -> None:
     write(writer, 60)
     reader = follow(tmp_path / "x.mcap")
@@ -196,6 +198,7 @@ def exit_codes_without(libraries: str, log: Path, *verbs: str) -> list[str]:
     return [line.split()[-1] for line in ended.stderr.splitlines()]
 
 
+@pytest.mark.slow
 def test_reading_verbs_work_without_engine_viewer_and_meshes(small_log: Path) -> None:
     verbs = ["info", "log", "tree", "show 9", "state last", "diff 9 last", "blame milk", "why"]
     assert exit_codes_without(f"{ENGINE_AND_VIEWER},pycram,trimesh,collada,PIL", small_log, *verbs) == ["0"] * 8
@@ -208,6 +211,7 @@ def test_pictures_are_drawn_without_engine_and_viewer(small_log: Path, tmp_path:
     assert {file.name for file in tmp_path.iterdir()} >= {"x.png", "step_144_side.png"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["log", "why"])
 def test_a_closed_pipe_is_no_error(small_log: Path, verb: str) -> None:
     reader, pipe = os.pipe()
@@ -282,6 +286,7 @@ for verb, *rest in (["info"], ["log"], ["state", "last"], ["why"], ["show", "3"]
 """
 
 
+@pytest.mark.slow
 def test_names_with_characters_that_a_terminal_lacks(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "x.mcap"), span("motion", "hole Löffel 🥄"):
         journal.emit(Mutation(move_body=MoveBody(body="Löffel 🥄")), world="Küche")

@@ -99,6 +99,7 @@ def recorded_by(plan: str, file: Path, **values: object) -> subprocess.Completed
     return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=120)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plan",
     [
@@ -117,6 +118,7 @@ def test_a_thread_s_task_that_outlives_a_plan_after_ctrl_c_is_no_damage(plan: st
     assert "1 of them not ended then" in capfd.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [200, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (201, 203))])
 def test_a_plan_that_ends_in_a_recursion_error_is_sound(limit: int, tmp_path: Path) -> None:
     verification, changes = verified_after_recursion_error(BLOCKS_WITHOUT_END, limit, tmp_path / "run.mcap")

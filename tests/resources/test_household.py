@@ -112,6 +112,7 @@ def test_the_renderer_shows_the_colours_of_a_carton_of_milk(bench: Bench) -> Non
     assert ((abs(red - blue) < 20) & (red > 100) & (red < 250)).sum() > 1000, "white carton"
 
 
+@pytest.mark.slow
 def test_things_stand_upright_on_the_island(resources: Path, bench: Bench) -> None:
     bench.fixed(resources / "kitchen.urdf")
     standing = [name for name in NAMES if name not in CUTLERY]
@@ -183,6 +184,7 @@ def test_a_spoon_stays_where_it_is_laid_across_a_bowl(resources: Path, bench: Be
         assert ISLAND_TOP + 0.067 < end[2] < ISLAND_TOP + 0.067 + 0.019, "on the rim"
 
 
+@pytest.mark.slow
 def test_a_spoon_dropped_into_a_bowl_stays_in_it(resources: Path, bench: Bench) -> None:
     bench.fixed(resources / "kitchen.urdf")
     pitch, half_length = 1.0, 0.1085

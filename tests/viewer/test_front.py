@@ -45,6 +45,7 @@ def moved(log: replay.Recording, body: str) -> int:
     return next(record.seq for record in log.records(Mutation) if record.move_body.body == body)
 
 
+@pytest.mark.slow
 def test_the_first_tab_is_the_world_that_is_looked_at(tmp_path: Path, two_worlds: Path) -> None:
     with replay.open(two_worlds) as log:
         steps = {"kitchen": moved(log, "cup"), "try": moved(log, "milk")}

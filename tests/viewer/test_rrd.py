@@ -52,6 +52,7 @@ def test_a_file_for_the_viewer_is_kept_for_its_recording_alone(tmp_path: Path) -
     assert "/w/bodies/cup" not in rows
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cache")
 @pytest.mark.parametrize("planted", ["another's", "changed"])
 def test_a_file_that_this_user_has_not_made_is_not_shown(tmp_path: Path, planted: str) -> None:

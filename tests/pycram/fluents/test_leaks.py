@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import gc
 
+import pytest
+
 from pycram.fluent import Fluent
 from pycram.fluents.expressions import Expression
 from pycram.fluents.waiting import StateStream
 
 
+@pytest.mark.slow
 def test_dropped_networks_are_freed() -> None:
     def alive() -> int:
         return sum(isinstance(thing, Fluent | Expression | StateStream) for thing in gc.get_objects())

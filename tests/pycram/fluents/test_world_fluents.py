@@ -81,6 +81,7 @@ def test_fluents_of_bodies_that_move_together_change_together(scene: BulletWorld
     assert set(seen) == {None}
 
 
+@pytest.mark.slow
 def test_fluents_change_during_a_simulation(scene: BulletWorld, sink: MemorySink) -> None:
     milk, kitchen = scene.get_object("milk"), scene.get_object("kitchen")
     milk.set_position([1.3, 1, 1.2])

@@ -184,6 +184,7 @@ def plan() -> None:
 TRACED = modules("pycram/language", "pycram/scheduling", "recorder/tracing/span.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "every", [41, pytest.param(13, marks=pytest.mark.slow), pytest.param(1, marks=[pytest.mark.slow, pytest.mark.long])]
 )
@@ -202,6 +203,7 @@ def test_ctrl_c_at_any_line_of_the_language_leaves_nothing_behind(every: int) ->
     assert ended * every > 500
 
 
+@pytest.mark.slow
 def test_ctrl_c_at_any_moment_leaves_nothing_behind() -> None:
     main, dice, rounds = threading.get_ident(), random.Random(1), 60
     go, pressed = threading.Semaphore(0), threading.Semaphore(0)

@@ -103,6 +103,7 @@ def test_records_of_nested_blocks_that_fail_grow_with_their_number_only(sink: Me
     assert sizes[1] < 2.5 * sizes[0]
 
 
+@pytest.mark.slow
 def test_tasks_end_where_the_stack_does(sink: MemorySink) -> None:
     def nested() -> None:
         with seq:

@@ -48,6 +48,7 @@ def around() -> None:
                 nothing()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plan", [each, nested, functions, around])
 @pytest.mark.parametrize("recorded", [False, True])
 def test_what_has_ended_is_freed_at_once(plan: Callable[[], None], tmp_path: Path, *, recorded: bool) -> None:

@@ -277,6 +277,7 @@ def _watched() -> Iterator[None]:
     faulthandler.cancel_dump_traceback_later()
 
 
+@pytest.mark.slow
 def test_random_plans(tmp_path: Path) -> None:
     run(30, 0, tmp_path / "plans.mcap")
 

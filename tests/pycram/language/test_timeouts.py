@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from pycram.bullet_world import BulletWorld
 
 
+@pytest.mark.slow
 def test_what_takes_too_long_times_out_at_its_next_wait() -> None:
     gate = Gate()
     with pytest.raises(TimedOut, match=r"within 0\.02 s") as raised, timeout(0.02):

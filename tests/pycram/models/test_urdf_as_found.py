@@ -249,6 +249,7 @@ BROKEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BROKEN)
 def test_broken_files_name_file_element_and_cause(tmp_path: Path, world: BulletWorld, name: str) -> None:
     inside, cause = BROKEN[name]

@@ -112,6 +112,7 @@ def test_what_opened_from_a_place_closes_from_there(
     record_property("handles and arms that open something", somewhere)
 
 
+@pytest.mark.slow
 def test_a_handle_out_of_reach_is_named_with_joint_value_and_orientation_and_what_would_do(scene: BulletWorld) -> None:
     joint, handle = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle"
     go(0.1, 0.7, 0.0)

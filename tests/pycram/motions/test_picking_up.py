@@ -66,6 +66,7 @@ def test_what_leans_is_taken_as_it_leans(table: BulletWorld, kind: str, degrees:
         body.remove()
 
 
+@pytest.mark.slow
 def test_what_moves_says_so_and_no_time_passes(scene: BulletWorld) -> None:
     milk = scene.get_object("milk")
     milk.set_position([1.3, 1.0, 1.2])

@@ -44,6 +44,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BulletWorld]:
         yield world
 
 
+@pytest.mark.slow
 def test_what_falls_over_is_no_success(table: BulletWorld, tmp_path: Path, sink: MemorySink) -> None:
     milk = hold(table, "milk", 0.0)
     lean = geometry.from_rpy(0, math.radians(35), 0)  # down and away from the gripper
@@ -74,6 +75,7 @@ def test_what_falls_over_is_no_success(table: BulletWorld, tmp_path: Path, sink:
     assert "ramp" in {pair["body"] for pair in data["touching"]}
 
 
+@pytest.mark.slow
 def test_an_orientation_that_was_asked_for_is_looked_at(table: BulletWorld, tmp_path: Path) -> None:
     ramp_file = box(tmp_path, "ramp", (0.3, 0.3, 0.02))
     cereal = hold(table, "breakfast_cereal", 0.0)
@@ -95,6 +97,7 @@ def test_an_orientation_that_was_asked_for_is_looked_at(table: BulletWorld, tmp_
             ramp.remove()
 
 
+@pytest.mark.slow
 def test_what_is_in_the_way_is_named_and_nothing_changes(table: BulletWorld, tmp_path: Path) -> None:
     milk = hold(table, "milk", 0.0)
     wall = box(tmp_path, "wall", (0.02, 0.5, 0.5))
@@ -114,6 +117,7 @@ def test_what_is_in_the_way_is_named_and_nothing_changes(table: BulletWorld, tmp
             body.remove()
 
 
+@pytest.mark.slow
 def test_what_it_pushes_away_is_no_success(table: BulletWorld) -> None:
     milk = hold(table, "milk", 0.0)
     lying = geometry.from_rpy(0, 0, 2.1)
@@ -131,6 +135,7 @@ def test_what_it_pushes_away_is_no_success(table: BulletWorld) -> None:
         knife.remove()
 
 
+@pytest.mark.slow
 def test_what_slides_to_its_target_is_a_success(table: BulletWorld, tmp_path: Path) -> None:
     cup = hold(table, "cup", 0.0)
     lean = math.radians(10)

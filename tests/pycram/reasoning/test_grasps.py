@@ -75,6 +75,7 @@ def test_both_fingers_are_at_what_was_picked_up(kitchen: BulletWorld, kind: str,
         body.remove()
 
 
+@pytest.mark.slow
 def test_fingers_stay_as_far_apart_as_the_object_is_wide(kitchen: BulletWorld) -> None:
     robot = kitchen.robot
     assert robot is not None

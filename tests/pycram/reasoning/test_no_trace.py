@@ -84,6 +84,7 @@ def ask(world: BulletWorld, seed: int, count: int) -> list[object]:
     return answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "robot"),
     [(1, False), *(pytest.param(seed, seed % 2, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))],

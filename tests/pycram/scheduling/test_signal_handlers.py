@@ -56,6 +56,7 @@ def plan() -> None:
 TRACED = modules("pycram/scheduling/schedule.py")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.long)])
 def test_an_error_of_a_signal_handler_at_any_line_of_the_scheduler_loses_no_branch(every: int) -> None:
     raised = 0

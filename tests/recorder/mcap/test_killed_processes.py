@@ -129,6 +129,7 @@ def test_nothing_waits_while_the_engine_loads_a_model(tmp_path: Path, monkeypatc
     assert kept == [before]
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_plan_with_an_error_and_leaves_a_readable_file(tmp_path: Path) -> None:
     program = """
 import resource, signal, sys
