@@ -96,7 +96,6 @@ def replay(verb: str, log: Path, *words: str) -> tuple[str, ...]:
     return ("replay.cli.main", verb, str(log), *words)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("log", LOGS, ids=lambda log: log.stem)
 def test_reading_verbs(log: Path) -> None:
     calls = [replay(verb, log, *words, *more) for verb, *words in READING for more in ((), ("--json",))]
@@ -112,7 +111,6 @@ def test_they_say_the_same_as_where_all_is_installed() -> None:
     assert run(*calls) == run(*calls, hiding=False)
 
 
-@pytest.mark.slow
 def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
     calls = {
         replay("ask", LOGS[0], "last", "stable(milk)"): ("pycram-replay: ask: ", "executor"),
@@ -131,7 +129,6 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
 
 
-@pytest.mark.slow
 def test_a_damaged_recording_is_repaired(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(LOGS[0].read_bytes()[:-20_000])
@@ -141,7 +138,6 @@ def test_a_damaged_recording_is_repaired(tmp_path: Path) -> None:
     assert verified.out.startswith("sound ")
 
 
-@pytest.mark.slow
 def test_the_version_is_printed() -> None:
     for name, printed in zip(
         ("pycram-replay", "pycram"), run(("replay.cli.main", "--version"), ("pycram.cli", "--version")), strict=True
