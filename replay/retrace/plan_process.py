@@ -126,19 +126,22 @@ class PlanProcess:
         else:
             environment.pop("PYTHONHASHSEED", None)
         reading, writing = os.pipe()
+        output = os.dup(_STDERR)
+        command = [sys.executable, "-P", "-m", "replay.retrace.process"]
         with tempfile.TemporaryFile() as errors, os.fdopen(reading, "rb") as results:
             try:
                 process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [sys.executable, "-P", "-m", "replay.retrace.process", json.dumps(request | {"result": writing})],
+                    [*command, json.dumps({**request, "result": writing, "output": output})],
                     cwd=self._folder,
                     env=environment,
                     stdin=subprocess.DEVNULL,
                     stdout=subprocess.DEVNULL,
-                    stderr=errors if file is None else _STDERR,
-                    pass_fds=[writing],
+                    stderr=errors,
+                    pass_fds=[writing, output],
                 )
             finally:
                 os.close(writing)
+                os.close(output)
             with process:
                 try:
                     line = results.readline()  # the plan's own processes may keep the pipe open

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from recorder.records.asset import AssetFile
     from replay.retrace.guide import Difference
 
-_STDOUT = 1
+_STDOUT, _STDERR = 1, 2
 
 
 class _Fork:
@@ -67,6 +67,7 @@ def main(
     *,
     by_program: bool,
     result: int,
+    output: int,
     until: int | None,
     file: str | None,
 ) -> None:
@@ -79,6 +80,7 @@ def main(
         seed: of random numbers; None to leave them as they are.
         by_program: whether the plan begins the recording itself.
         result: the file descriptor for the result.
+        output: the file descriptor for what a fork prints.
         until: the last step that is compared; None for all.
         file: the fork's recording; None to end when all is compared.
     """
@@ -89,7 +91,10 @@ def main(
         os.write(result, json.dumps({"equal": equal, "difference": found}).encode() + b"\n")
         if file is None or difference is not None:
             os._exit(0)
-        os.dup2(sys.stderr.fileno(), _STDOUT)  # what the plan prints from here on is new
+        for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
+            if stream is not None:
+                stream.flush()
+            os.dup2(output, descriptor)  # what the plan prints from here on is new
 
     guide = Guide(recorded, report, until)
     guided = False

@@ -82,20 +82,22 @@ def test_an_edited_plan_goes_on_from_where_it_is_another(log: Path, tmp_path: Pa
 def test_what_is_printed_before_the_fork_is_held_back(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "prints.py"
     file.write_text(
+        "import sys\n"
         "from pycram.bullet_world import BulletWorld\n"
         "print('before')\n"
+        "print('before', file=sys.stderr)\n"
         "world = BulletWorld()\n"
         "world.set_gravity([0, 0, -1])\n"
         "print('after')\n"
     )
     log = record(file)
-    assert main(["fork", str(log), "--at", "3"]) == 0
+    assert main(["fork", str(log), "--at", "4"]) == 0
     printed = capfd.readouterr()
-    assert printed.out == f"{log.with_suffix('.fork.mcap')}: 6 records, the first 4 as in {log}; the plan succeeded\n"
+    assert printed.out == f"{log.with_suffix('.fork.mcap')}: 7 records, the first 5 as in {log}; the plan succeeded\n"
     assert "after\n" in printed.err
     assert "before\n" not in printed.err
     assert main(["info", str(log.with_suffix(".fork.mcap"))]) == 0
-    assert f"forked from {log.name} after step 3" in capfd.readouterr().out
+    assert f"forked from {log.name} after step 4" in capfd.readouterr().out
 
 
 def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:
