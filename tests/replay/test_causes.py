@@ -49,6 +49,17 @@ START = """
 """
 
 
+WITH_PR2 = """
+        from pycram.designator import MotionDesignator
+        from pycram.process_module import ProcessModule
+        def perform(**slots):
+            return ProcessModule.perform(MotionDesignator(list(slots.items())))
+        robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+        milk = Object("milk", "milk", "milk.stl", [7, 0, 0.1])
+        tool = "l_gripper_tool_frame"
+"""
+
+
 @pytest.fixture
 def explained(tmp_path: Path) -> Callable[..., Why]:
     """Run a plan, and explain why it failed; its file is plan.py."""
@@ -534,6 +545,60 @@ def test_a_swallowed_failure_explains_the_later_one(robot: Recording) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("since", "cause"),
+    [
+        ("robot.attach(milk, tool); robot.detach(milk)", kinds.HandState),
+        ("pass", kinds.Swallowed),
+    ],
+    ids=["taken after all", "nothing"],
+)
+def test_a_failure_explains_nothing_once_the_same_was_done(
+    explained: Callable[..., Why], since: str, cause: type[kinds.Cause]
+) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        {since}
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    assert [type(each) for each in why.causes] == [cause]
+
+
+def test_the_other_hand_that_took_it_in_the_end_is_told_instead(explained: Callable[..., Why]) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        robot.attach(milk, "r_gripper_tool_frame")
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.HandState)
+    assert cause.holder == "right"
+
+
+def test_a_failed_drive_is_no_cause_once_the_robot_was_moved_otherwise(explained: Callable[..., Why]) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        crate = Object("crate", "crate", "breakfast_cereal.stl", [6.5, 0, 0.2])
+        try:
+            perform(type="moving", target=[6.5, 0, 0])
+        except PlanFailure:
+            pass
+        robot.set_position([-9, 0, 0])
+        perform(type="pick-up", object=milk, arm="left")
+    """)
+    assert not [each for each in why.causes if isinstance(each, kinds.Swallowed)]
+    (far,) = [each for each in why.causes if isinstance(each, kinds.OutOfReach)]
+    assert ("pr2", "command") in [(each.body, each.how) for each in far.changes]
+
+
 def test_what_no_longer_held_is_told_with_the_change(robot: Recording) -> None:
     (cause,) = robot.why("task:pick-up#2@end").causes
     assert cause.kind == "no-longer-true"
