@@ -599,6 +599,23 @@ def test_a_failed_drive_is_no_cause_once_the_robot_was_moved_otherwise(explained
     assert ("pr2", "command") in [(each.body, each.how) for each in far.changes]
 
 
+@pytest.mark.parametrize("name", ["lab", "another"])
+def test_a_failure_in_another_world_explains_nothing(explained: Callable[..., Why], name: str) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        world.exit()
+        world = BulletWorld(name="{name}")
+        robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+        milk = Object("milk", "milk", "milk.stl", [7, 0, 0.1])
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    assert [type(each) for each in why.causes] == [kinds.HandState]
+
+
 def test_what_no_longer_held_is_told_with_the_change(robot: Recording) -> None:
     (cause,) = robot.why("task:pick-up#2@end").causes
     assert cause.kind == "no-longer-true"
