@@ -164,6 +164,23 @@ def test_a_timeout_tells_the_fluent_its_value_and_who_sets_it(
     assert "after 0.05 s it was still waiting for apple ready" in words(tmp_path, capsys)
 
 
+def test_a_timeout_tells_what_took_the_time_in_a_block(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        import time
+        from pycram.language import seq
+        def cook():
+            time.sleep(0.3)
+        with timeout(0.2):
+            with par as kitchen:
+                kitchen(cook)
+                with seq as table:
+                    table(world.simulate, 0.1)
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.Timeout)
+    assert "cook" in [task.name for task in cause.took]
+
+
 def test_a_wait_in_vain_is_told_where_the_plan_raised_for_it(explained: Callable[..., Why]) -> None:
     why = explained("""
         door = Fluent("shut", "door")
