@@ -109,6 +109,27 @@ def test_a_raise_in_a_branch_is_the_plan_s_own_line(explained: Callable[..., Why
     assert [involved.body.name for involved in why.bodies] == ["apple"]
 
 
+@pytest.mark.parametrize("succeeds", [False, True])
+def test_a_raise_after_a_failed_motion_names_that(explained: Callable[..., Why], succeeds: bool) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        def took():
+            try:
+                perform(type="pick-up", object=milk, arm="left")
+            except PlanFailure:
+                return False
+        gone = not took()
+        if {succeeds}:
+            perform(type="moving", target=[1, 1, 0])
+        if gone:
+            raise PlanFailure("no milk for you")
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.Raised)
+    assert [answer.name for answer in cause.answers] == ([] if succeeds else ["pick-up"])
+    assert set(cause.steps) >= {answer.seq for answer in cause.answers}
+
+
 def test_a_mistake_of_the_plan_s_is_its_line_and_not_a_raise(explained: Callable[..., Why], tmp_path: Path) -> None:
     why = explained("""
         apple = Object("apple", "apple", "apple.stl", [0, 0, 0.04])
