@@ -325,5 +325,7 @@ def _answer(record: Query | Task) -> str:
     if isinstance(record, Query):
         reasons = record_text.reasons(record) if record.candidates else ""
         return f"{record_text.question(record)}: {record_text.answer(record)}" + (f"; {reasons}" if reasons else "")
+    if record.kind != "wait":
+        return f"{record.name} failed: {formatting.short(formatting.one_line(record.failure.message))}"
     done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"
     return f"waited for {record.name}: {done}"

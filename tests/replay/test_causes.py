@@ -49,6 +49,17 @@ START = """
 """
 
 
+WITH_PR2 = """
+        from pycram.designator import MotionDesignator
+        from pycram.process_module import ProcessModule
+        def perform(**slots):
+            return ProcessModule.perform(MotionDesignator(list(slots.items())))
+        robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+        milk = Object("milk", "milk", "milk.stl", [7, 0, 0.1])
+        tool = "l_gripper_tool_frame"
+"""
+
+
 @pytest.fixture
 def explained(tmp_path: Path) -> Callable[..., Why]:
     """Run a plan, and explain why it failed; its file is plan.py."""
@@ -96,6 +107,27 @@ def test_a_raise_in_a_branch_is_the_plan_s_own_line(explained: Callable[..., Why
     assert cause.task.name == "check"
     assert [answer.name for answer in cause.answers] == ["contact"]
     assert [involved.body.name for involved in why.bodies] == ["apple"]
+
+
+@pytest.mark.parametrize("succeeds", [False, True])
+def test_a_raise_after_a_failed_motion_names_that(explained: Callable[..., Why], succeeds: bool) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        def took():
+            try:
+                perform(type="pick-up", object=milk, arm="left")
+            except PlanFailure:
+                return False
+        gone = not took()
+        if {succeeds}:
+            perform(type="moving", target=[1, 1, 0])
+        if gone:
+            raise PlanFailure("no milk for you")
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.Raised)
+    assert [answer.name for answer in cause.answers] == ([] if succeeds else ["pick-up"])
+    assert set(cause.steps) >= {answer.seq for answer in cause.answers}
 
 
 def test_a_mistake_of_the_plan_s_is_its_line_and_not_a_raise(explained: Callable[..., Why], tmp_path: Path) -> None:
@@ -151,6 +183,23 @@ def test_a_timeout_tells_the_fluent_its_value_and_who_sets_it(
     assert fulfiller.line.number == line_of(tmp_path, "ready.set_value")
     assert (fulfiller.task.name, fulfiller.task.failed, fulfiller.step) == ("fetch", False, None)
     assert "after 0.05 s it was still waiting for apple ready" in words(tmp_path, capsys)
+
+
+def test_a_timeout_tells_what_took_the_time_in_a_block(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        import time
+        from pycram.language import seq
+        def cook():
+            time.sleep(0.3)
+        with timeout(0.2):
+            with par as kitchen:
+                kitchen(cook)
+                with seq as table:
+                    table(world.simulate, 0.1)
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.Timeout)
+    assert "cook" in [task.name for task in cause.took]
 
 
 def test_a_wait_in_vain_is_told_where_the_plan_raised_for_it(explained: Callable[..., Why]) -> None:
@@ -534,6 +583,77 @@ def test_a_swallowed_failure_explains_the_later_one(robot: Recording) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("since", "cause"),
+    [
+        ("robot.attach(milk, tool); robot.detach(milk)", kinds.HandState),
+        ("pass", kinds.Swallowed),
+    ],
+    ids=["taken after all", "nothing"],
+)
+def test_a_failure_explains_nothing_once_the_same_was_done(
+    explained: Callable[..., Why], since: str, cause: type[kinds.Cause]
+) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        {since}
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    assert [type(each) for each in why.causes] == [cause]
+
+
+def test_the_other_hand_that_took_it_in_the_end_is_told_instead(explained: Callable[..., Why]) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        robot.attach(milk, "r_gripper_tool_frame")
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    (cause,) = why.causes
+    assert isinstance(cause, kinds.HandState)
+    assert cause.holder == "right"
+
+
+def test_a_failed_drive_is_no_cause_once_the_robot_was_moved_otherwise(explained: Callable[..., Why]) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        crate = Object("crate", "crate", "breakfast_cereal.stl", [6.5, 0, 0.2])
+        try:
+            perform(type="moving", target=[6.5, 0, 0])
+        except PlanFailure:
+            pass
+        robot.set_position([-9, 0, 0])
+        perform(type="pick-up", object=milk, arm="left")
+    """)
+    assert not [each for each in why.causes if isinstance(each, kinds.Swallowed)]
+    (far,) = [each for each in why.causes if isinstance(each, kinds.OutOfReach)]
+    assert ("pr2", "command") in [(each.body, each.how) for each in far.changes]
+
+
+@pytest.mark.parametrize("name", ["lab", "another"])
+def test_a_failure_in_another_world_explains_nothing(explained: Callable[..., Why], name: str) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        try:
+            perform(type="pick-up", object=milk, arm="left")
+        except PlanFailure:
+            pass
+        world.exit()
+        world = BulletWorld(name="{name}")
+        robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+        milk = Object("milk", "milk", "milk.stl", [7, 0, 0.1])
+        perform(type="place", object=milk, target=[1, 0, 0.1], arm="left")
+    """)
+    assert [type(each) for each in why.causes] == [kinds.HandState]
+
+
 def test_what_no_longer_held_is_told_with_the_change(robot: Recording) -> None:
     (cause,) = robot.why("task:pick-up#2@end").causes
     assert cause.kind == "no-longer-true"

@@ -155,10 +155,18 @@ class Case:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield the motions of some names that had ended when what failed began, the last one first."""
+        """Yield the motions of some names in this world that had ended when what failed began, the last one first."""
         for motion in reversed(self.failed.motions):
-            if motion.name in names and motion.last_step < self.began and motion is not self.motion:
+            earlier = motion.last_step < self.began and motion is not self.motion
+            if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
+
+    def is_here(self, record: Task | Refusal) -> bool:
+        """Return whether something was in the world that the failure is about, not in an earlier one of its name."""
+        if self.world is None:
+            return True
+        lifetime = self.log.lifetime_at(record.world, record.seq)
+        return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
         """Return what last changed a body, or as ``BODY.JOINT`` a joint; None if that isn't on record."""

@@ -173,7 +173,8 @@ class Raised(Cause):
         line: the plan's line.
         own: whether it is a ``raise`` or ``assert`` of the plan's; else that line made a mistake.
         task: the branch or other task in which it did; None outside of all.
-        answers: the last queries and waits of that task before it, whose answers it may have judged by.
+        answers: the last queries and waits of that task before it, whose answers it may have judged by; before them
+            the end of the last motion, if that failed.
     """
 
     kind = "raised"

@@ -17,7 +17,7 @@ from replay.state.fold import state_at
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from recorder.records import Plain
+    from recorder.records import Mutation, Plain
     from recorder.tasks import Node
     from replay.explain.causes.case import Case
     from replay.state.state import Attachment
@@ -39,6 +39,8 @@ class Lacking:
         arm: name of the arm; "" for none.
         motions: names of the motions that bring it about.
         fits: whether such a motion is about the same object, joint and arm.
+        owner: whose joints they are, or the robot that should have been elsewhere; "" else.
+        joints: that should have been moved.
     """
 
     precondition: str
@@ -46,6 +48,17 @@ class Lacking:
     arm: str
     motions: tuple[str, ...]
     fits: Callable[[Node], bool]
+    owner: str = ""
+    joints: tuple[str, ...] = ()
+
+    def done_by(self, record: Mutation) -> bool:
+        """Return whether a change did it, or something else, to the same: what was before then explains nothing."""
+        if self.precondition in ("held", "hand-free"):
+            return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
+        if self.joints:
+            moved = record.move_joints
+            return moved.body == self.owner and not set(moved.joints).isdisjoint(self.joints)
+        return record.move_body.body == (self.owner or self.subject) != ""
 
 
 def lacking(case: Case) -> Iterator[Lacking]:
@@ -143,7 +156,7 @@ def _taken_out(case: Case) -> Iterator[Lacking]:
                 slots = values(other)
                 return owner in objects_in(slots.get("part-of")) and slots.get("drawer-joint") == joint
 
-            yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits)
+            yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits, owner, (joint,))
             return
 
 
@@ -189,7 +202,7 @@ def _joint_moved(case: Case, name: str, link: str) -> Iterator[Lacking]:
         given = values(task)
         return name in objects_in(given.get("part-of")) and (not link or given.get("drawer-joint") in joints)
 
-    yield Lacking("joint-moved", ", ".join(joints) or name, "", ("accessing",), fits)
+    yield Lacking("joint-moved", ", ".join(joints) or name, "", ("accessing",), fits, name, joints)
 
 
 def _of_robot(case: Case, mover: str, link: str) -> Iterator[Lacking]:
@@ -200,9 +213,10 @@ def _of_robot(case: Case, mover: str, link: str) -> Iterator[Lacking]:
     elif case.motion is not None and case.motion.name == "moving" and case.robot is not None and link:
         moving = set(joints_to(case, case.robot.name, link))
         for arm in case.hands:
-            if moving.intersection(joints_of(case.robot, arm)):
-                slot = f"{arm}-arm"
-                yield Lacking("posture", "", arm, ("move-arm-joints",), partial(_takes, slot))
+            joints = joints_of(case.robot, arm)
+            if moving.intersection(joints):
+                fits = partial(_takes, f"{arm}-arm")
+                yield Lacking("posture", "", arm, ("move-arm-joints",), fits, case.robot.name, joints)
 
 
 def _takes(slot: str, task: Node) -> bool:
@@ -228,7 +242,8 @@ def _at_pose(case: Case) -> Iterator[Lacking]:
             return False
         return not goal or math.dist(place, goal) < math.dist(here, goal) - _NEARER
 
-    yield Lacking("at-pose", "", "", ("moving",), lambda task: not task.failed or fits(task))
+    robot = case.robot.name if case.robot is not None else ""
+    yield Lacking("at-pose", "", "", ("moving",), lambda task: not task.failed or fits(task), robot)
 
 
 def _wanted(case: Case) -> list[str]:

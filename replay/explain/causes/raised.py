@@ -42,7 +42,7 @@ def find(case: Case) -> Iterator[Raised]:
         return
     line = lines[-1] if error.own else case.line(lines) or lines[-1]
     own = error.own and _RAISES.search(line.text) is not None
-    judged = tuple(answers(case)) if own else ()
+    judged = (*_failed_before(case), *answers(case)) if own else ()
     steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
     yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
 
@@ -58,6 +58,19 @@ def refusal_of(case: Case) -> Iterator[int]:
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             yield refusal.seq
         return
+
+
+def _failed_before(case: Case) -> Iterator[Task]:
+    """Yield the end of the last motion of the same task before the failure, if it failed and the plan went on."""
+    scope = None if case.task is None else case.task.id
+    ended = [
+        motion
+        for motion in case.failed.motions
+        if motion.last_step < case.step and (scope is None or scope in [node.id for node in motion.around()])
+    ]
+    last = max(ended, key=lambda motion: motion.last_step, default=None)
+    if last is not None and last.failed and last.finished is not None and case.is_here(last.started):
+        yield last.finished
 
 
 def answers(case: Case) -> Iterator[Query | Task]:

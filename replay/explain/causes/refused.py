@@ -39,17 +39,12 @@ def find(case: Case) -> Iterator[Refused]:
             return
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             continue  # it is the failure itself, or was tried before in the same way
-        if case.world is not None and _world_of(case, refusal) != (case.world.name, case.world.lifetime):
+        if not case.is_here(refusal):
             continue
         for missed in _missed(case, refusal):
             if missed not in found and not _done_since(case, refusal):
                 found.add(missed)
                 yield _refused(case, refusal, *missed)
-
-
-def _world_of(case: Case, refusal: Refusal) -> tuple[str, int]:
-    lifetime = case.log.lifetime_at(refusal.world, refusal.seq)
-    return refusal.world, lifetime.number if lifetime is not None else 0
 
 
 def _refused(case: Case, refusal: Refusal, precondition: str, subject: str) -> Refused:

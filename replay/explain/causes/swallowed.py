@@ -1,7 +1,8 @@
 """Failures that the plan swallowed, and that made a later motion fail.
 
 Of what a failed motion lacked, the last motion that should have brought it about had failed, or was cancelled: with the
-same object, the same arm, the same joint. A later success of such a motion ends that.
+same object, the same arm, the same joint. A later success of such a motion ends that, as does any other change that did
+it, or something else, to the same: a plan that attached the object itself and let go of it then failed for that.
 """
 
 from __future__ import annotations
@@ -33,10 +34,16 @@ def find(case: Case) -> Iterator[Swallowed]:
     """Yield the failures for want of which the case's motion, or line, failed."""
     for lack in lacking(case):
         last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
-        if last is not None and last.status in _UNSUCCESSFUL:
+        if last is not None and last.status in _UNSUCCESSFUL and not _done_since(case, lack, last):
             also = _also(case, lack, last)
             yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last, also)
     yield from _results(case)
+
+
+def _done_since(case: Case, lack: Lacking, failed: Node) -> bool:
+    changes = case.log.records(Mutation, failed.last_step + 1, case.began)
+    here = case.world.name if case.world is not None else ""
+    return any(isinstance(each, Mutation) and each.world == here and lack.done_by(each) for each in changes)
 
 
 def _swallowed(

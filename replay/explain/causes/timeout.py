@@ -27,8 +27,7 @@ def find(case: Case) -> Iterator[Timeout]:
         tree = subtree(case, 0, case.task.last_step + 1)
         scope = tree.nodes[case.task.id]
         doing = tuple(pending(case, node, tree, case.step) for node in stopped(tree, scope))
-        ended = [node for node in scope.children if node.status in (State.SUCCEEDED, State.FAILED)]
-        took = sorted(ended, key=lambda node: -(node.seconds or 0.0))[:_MAX_TASKS]
+        took = sorted(_ended(scope), key=lambda node: -(node.seconds or 0.0))[:_MAX_TASKS]
         seconds, clock = case.task.parameters.get("seconds"), case.task.parameters.get("clock")
         yield _timeout(case, seconds, str(clock), doing, tuple(took), _stopped_at(case))
         return
@@ -38,6 +37,15 @@ def find(case: Case) -> Iterator[Timeout]:
             node = tree.nodes[wait.task]
             single = pending(case, node, tree, wait.seq)
             yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
+
+
+def _ended(scope: Node) -> Iterator[Node]:
+    """Yield what was done within a scope, also in blocks that were not."""
+    for node in scope.children:
+        if node.status in (State.SUCCEEDED, State.FAILED):
+            yield node
+        else:
+            yield from _ended(node)
 
 
 def _timeout(
