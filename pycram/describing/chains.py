@@ -19,6 +19,7 @@ _ARM: Final = 4  # joints one after the other that make an arm
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
 _FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
+_FINGER_LINK: Final = re.compile(r"finger|jaw|thumb", re.IGNORECASE)  # a gripper's link may hang on a wrist's joint
 _OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
 _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
@@ -103,7 +104,8 @@ class Tree:
     def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
         """Whether the joint next to one is a finger's."""
         (after,) = self._next[joint.name]
-        return after.name in leading or after.name in self.urdf.mimics or bool(_FINGER.search(after.name))
+        named = _FINGER.search(after.name) or _FINGER_LINK.search(after.child)
+        return after.name in leading or after.name in self.urdf.mimics or bool(named)
 
     def _upright(self, joint: Joint) -> bool:
         _, turn = self.urdf.forward_kinematics({}, joint.child)

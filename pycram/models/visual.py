@@ -138,7 +138,7 @@ def piece_bounds(path: Path) -> Iterator[tuple[str, Ends]]:
     """Yield the links of the pieces of :func:`pieces_of`, and the pieces' lowest and highest corners."""
     for link, parts in _read(path, "collision").items():
         for part in parts:
-            if part.mesh.endswith(".obj"):
+            if part.mesh.lower().endswith(".obj"):
                 yield from ((link, bounds(_placed(part, group))) for group in _groups(part, path.parent))
             else:
                 yield link, _ends(part, path.parent)
@@ -165,7 +165,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[NDArray[np.float64]]:
     if shape.kind == "box":
         yield _CUBE * shape.size
         return
-    if not shape.mesh.endswith(".obj"):
+    if not shape.mesh.lower().endswith(".obj"):
         yield _triangles(shape, folder)
         return
     corners: list[list[str]] = []
@@ -239,14 +239,14 @@ def _revolved(profile: NDArray[np.float64]) -> NDArray[np.float64]:
 @lru_cache(maxsize=1024)
 def _mesh_ends(file: Path) -> NDArray[np.float64]:
     """Return lowest and highest corner (2, 3) of a mesh."""
-    if file.suffix == ".stl":  # as its numbers are, which is exact too
+    if file.suffix.lower() == ".stl":  # as its numbers are, which is exact too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
 
 @lru_cache(maxsize=256)
 def _mesh(file: Path) -> NDArray[np.float64]:
-    if file.suffix == ".stl":  # binary: ASCII ones were converted
+    if file.suffix.lower() == ".stl":  # binary: ASCII ones were converted
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
 
 import pytest
 
+import recorder
 import replay
 from recorder.records import Mutation, Query, Task
 from replay.cli.main import main
@@ -81,6 +83,16 @@ def test_log_finds_what_a_line_of_the_plan_led_to(small_log: Path, picked) -> No
         called = picked("--where", f"plan.py:{log[start].source_line}")
         assert set(range(start, end + 1)) <= set(called)  # all that the task did, whichever line did it
         assert len(picked("--where", "plan.py")) > len(called)
+
+
+def test_log_finds_what_a_line_of_the_plan_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = tmp_path / "prints.py"
+    plan.write_text('print("before")\nprint("here")\nprint("after")\n')
+    with recorder.record(tmp_path / "prints.mcap", source=plan, output=True):
+        runpy.run_path(str(plan), run_name="__main__")
+    capsys.readouterr()
+    assert main(["log", str(tmp_path / "prints.mcap"), "--where", "prints.py:2"]) == 0
+    assert "stdout: here" in capsys.readouterr().out.splitlines()[0]
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.collision_pair import CollisionPair
@@ -162,7 +162,9 @@ def _plan(
         raise PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
     if refusals.misses:
         raise Unreachable(arm.name, target, min(refusals.misses))
-    raise refusals.no_room[0]
+    taken = refusals.no_room[0]
+    pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
+    raise PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
 
 
 def _poses(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from pycram.foundation.collision_pair import CollisionPair
 from pycram.foundation.failures import PlaceFailed
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -48,19 +49,24 @@ def set_down(body: Object, target: Sequence[float], orientation: Quaternion) -> 
     copy, engine = clone.body(body.name), clone.engine
     x, y, z = target
 
-    def touched(height: float) -> list[str]:
+    def touched(height: float) -> list[CollisionPair]:
         engine.set_pose(copy, ((x, y, height), orientation))
-        return [
-            other.name
-            for other in others
-            if any(touch.distance < -_OVERLAP for touch in engine.closest_points(copy, clone.body(other.name)))
-        ]
+        pairs = []
+        for other in others:
+            points = engine.closest_points(copy, clone.body(other.name))
+            deepest = min(points, key=lambda point: point.distance, default=None)
+            if deepest is not None and deepest.distance < -_OVERLAP:
+                links = checker.link_name(body, deepest.link_a), checker.link_name(other, deepest.link_b)
+                pairs.append(CollisionPair(body.name, links[0], other.name, links[1], -deepest.distance))
+        return pairs
 
     try:
         high = z + _ABOVE
         blockers = touched(high)
         if blockers:
-            raise PlaceFailed(body.name, target, f"{', '.join(blockers)} is there already")
+            there = [f"{pair.body_link} of {pair.body}" if pair.body_link else pair.body for pair in blockers]
+            reason = f"{' and '.join(there)} {'is' if len(there) == 1 else 'are'} there already"
+            raise PlaceFailed(body.name, target, reason, pairs=blockers)
         low = high
         while not touched(low):
             high, low = low, low - _STEP

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pycram.models import load
-from pycram.models.visual import shapes_of
+from pycram.models.mesh import stl
+from pycram.models.visual import piece_bounds, pieces_of, shapes_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -77,3 +78,18 @@ def test_shapes_are_closed_and_as_large_as_they_say(
     found = edges(corners)
     assert len(set(found)) == len(found)
     assert {(end, start) for start, end in found} == set(found), "each edge is that of two triangles, in turn"
+
+
+@pytest.mark.parametrize("name", ["cube.STL", "cube.Obj"])
+def test_a_mesh_may_have_its_suffix_in_capitals(name: str, tmp_path: Path) -> None:
+    (tmp_path / "cube.obj").write_text(CUBE)
+    if name.endswith("STL"):
+        (tmp_path / name).write_bytes(stl(triangles(tmp_path, '<mesh filename="cube.obj"/>').astype("<f4")))
+    else:
+        (tmp_path / "cube.obj").rename(tmp_path / name)
+    drawn = triangles(tmp_path, f'<mesh filename="{name}"/>', "collision")
+    assert volume(drawn) == pytest.approx(8)
+    model = load.load(tmp_path / "thing.urdf").path
+    ((link, corners),) = pieces_of(model)
+    assert (link, len(np.unique(corners, axis=0))) == ("a", 8)
+    assert [ends for _, (low, high) in piece_bounds(model) for ends in (*low, *high)] == [-1] * 3 + [1] * 3

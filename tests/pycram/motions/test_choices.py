@@ -132,13 +132,24 @@ def test_what_is_too_big_for_the_fingers_has_its_width(scene: BulletWorld, sink:
 def test_a_place_that_is_taken_rejects_all_orientations_for_one_reason(scene: BulletWorld, sink: MemorySink) -> None:
     milk = scene.get_object("milk")
     perform(type="pick-up", object=milk, arm="left")
-    with pytest.raises(PlaceFailed):
+    with pytest.raises(PlaceFailed) as taken:
         perform(type="place", object=milk, target=[1.3, 0.6, 0.95], arm="left")
+    (pair,) = taken.value.pairs
+    assert str(pair) == "milk in the left gripper would touch cereal"
+    assert pair.depth > 0.01
     choice = choices(sink)[-1]
     (rejected,) = choice.candidates
     assert (rejected.count, rejected.reason, len(rejected.names)) == (12, "NoRoom", 4)
     assert "cereal is there already" in argument_values(rejected.data)["reason"]
     assert next(rejection_lines(choice)).startswith(f"{', '.join(rejected.names)} and 8 more: cereal")
+
+
+def test_a_place_that_is_taken_names_the_links_that_are_there(scene: BulletWorld) -> None:
+    milk = scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    with pytest.raises(PlaceFailed, match="sink_area_surface of kitchen and cereal are there already") as taken:
+        perform(type="place", object=milk, target=[1.3, 0.6, 0.87], arm="left")
+    assert [(pair.body, pair.gripper) for pair in taken.value.pairs] == [("kitchen", "left"), ("cereal", "left")]
 
 
 @pytest.mark.slow
