@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from replay.cli import formatting
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
+from replay.state.fold import last_open_step
 from replay.state.json_data import state_data
 
 if TYPE_CHECKING:
@@ -30,6 +31,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the state."""
     state = log.state_at(options.step)
+    if options.object is not None and not any(world.open for world in state.worlds.values()):
+        shown = last_open_step(log, state.step, options.world)
+        if shown != state.step:
+            print_message(f"no world is open after step {state.step}; this is how it was after step {shown}")
+            state = log.state_at(shown)
     if options.object is not None:
         state.body(options.object, options.world)
     elif options.world is not None:

@@ -98,3 +98,13 @@ def test_where_links_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert main(["state", str(path), "4", "--links"]) == 0
     (line,) = [line for line in capsys.readouterr().out.splitlines() if "sink_area_left_upper_drawer_handle " in line]
     assert f"{there[0]:.4f}" in line
+
+
+def test_an_object_is_shown_as_it_was_when_its_world_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    with recorder.record(path), BulletWorld() as world:
+        Object("apple", "apple", "apple.stl", [0, 0, 1], world=world)
+    assert main(["state", str(path), "last", "apple"]) == 0
+    output = capsys.readouterr()
+    assert "1.0000]" in output.out
+    assert "no world is open after step 4; this is how it was after step 2" in output.err
