@@ -126,10 +126,15 @@ class PlanProcess:
         else:
             environment.pop("PYTHONHASHSEED", None)
         reading, writing = os.pipe()
-        with tempfile.TemporaryFile() as errors, os.fdopen(reading, "rb") as results:
+        with (
+            tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
+            tempfile.TemporaryFile() as errors,
+            os.fdopen(reading, "rb") as results,
+        ):
+            request |= {"result": writing, "folder": folder}
             try:
                 process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [sys.executable, "-P", "-m", "replay.retrace.process", json.dumps(request | {"result": writing})],
+                    [sys.executable, "-P", "-m", "replay.retrace.process", json.dumps(request)],
                     cwd=self._folder,
                     env=environment,
                     stdin=subprocess.DEVNULL,

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from pycram import cli
 from recorder.mcap.sink import McapSink
 from recorder.recording import redirected
+from recorder.records import escaped
 from replay.file.record_reader import RecordReader
 from replay.retrace.guide import Guide
 
@@ -32,12 +33,29 @@ if TYPE_CHECKING:
 _STDOUT = 1
 
 
+class _Nowhere:
+    """A sink for what a program records beside the recording in question."""
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Drop a record."""
+
+    def attach(self, asset: AssetFile) -> None:
+        """Drop a file."""
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 class _Fork:
     """A sink that writes a recording of its own, guided by another one to its step."""
 
     def __init__(self, guide: Guide, file: McapSink) -> None:
         self._guide = guide
         self._file = file
+        self.path = file.path  # beside which projections are recorded
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self._file.write(topic, record, payload)
@@ -64,6 +82,7 @@ def main(
     result: int,
     until: int | None,
     file: str | None,
+    folder: str,
 ) -> None:
     """Run a plan again.
 
@@ -76,6 +95,7 @@ def main(
         result: the file descriptor for the result.
         until: the last step that is compared; None for all.
         file: the fork's recording; None to end when all is compared.
+        folder: for the recordings of its projections, where it is only compared.
     """
     recorded = RecordReader(log)
 
@@ -86,14 +106,20 @@ def main(
             os._exit(0)
         os.dup2(sys.stderr.fileno(), _STDOUT)  # what the plan prints from here on is new
 
-    guide = Guide(recorded, report, until)
+    guide = Guide(recorded, report, until, Path(folder) / recorded.path.name)
 
-    def sink_of(run: Run) -> Guide | _Fork | None:
-        if run.by_program != by_program:
+    began = recorded[0]
+    process, guided = os.getpid(), False
+
+    def sink_of(run: Run) -> Guide | _Fork | _Nowhere | None:
+        nonlocal guided
+        if run.by_program != by_program or os.getpid() != process:  # a projection makes a recording of its own
             return None
+        if guided or run.name not in (getattr(began, "name", ""), escaped(Path(plan).stem)):
+            return _Nowhere()
+        guided = True
         if file is None:
             return guide
-        began = recorded[0]
         run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
         run.origin.step = len(recorded) - 1 if until is None else until
         metadata = {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
