@@ -35,7 +35,7 @@ from recorder.recording import record
 from recorder.records import format_error
 from recorder.tracing import forking, journal
 from recorder.tracing.interrupts import Uninterrupted
-from recorder.tracing.span import Cancelled, Span
+from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -189,29 +189,40 @@ def _project_all(
     room = None if memory is None else round(checks.number("memory", memory) * 1e6)
     _refuse_impossible()
     running: dict[int, tuple[_Projection, ExitStack]] = {}
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, tuple[Outcome, _Projection, ExitStack]] = {}  # those that have ended, by candidate
+    told: list[Outcome] = []
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     following, needed = 0, len(actions)
     with ExitStack() as ending:
         while following < needed or running:
             while following < needed and len(running) < cores:
                 tasks = ending.enter_context(ExitStack())
-                running[following] = _Projection(actions[following], names[following], room, tasks), tasks
+                projection = _Projection(
+                    actions[following], names[following], room, tasks, begun=following == len(told)
+                )
+                running[following] = projection, tasks
                 following += 1
             wait([projection.child for projection, _ in running.values()], _time_left(running, limit))
             for number, (projection, tasks) in list(running.items()):
-                outcome = projection.outcome(limit)
+                outcome = projection.outcome(limit) if number < needed else None
                 if outcome is None and number < needed:
                     continue
                 del running[number]
-                with tasks:
-                    projection.end(outcome)  # without one, an earlier candidate is good enough
-                if outcome is None:
+                if outcome is None:  # an earlier candidate is good enough
+                    tasks.close()
                     continue
-                outcomes[number] = outcome
+                outcomes[number] = outcome, projection, tasks
                 if until == "first" and outcome.succeeded:
                     needed = min(needed, number + 1)
-    return [outcomes[number] for number in sorted(outcomes) if number < needed]
+            # On record is one after the other, in their order, whoever ends earlier and however many cores there are.
+            while len(told) in outcomes and len(told) < needed:
+                outcome, projection, tasks = outcomes.pop(len(told))
+                with tasks:
+                    projection.end(outcome)
+                told.append(outcome)
+                if len(told) in running and len(told) < needed:
+                    running[len(told)][0].begin()
+    return told
 
 
 def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float | None) -> float | None:
@@ -243,17 +254,20 @@ _numbers: Final = threading.local()
 class _Projection:
     """One action that is done in a child, as a task of this process."""
 
-    def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack) -> None:
+    def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack, *, begun: bool) -> None:
         self._name = name
         self._memory = memory
         self._world = current()
         self._recording = _path()
         self._began = self._world.sim_step if self._world is not None else 0
         self._task = Span("projection", name, parameters={} if memory is None else {"memory": memory})
+        self._task_began = time.perf_counter_ns()
+        self._begun = False
         tasks.push(self._interrupted)
-        self._task.start()  # not as the current task: several run at once
+        if begun:
+            self.begin()
         with Uninterrupted():  # no child without its end
-            self.child = Child(partial(_answer, action, self._task, self._recording), memory)
+            self.child = Child(partial(_answer, action, self._task, self._recording, self.begin), memory)
             tasks.callback(self.child.kill)
 
     def outcome(self, limit: float | None) -> Outcome | None:
@@ -279,10 +293,17 @@ class _Projection:
     def _died(self, cause: str) -> Outcome:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
-    def end(self, outcome: Outcome | None) -> None:
-        """Record its end; without an outcome, nobody wants to know it any more."""
+    def begin(self) -> None:
+        """Record its beginning, as its turn has come: not as the current task, as several run at once."""
+        if not self._begun:
+            self._begun = True
+            self._task.start(self._task_began)
+
+    def end(self, outcome: Outcome) -> None:
+        """Record its end."""
+        self.begin()
         self._task.result = outcome
-        self._task.finish(None if outcome is not None else Cancelled())
+        self._task.finish()
 
     def _interrupted(
         self, _: type[BaseException] | None, error: BaseException | None, __: TracebackType | None
@@ -314,11 +335,12 @@ def _path() -> Path | None:
 # --- in the child -----------------------------------------------------------------------------------------------------
 
 
-def _answer(action: Action, task: Span, recording: Path | None) -> bytes:
+def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None]) -> bytes:
     """Do the action, and return its outcome."""
     failure: BaseException | None = None
     result: Result = None
     try:
+        begin()  # here it runs, though it may not be its turn yet on the parent's record
         with task.entered(), _recorded(task.name, recording):
             result = run(action)
     except BaseException as error:  # noqa: BLE001  told to the parent

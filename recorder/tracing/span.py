@@ -110,13 +110,16 @@ class Span:
         """Records that it is asked for, where it starts later or in another thread."""
         self._emit_begin(Task.ASKED, Task.CREATED)
 
-    def start(self) -> None:
+    def start(self, began_ns: int = 0) -> None:
         """Records its start.
+
+        Args:
+            began_ns: when it began, by the performance counter, if that was earlier than now.
 
         Raises:
             RecursionError: there would be no room for recording its end; nothing is recorded of it.
         """
-        self._start_ns = time.perf_counter_ns()
+        self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,6 @@ from replay.cli.main import FAILED, FINE
 from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
-    import argparse
     from collections.abc import Iterator
 
     from replay.recording import Recording
@@ -30,6 +30,14 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--at", metavar="STEP", required=True, help=f"the last step that is the same: {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="an edited plan, which does the same up to that step")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
+    add_arguments(parser)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the plan's arguments."""
+    parser.add_argument(
+        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -39,7 +47,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.at)
     target = new_file(log, options.target, "fork")
     print_message(f"the plan runs again up to step {step}; {AGAIN}")
-    return tell(log, fork(log, step, target, plan=options.plan), as_json=options.json)
+    return tell(log, fork(log, step, target, plan=options.plan, arguments=options.arguments), as_json=options.json)
 
 
 def new_file(log: Recording, given: str | None, kind: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
-from replay.cli.fork import AGAIN, new_file, tell
+from replay.cli.fork import AGAIN, add_arguments, new_file, tell
 
 if TYPE_CHECKING:
     import argparse
@@ -18,7 +18,9 @@ EXPECTS_INCOMPLETE = True  # it makes the recording whole
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the new recording."""
     parser.epilog = "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to there."
+    parser.add_argument("--plan", metavar="FILE", help="the plan's file, where it is another one than was recorded")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
+    add_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -27,4 +29,4 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
     target = new_file(log, options.target, "resumed")
     print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}")
-    return tell(log, resume(log, target), as_json=options.json)
+    return tell(log, resume(log, target, plan=options.plan, arguments=options.arguments), as_json=options.json)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from replay.cli import formatting
 from replay.cli.console import print_message, print_result
-from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.cli.main import FAILED, FINE, INCOMPLETE, USAGE
+from replay.errors import ReplayError, Unreadable
 from replay.recording import Recording
 
 if TYPE_CHECKING:
@@ -35,24 +36,38 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     results: list[dict[str, object]] = []
     code = _retrace(log, options, results)
     for name in options.more:
-        with Recording(name) as other:
-            code = max(code, _retrace(other, options, results))
-            if other.problems:
-                print_message(f"{name} is incomplete: {other.problems}")
-                code = max(code, INCOMPLETE)
+        try:
+            with Recording(name) as other:
+                code = max(code, _retrace(other, options, results))
+                if other.problems:
+                    print_message(f"{name} is incomplete: {other.problems}")
+                    code = max(code, INCOMPLETE)
+        except ReplayError as error:
+            code = max(code, _not_run(name, error, results))
     if options.json:
         print_result(lambda: results, (), as_json=True)
     return code
 
 
 def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str, object]]) -> int:
+    from replay.retrace.plan_process import CantRetrace  # noqa: PLC0415  as below
     from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
 
-    result = retrace(log, plan=options.plan, arguments=options.arguments)
+    try:
+        result = retrace(log, plan=options.plan, arguments=options.arguments)
+    except CantRetrace as error:  # the others are to be run
+        return _not_run(str(log.path), error, results)
     results.append({"file": str(log.path), **asdict(result), "plan": str(result.plan), "identical": result.identical})
     if not options.json:
         print_result(dict, _lines(log, result), as_json=False)
     return FINE if result.identical else FAILED
+
+
+def _not_run(name: str, error: ReplayError, results: list[dict[str, object]]) -> int:
+    """Print why a recording wasn't retraced, and return the exit code."""
+    print_message(str(error))
+    results.append({"file": name, "error": str(error)})
+    return INCOMPLETE if isinstance(error, Unreadable) else USAGE
 
 
 def _lines(log: Recording, result: Retracing) -> Iterator[str]:

@@ -8,13 +8,13 @@ are streamed.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Query, Refusal, Run, Task
 from recorder.records.choices import is_choice
-from recorder.records.values import from_json, to_json
 from replay.explain.causing_tasks import causes
 from replay.explain.paired_names import PairedNames
 from replay.explain.run_summary import Summary, summary
@@ -42,7 +42,6 @@ _GIVEN: Final = (
     "by_program", "origin",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
-_PROJECTION: Final = "projection"  # kind of task
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
@@ -224,11 +223,20 @@ def _bare(record: Record) -> Record:
     if isinstance(bare, Run):
         for field in _GIVEN:
             bare.ClearField(field)
-    elif isinstance(bare, Task) and bare.kind == _PROJECTION and bare.result_json:
-        outcome = from_json(bare.result_json)
-        if isinstance(outcome, dict):  # but for where its recording lies
-            bare.result_json = to_json({name: value for name, value in outcome.items() if name != "recording"})
+    if isinstance(bare, Task) and bare.kind == "projection" and bare.result_json:
+        bare.result_json = _without_file(bare.result_json)
     return bare
+
+
+def _without_file(outcome: str) -> str:
+    """Return a projection's outcome without the file of its recording, which is named after the run's."""
+    try:
+        facts = json.loads(outcome)
+    except ValueError:
+        return outcome
+    if not isinstance(facts, dict) or "recording" not in facts:
+        return outcome
+    return json.dumps({name: value for name, value in facts.items() if name != "recording"})
 
 
 def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[str, tuple[Plain, Plain]]]:

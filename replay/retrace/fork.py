@@ -77,10 +77,13 @@ def fork(
         CantRetrace: the plan isn't there, or the recording doesn't tell how it was run; nothing has run.
         NotForked: the plan did something else before that step; there is no new recording.
         Damaged: steps up to that one are lost; nothing has run.
+        ReplayError: there is no folder for the new recording; nothing has run.
     """
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"what led to step {step}", f"step {gap.start} is lost; fork before it")
+    if not file.absolute().parent.is_dir():
+        raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
     process = PlanProcess(log, plan, arguments)
     notes = tuple(process.notes())
     try:
@@ -96,7 +99,9 @@ def fork(
         return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes)
 
 
-def resume(log: RecordReader, file: Path, *, arguments: Sequence[str] | None = None) -> Fork:
+def resume(
+    log: RecordReader, file: Path, *, plan: str | Path | None = None, arguments: Sequence[str] | None = None
+) -> Fork:
     """Have a plan whose process was killed go on where it was: a fork at the last step of its recording.
 
     Raises:
@@ -107,4 +112,4 @@ def resume(log: RecordReader, file: Path, *, arguments: Sequence[str] | None = N
         raise ReplayError(f"{log.path}: this run has come to its end; fork runs it again from a step")
     if log.live:
         raise ReplayError(f"{log.path}: this run still goes on")
-    return fork(log, len(log) - 1, file, arguments=arguments)
+    return fork(log, len(log) - 1, file, plan=plan, arguments=arguments)

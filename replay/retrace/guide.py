@@ -17,6 +17,7 @@ from replay.explain.compare_runs import differing
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from recorder.records import Plain, Record
     from recorder.records.asset import AssetFile
@@ -52,14 +53,21 @@ class Guide:
         report: called once: with the number of equal records, and the first difference if there is one. It need not
             return, where the plan is of no interest any more.
         until: the last step that is compared; by default the recording's last.
+        path: what would be its file, beside which the plan's projections are recorded.
 
     Attributes:
         equal: number of records that were the same so far.
+        path: as given.
     """
 
     def __init__(
-        self, log: RecordReader, report: Callable[[int, Difference | None], None], until: int | None = None
+        self,
+        log: RecordReader,
+        report: Callable[[int, Difference | None], None],
+        until: int | None,
+        path: Path,
     ) -> None:
+        self.path = path
         self._log = log
         self._until = until
         self._recorded = log.records()

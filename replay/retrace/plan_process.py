@@ -128,10 +128,15 @@ class PlanProcess:
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
         command = [sys.executable, "-P", "-m", "replay.retrace.process"]
-        with tempfile.TemporaryFile() as errors, os.fdopen(reading, "rb") as results:
+        with (
+            tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
+            tempfile.TemporaryFile() as errors,
+            os.fdopen(reading, "rb") as results,
+        ):
+            request |= {"result": writing, "output": output, "folder": folder}
             try:
                 process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [*command, json.dumps({**request, "result": writing, "output": output})],
+                    [*command, json.dumps(request)],
                     cwd=self._folder,
                     env=environment,
                     stdin=subprocess.DEVNULL,

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 from pycram import cli
 from recorder.mcap.sink import McapSink
 from recorder.recording import redirected
+from recorder.records import escaped
 from replay.file.record_reader import RecordReader
 from replay.retrace.guide import Guide
 
@@ -30,6 +31,22 @@ if TYPE_CHECKING:
     from replay.retrace.guide import Difference
 
 _STDOUT, _STDERR = 1, 2
+
+
+class _Nowhere:
+    """A sink for what a program records beside the recording in question."""
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:
+        """Drop a record."""
+
+    def attach(self, asset: AssetFile) -> None:
+        """Drop a file."""
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
 
 
 class _Fork:
@@ -70,6 +87,7 @@ def main(
     output: int,
     until: int | None,
     file: str | None,
+    folder: str,
 ) -> None:
     """Run a plan again.
 
@@ -83,6 +101,7 @@ def main(
         output: the file descriptor for what a fork prints.
         until: the last step that is compared; None for all.
         file: the fork's recording; None to end when all is compared.
+        folder: for the recordings of its projections, where it is only compared.
     """
     recorded = RecordReader(log)
 
@@ -96,17 +115,20 @@ def main(
                 stream.flush()
             os.dup2(output, descriptor)  # what the plan prints from here on is new
 
-    guide = Guide(recorded, report, until)
-    guided = False
+    guide = Guide(recorded, report, until, Path(folder) / recorded.path.name)
 
-    def sink_of(run: Run) -> Guide | _Fork | None:
+    began = recorded[0]
+    process, guided = os.getpid(), False
+
+    def sink_of(run: Run) -> Guide | _Fork | _Nowhere | None:
         nonlocal guided
-        if guided or run.by_program != by_program:  # later ones are others: of projections, or of the plan's own
+        if run.by_program != by_program or os.getpid() != process:  # a projection makes a recording of its own
             return None
+        if guided or run.name not in (getattr(began, "name", ""), escaped(Path(plan).stem)):
+            return _Nowhere()
         guided = True
         if file is None:
             return guide
-        began = recorded[0]
         run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
         run.origin.step = len(recorded) - 1 if until is None else until
         metadata = {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
@@ -238,6 +239,24 @@ def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> N
         assert len(began) == 1  # whose part it is
     with replay.open(tmp_path / "plan.projection-3.mcap") as log:
         assert [record.text for record in log.records("output")] == ["in the copy"]
+
+
+def test_on_record_is_one_after_the_other_in_the_candidates_order(cup: Object, sink: MemorySink) -> None:
+    def after(seconds: float, failing: str) -> None:
+        time.sleep(seconds)
+        if failing:
+            raise PlanFailure(failing)
+
+    orders = []
+    for waits in ((0.0, 0.2, 0.2, 0.0), (0.3, 0.0, 0.0, 0.2)):
+        before = len(sink.of(Task))
+        project_all(list(zip((after,) * 4, waits, ("a", "b", "", ""), strict=True)))
+        tasks = sink.of(Task)[before:]
+        orders.append([(each.phase, json.loads(each.result_json or "{}").get("failure")) for each in tasks])
+    assert orders[0] == orders[1]
+    begun, ended = Task.STARTED, Task.FINISHED
+    assert [phase for phase, _ in orders[0]] == [begun, ended] * 3
+    assert [failure for phase, failure in orders[0] if phase == ended] == ["PlanFailure: a", "PlanFailure: b", None]
 
 
 @contextmanager

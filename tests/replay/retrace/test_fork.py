@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,6 +16,7 @@ from replay.errors import ReplayError
 from replay.explain.compare_runs import differing
 from replay.restore.verify import verify
 from replay.retrace.fork import NotForked, fork, resume
+from replay.retrace.retrace import retrace
 from tests.measures import seeded
 from tests.replay.retrace.test_retrace import record, text
 
@@ -98,6 +101,89 @@ def test_what_is_printed_before_the_fork_is_held_back(tmp_path: Path, capfd: pyt
     assert "before\n" not in printed.err
     assert main(["info", str(log.with_suffix(".fork.mcap"))]) == 0
     assert f"forked from {log.name} after step 4" in capfd.readouterr().out
+
+
+PROJECTS = """\
+from pycram.bullet_world import BulletWorld, Object
+from pycram.projection import project, project_all
+world = BulletWorld()
+milk = Object("milk", "milk", "milk.stl", [0, 0, 1])
+def move(x):
+    milk.set_position([x, 0, 1])
+    if not x:
+        raise RuntimeError("not there")
+outcomes = [project(move, 1), *project_all([(move, 0), (move, 2), (move, 3)])]
+assert all(outcome.recording.exists() for outcome in outcomes)
+move(4)
+"""
+
+
+def test_a_plan_that_projects_runs_again_and_its_fork_has_recordings_of_its_own(tmp_path: Path) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text(PROJECTS)
+    log = record(file)
+    files = sorted(tmp_path.glob("*.mcap"))
+    with replay.open(log) as recording:
+        result = retrace(recording)
+        last = len(recording) - 1
+    assert result.identical
+    assert result.equal == result.steps
+    assert sorted(tmp_path.glob("*.mcap")) == files
+    assert forked(log, last, tmp_path / "on.mcap").succeeded
+    assert_same(log, tmp_path / "on.mcap")
+    assert len(list(tmp_path.glob("on.projection-*.mcap"))) >= 3
+
+
+def test_a_program_that_projects_runs_again(tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    inside = "".join(f"    {line}\n" for line in PROJECTS.splitlines())
+    file.write_text(f'import recorder\nwith recorder.record("run.mcap"):\n{inside}')
+    subprocess.run([sys.executable, file], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    log = tmp_path / "run.mcap"
+    assert forked(log, 4, tmp_path / "on.mcap").succeeded
+    assert_same(log, tmp_path / "on.mcap")
+
+
+def test_of_a_program_that_records_twice_the_one_in_question_is_forked(tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    file.write_text(
+        "import recorder\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        'for number, name in enumerate(["first", "second"]):\n'
+        '    with recorder.record(f"{name}.mcap", name=name, overwrite=True):\n'
+        "        with BulletWorld():\n"
+        '            Object("milk", "milk", "milk.stl", [number, 0, 1])\n'
+    )
+    subprocess.run([sys.executable, file], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    (tmp_path / "fork").mkdir()
+    before = {each: each.read_bytes() for each in tmp_path.glob("*.mcap")}
+    for name in ("first", "second"):
+        log = tmp_path / f"{name}.mcap"
+        assert forked(log, 1, tmp_path / "fork" / f"{name}.mcap").succeeded
+        assert_same(log, tmp_path / "fork" / f"{name}.mcap")
+        with replay.open(log) as recording:
+            assert retrace(recording).identical
+    assert {each: each.read_bytes() for each in tmp_path.glob("*.mcap")} == before
+
+
+def test_secret_arguments_can_be_given_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text("import sys\nassert sys.argv[1:] == ['--token', 'abc']\n")
+    log = record(file, "--token", "abc")
+    on = str(tmp_path / "on.mcap")
+    assert main(["fork", str(log), "--at", "0", "-o", on]) == 2
+    assert "give all with --arguments, last" in capsys.readouterr().err
+    assert main(["fork", str(log), "--at", "0", "-o", on, "--arguments", "--token", "abc"]) == 0
+
+
+def test_a_folder_that_is_not_there_is_said_before_it_runs(tmp_path: Path) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text("from pathlib import Path\nPath('ran').touch()\n")
+    log = record(file)
+    (tmp_path / "ran").unlink()
+    with pytest.raises(ReplayError, match="make the folder first"):
+        forked(log, 1, tmp_path / "nowhere" / "on.mcap")
+    assert not (tmp_path / "ran").exists()
 
 
 def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:

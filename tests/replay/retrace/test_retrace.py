@@ -230,3 +230,23 @@ def test_a_plan_that_ends_its_process_is_an_error(tmp_path: Path) -> None:
     file.write_text(file.read_text().replace("BulletWorld()", "os.abort()"))
     with pytest.raises(CantRetrace, match="was killed by signal 6"):
         retraced(log)
+
+
+def test_of_several_recordings_the_others_are_retraced_where_one_cant_be(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    logs = []
+    for name in ("a", "b", "c"):
+        file = tmp_path / f"{name}.py"
+        file.write_text("print('x')\n")
+        logs.append(str(record(file)))
+    (tmp_path / "a.py").unlink()
+    (tmp_path / "b.py").unlink()
+    assert main(["retrace", *logs]) == 2
+    printed = capsys.readouterr()
+    assert printed.out.startswith(f"identical  {logs[2]}")
+    assert printed.err.count("the plan isn't there") == 2
+    assert main(["retrace", *logs, "--json"]) == 2
+    results = json.loads(capsys.readouterr().out)
+    assert [result.get("identical") for result in results] == [None, None, True]
+    assert "the plan isn't there" in results[0]["error"]
