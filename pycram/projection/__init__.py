@@ -23,7 +23,7 @@ from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.foundation.names import export
 from pycram.language.actions import name_of, run
-from pycram.projection.child import Child, wait
+from pycram.projection.child import Child, limit_memory, wait
 from pycram.scheduling.locks import refuse_held
 from pycram.world import saved_state
 from pycram.world.current import current, open_worlds
@@ -182,11 +182,21 @@ def _name(action: object) -> str:
     return name_of(action)
 
 
+def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
+    """Return the checked limits: seconds, and bytes."""
+    seconds = None if timeout is None else checks.number("timeout", timeout)
+    if seconds is not None and seconds <= 0:
+        raise BadArgument("timeout", timeout, "seconds, more than 0")
+    room = None if memory is None else round(checks.number("memory", memory) * 1e6)
+    if room is not None and not 0 < room < _MOST:
+        raise BadArgument("memory", memory, f"megabytes, more than 0 and up to {_MOST / 1e6:g}")
+    return seconds, room
+
+
 def _project_all(
     actions: Sequence[Action], names: Sequence[str], until: str, timeout: float | None, memory: float | None
 ) -> list[Outcome]:
-    limit = None if timeout is None else checks.number("timeout", timeout)
-    room = None if memory is None else round(checks.number("memory", memory) * 1e6)
+    limit, room = _limits(timeout, memory)
     _refuse_impossible()
     running: dict[int, tuple[_Projection, ExitStack]] = {}
     outcomes: dict[int, tuple[Outcome, _Projection, ExitStack]] = {}  # those that have ended, by candidate
@@ -248,6 +258,7 @@ def _refuse_impossible() -> None:
         )
 
 
+_MOST: Final = 10**12  # bytes
 _numbers: Final = threading.local()
 
 
@@ -267,7 +278,7 @@ class _Projection:
         if begun:
             self.begin()
         with Uninterrupted():  # no child without its end
-            self.child = Child(partial(_answer, action, self._task, self._recording, self.begin), memory)
+            self.child = Child(partial(_answer, action, self._task, self._recording, self.begin, memory))
             tasks.callback(self.child.kill)
 
     def outcome(self, limit: float | None) -> Outcome | None:
@@ -279,7 +290,10 @@ class _Projection:
             return self._died(f"took longer than {limit:g} s")
         if not self.child.received:
             return self._died(_end(self.child.status))
-        succeeded, result, failure, steps, state = _Unpickler(BytesIO(self.child.received)).load()
+        try:
+            succeeded, result, failure, steps, state = _Unpickler(BytesIO(self.child.received)).load()
+        except Exception as error:  # noqa: BLE001  of a class that the action has made, say
+            return self._died(f"returned what this process doesn't know: {format_error(error)}")
         if isinstance(failure, MemoryError) and self._memory is not None:
             return self._died(f"needed more than {self._memory / 1e6:g} MB")
         saved = None
@@ -335,13 +349,15 @@ def _path() -> Path | None:
 # --- in the child -----------------------------------------------------------------------------------------------------
 
 
-def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None]) -> bytes:
+def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None], memory: int | None) -> bytes:
     """Do the action, and return its outcome."""
     failure: BaseException | None = None
     result: Result = None
     try:
         begin()  # here it runs, though it may not be its turn yet on the parent's record
         with task.entered(), _recorded(task.name, recording):
+            if memory is not None:  # not before: a thread that can't begin is waited for without end
+                limit_memory(memory)
             result = run(action)
     except BaseException as error:  # noqa: BLE001  told to the parent
         failure = error.with_traceback(None)

@@ -30,7 +30,6 @@ class Child:
 
     Args:
         answer: Called in the child; what it returns is the answer.
-        memory: Bytes that the child may take beside what it starts with; None for no limit.
 
     Attributes:
         received: What it has sent so far.
@@ -38,7 +37,7 @@ class Child:
         status: How, as ``os.waitpid`` tells it.
     """
 
-    def __init__(self, answer: Callable[[], bytes], memory: int | None = None) -> None:
+    def __init__(self, answer: Callable[[], bytes]) -> None:
         self.received = bytearray()
         self.ended = False
         self.status = 0
@@ -53,7 +52,7 @@ class Child:
             raise
         if not self.pid:
             random.setstate(dice)
-            _run(answer, writing, parent, memory)
+            _run(answer, writing, parent)
         os.close(writing)
 
     def fileno(self) -> int:
@@ -85,14 +84,12 @@ def wait(children: Sequence[Child], timeout: float | None) -> None:
         child.read()
 
 
-def _run(answer: Callable[[], bytes], writing: int, parent: int, memory: int | None) -> NoReturn:
+def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
     """Be the child: nothing of the parent's is written to, closed or cleaned up."""
     try:
         _die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
-        if memory is not None:
-            _limit(memory)
         nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
         for descriptor in range(3):  # also what native code and handlers of logging print
             os.dup2(nothing.fileno(), descriptor)
@@ -116,7 +113,8 @@ def _die_with(parent: int) -> None:
         os._exit(_CRASHED)
 
 
-def _limit(memory: int) -> None:
+def limit_memory(memory: int) -> None:
+    """Let this process take no more than some bytes beside what it has: what asks for more gets a MemoryError."""
     import resource  # noqa: PLC0415  only systems that can fork have it
 
     with open("/proc/self/statm", encoding="ascii") as file:  # noqa: PTH123  of this very process

@@ -120,6 +120,33 @@ def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
     assert project(cup.get_position).succeeded
 
 
+def _of_its_own() -> object:
+    global Own  # noqa: PLW0603  only the copy has it
+
+    class Own: ...
+
+    Own.__qualname__ = "Own"
+    return Own()
+
+
+def test_what_only_the_copy_knows_cannot_come_back(cup: Object) -> None:
+    outcome = project(_of_its_own)
+    assert isinstance(outcome.failure, ProjectionDied)
+    assert "returned what this process doesn't know" in str(outcome.failure)
+
+
+@pytest.mark.parametrize("limit", [{"timeout": 0}, {"timeout": -1}, {"memory": 0}, {"memory": -1}, {"memory": 1e30}])
+def test_limits_that_are_none_are_refused(limit: dict[str, float]) -> None:
+    with pytest.raises(BadArgument):
+        project(len, "abc", **limit)
+
+
+def test_a_small_limit_of_memory_ends_a_recorded_copy(cup: Object, tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "run.mcap"):
+        outcome = project(lambda: bytearray(10**8), memory=1)
+    assert isinstance(outcome.failure, ProjectionDied)
+
+
 def test_the_first_that_succeeds_is_the_first_of_the_candidates(cup: Object) -> None:
     def slow() -> str:
         cup.world.simulate(1)

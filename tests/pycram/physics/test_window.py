@@ -61,7 +61,17 @@ def press(down):
     xtest.XTestFakeButtonEvent(screen, 1, down, 0)
     x11.XSync(screen, 0)
 
-with recorder.record(sys.argv[1]), BulletWorld("GUI", name="lab") as world:
+class Latest:
+    dragged = False
+    def write(self, topic, record, payload):
+        if topic == "/mutation": self.dragged = bool(record.drags)
+    def attach(self, asset): pass
+    def flush(self): pass
+    def close(self): pass
+
+latest = Latest()
+with recorder.record(sys.argv[1]) as recording, BulletWorld("GUI", name="lab") as world:
+    recording.journal.add_sink(latest)
     world.set_gravity([0, 0, -9.8])
     Object("floor", "environment", "plane.urdf")
     Object("bowl", "bowl", "bowl.stl", [1, 1, 0.05])
@@ -85,8 +95,9 @@ with recorder.record(sys.argv[1]), BulletWorld("GUI", name="lab") as world:
         world.simulate(1 / 30)
         if milk.get_position()[0] > 0.05: break
     press(False)
-    for _ in range(30):
+    for _ in range(2000):  # until the window has heard of it
         world.simulate(1 / 30)
+        if not latest.dragged: break
     print("dragged to", milk.get_position()[0])
 """
 
