@@ -44,7 +44,7 @@ print("ended")
 
 
 DRAGGING = """
-import ctypes, sys
+import ctypes, itertools, sys, time
 import pybullet
 import recorder
 from pycram.bullet_world import BulletWorld, Object
@@ -78,26 +78,30 @@ with recorder.record(sys.argv[1]) as recording, BulletWorld("GUI", name="lab") a
     milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
     world.settle()
     pybullet.resetDebugVisualizerCamera(0.6, 0, -30, milk.get_position())
+    # The window's thread takes events when it has drawn: however long that takes on a busy machine, waiting ends
+    # with what is waited for, or with an error that names it.
+    def until(happened, what):
+        end = time.monotonic() + 60
+        while not (result := happened()):
+            assert time.monotonic() < end, f"a minute without {what}"
+            world.simulate(1 / 30)
+        return result
     # where the mouse is in the window: its events tell
     def pointer():
-        found = [event for event in pybullet.getMouseEvents() if event[0] == 1]
-        return found[-1][1:3] if found else None
-    for _ in range(500):
-        point(400, 300); point(401, 301); world.simulate(0.01)
-        seen = pointer()
-        if seen: break
+        point(400, 300); point(401, 301)
+        return next((event[1:3] for event in pybullet.getMouseEvents() if event[0] == 1), None)
+    seen = until(pointer, "an event of the mouse")
     width, height = pybullet.getDebugVisualizerCamera()[:2]
     x, y = round(401 + width / 2 - seen[0]), round(301 + height / 2 - seen[1])
     point(x, y)
     press(True)
-    for step in range(400):
-        point(x + min(step, 100), y)
-        world.simulate(1 / 30)
-        if milk.get_position()[0] > 0.05: break
+    steps = itertools.count()
+    def pulled():
+        point(x + min(next(steps), 100), y)
+        return milk.get_position()[0] > 0.05
+    until(pulled, "a milk that follows the mouse")
     press(False)
-    for _ in range(2000):  # until the window has heard of it
-        world.simulate(1 / 30)
-        if not latest.dragged: break
+    until(lambda: not latest.dragged, "the milk let go")
     print("dragged to", milk.get_position()[0])
 """
 
