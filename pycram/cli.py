@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PlanFailure, PycramError
 from pycram.models import robot_urdfs
-from pycram.scheduling.schedule import seed_order
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
-from recorder.packages import NotInstalled, versions
+from recorder.packages import NotInstalled, needed, versions
 from recorder.records import format_error
 from recorder.tracing.interrupts import Terminated
 from recorder.viewer.address import Kind, Target
@@ -220,8 +219,10 @@ def run(
     code = _SUCCEEDED
     error: BaseException | None = None
     seed_random_numbers(seed)
-    seed_order(seed)
     try:
+        with needed():
+            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  --version and --help need no executor
+        seed_order(seed)
         recorded = record(
             file,
             live,

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 #: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
 _EXTRAS: Final = {
+    "greenlet": "executor",
     "pybullet": "executor",
     "pybullet_data": "executor",
     "scipy": "executor",

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 REPO = HERE.parents[1]
 EXTRAS = (
+    "greenlet",
     "pybullet",
     "pybullet_data",
     "trimesh",
