@@ -17,7 +17,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError, BadArgument
-from pycram.models import canonical, converted, covered, mesh, packages as packages_of, robot_urdfs, store
+from pycram.models import (
+    canonical_urdf,
+    conversion_cache,
+    mesh,
+    packages as packages_of,
+    robot_urdfs,
+    store,
+    textured_shapes,
+)
 from pycram.models.files import read_bytes
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
@@ -106,14 +114,14 @@ def load(path: str | Path, color: Sequence[float] | None = None, packages: Seque
         if kind in _MESH_SUFFIXES:
             return _canonical(file, _object_urdf(file, color), file.stem)
     if kind == ".xacro":
-        canonical.read(file, read_bytes(file))
+        canonical_urdf.read(file, read_bytes(file))
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
 
 
 def _object_urdf(file: Path, color: Sequence[float] | None) -> bytes:
     """Return the URDF of an object that is one mesh, and write its meshes into the store."""
     kind = f"object {None if color is None else [float(part) for part in color]}"
-    files = converted.get(kind, file, lambda: [*mesh.as_urdf(file, color, _decompose)], mesh.beside(file))
+    files = conversion_cache.get(kind, file, lambda: [*mesh.as_urdf(file, color, _decompose)], mesh.beside(file))
     *meshes, (_, urdf, _) = files
     for name, content, _ in meshes:
         store.write_mesh(name, content)
@@ -145,7 +153,7 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 @lru_cache(maxsize=_CACHED_MODELS)
 def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Check a URDF's links and return the file names of its meshes, and those of its textures."""
-    root = canonical.read(source, content)
+    root = canonical_urdf.read(source, content)
     meshes, textures = (
         tuple(dict.fromkeys(element.get("filename", "") for element in root.iter(tag))) for tag in ("mesh", "texture")
     )
@@ -163,7 +171,7 @@ class _FileVersion(NamedTuple):
 @lru_cache(maxsize=_CACHED_MODELS)
 def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...]) -> Model:
     """Return the model of a URDF with these versions of its files; most of a world's loading time would be this."""
-    root = canonical.read(source, content)
+    root = canonical_urdf.read(source, content)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
     named = {material.get("name"): material for material in root.findall("material")}
@@ -182,7 +190,7 @@ def _cached_model(source: Path, content: bytes, stem: str, versions: tuple[tuple
     for material in root.iter("material"):
         for texture in material.findall("texture"):
             material.remove(texture)  # it is in the shapes' colours
-    text, tree = canonical.write(source, root)
+    text, tree = canonical_urdf.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text, root)
     return Model(path, tree, (asset, *used.values()))
 
@@ -239,7 +247,7 @@ class _Painted(NamedTuple):
 def _collision_mesh(version: _FileVersion) -> AssetFile:
     """Write a mesh into the store as the engine reads it; checked once per version of the file."""
     file = version.file
-    ((name, content, _),) = converted.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
+    ((name, content, _),) = conversion_cache.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
     return store.write_mesh(name, content)
 
 
@@ -248,12 +256,12 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
     """Write what is seen of a mesh into the store, by colour; checked once per version of the files."""
     file, cover = version.file, None if picture is None else read_bytes(picture.file)
     kind = "visual" if cover is None else f"visual {sha256(cover).hexdigest()}"
-    parts = converted.get(kind, file, lambda: mesh.convert_visual(file, cover))
+    parts = conversion_cache.get(kind, file, lambda: mesh.convert_visual(file, cover))
     return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)
 
 
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
     """Write what is seen of a shape with a texture into the store, by colour."""
-    parts = covered.cover(kind, size, picture.file)
+    parts = textured_shapes.cover(kind, size, picture.file)
     return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)

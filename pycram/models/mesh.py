@@ -251,8 +251,8 @@ def as_urdf(
 ) -> Iterator[tuple[str, bytes, None]]:
     """Yield the files of a URDF of one link: a mesh with convex collision shape, mass, centre of mass and inertia.
 
-    Each has a name, a content and no colour, for :mod:`pycram.models.converted`. The URDF is the last, and names the
-    others by their keys.
+    Each has a name, a content and no colour, for :mod:`pycram.models.conversion_cache`. The URDF is the last, and names
+    the others by their keys.
 
     Args:
         file: The mesh.

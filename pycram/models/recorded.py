@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError
-from pycram.models import canonical, mesh, store
+from pycram.models import canonical_urdf, mesh, store
 from pycram.models.files import parse_urdf
 from pycram.models.load import Model
 from recorder.records.asset import AssetFile
@@ -72,13 +72,13 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
         raise AssetError(key, "is no URDF as recordings have them: these begin with <robot")
     if max(map(len, content.splitlines())) > _MAX_LINE:
         raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
-    canonical.read(path, content)
+    canonical_urdf.read(path, content)
     for element in ET.fromstring(content).iter():  # noqa: S314  without entities; also what isn't URDF: engines read more
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
             raise AssetError(key, f"names the file {named!r}, which isn't one of the recording's for this body")
     tree = parse_urdf(content, key)
-    canonical.check_size(path, tree)
+    canonical_urdf.check_size(path, tree)
     return tree
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from itertools import takewhile
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Keyframe, argument_values
-from replay.cli import formatting, record_text
+from replay.cli import call_stacks, formatting, record_text
 from replay.cli.console import print_result
 from replay.explain.blame import commanded
 from replay.explain.step_names import HINT
@@ -16,16 +14,15 @@ from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator
 
     from recorder.geometry import Pose
+    from replay.cli.call_stacks import CallStack
     from replay.explain.blame import Blame, Carried
     from replay.explain.causing_tasks import Causes
-    from replay.explain.plan_source import Line
     from replay.recording import Recording
 
 
-_CallStack: TypeAlias = "tuple[Line, ...]"  # outermost first
 _MIN_TURN: Final = math.radians(0.05)  # smaller ones are not mentioned
 
 
@@ -83,21 +80,10 @@ def _causes(causes: Causes) -> dict[str, object]:
                 "step": task.started.seq,
                 "cause": task.started.cause,
             }
-            | call_stack_facts(task.call_stack)
+            | call_stacks.facts(task.call_stack)
             for task in causes.tasks
         ],
-    } | call_stack_facts(causes.call_stack)
-
-
-def call_stack_facts(stack: Sequence[Line]) -> dict[str, object]:
-    """Return the plan's lines that led to something as JSON data."""
-    lines = [line_facts(line) for line in stack]
-    return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
-
-
-def line_facts(line: Line) -> dict[str, object]:
-    """Return a line of the plan as JSON data."""
-    return {"file": line.file, "line": line.number, "function": line.function, "text": line.text}
+    } | call_stacks.facts(causes.call_stack)
 
 
 def lines(change: Blame) -> Iterator[str]:
@@ -105,7 +91,7 @@ def lines(change: Blame) -> Iterator[str]:
     yield from _lines(change, [], is_earlier=False)
 
 
-def _lines(change: Blame, printed: list[_CallStack], *, is_earlier: bool) -> Iterator[str]:
+def _lines(change: Blame, printed: list[CallStack], *, is_earlier: bool) -> Iterator[str]:
     yield _headline(change)
     yield f"  step {change.record.seq}: {record_text.line(change.record)}"
     yield from _because(change.causes, "  ", printed)
@@ -157,7 +143,7 @@ def _size(change: Blame) -> str:
     return f"by {formatting.length(change.distance)}" + (f", {turned}," if change.angle >= _MIN_TURN else "")
 
 
-def _because(causes: Causes, indent: str, printed: list[_CallStack]) -> Iterator[str]:
+def _because(causes: Causes, indent: str, printed: list[CallStack]) -> Iterator[str]:
     for started in (task.started for task in causes.tasks):
         called = formatting.task(started.kind, started.name, argument_values(started.parameters))
         by = "by" if started.kind == "handler" else "in"
@@ -165,23 +151,10 @@ def _because(causes: Causes, indent: str, printed: list[_CallStack]) -> Iterator
         yield f"{indent}{by} {called}{event}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"
-    yield from (f"{indent}{line}" for line in _call_stack(causes.call_stack, printed))
+    yield from (f"{indent}{line}" for line in call_stacks.lines(causes.call_stack, printed))
 
 
-def _call_stack(stack: _CallStack, printed: list[_CallStack]) -> Iterator[str]:
-    """Yield the lines of a call stack, innermost first, down to those that were printed with another one."""
-    common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
-    shared = max((len(list(pairs)) for pairs in common), default=0)
-    printed.append(stack)
-    word = "from"
-    for line in reversed(stack[shared:] if shared > 1 else stack):
-        yield f"{word} {formatting.location(line)}"
-        word = "called from"
-    if shared > 1:
-        yield f"{word} {formatting.location(replace(stack[shared - 1], text=''))}, as above"
-
-
-def _held(carried: Carried, printed: list[_CallStack]) -> Iterator[str]:
+def _held(carried: Carried, printed: list[CallStack]) -> Iterator[str]:
     held = carried.held
     if carried.step is None or carried.causes is None:
         yield f"  {formatting.carrier(held)} held {held.body} already when the recording began"

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from recorder.records import Query, Refusal, Task
 from recorder.tasks import Node
-from replay.cli import diff, why_causes
-from replay.cli.blame import call_stack_facts, line_facts
+from replay.cli import call_stacks, diff, why_causes
 from replay.explain.plan_source import Line
 from replay.state.json_data import message_data, record_data
 
@@ -28,13 +27,17 @@ def facts(why: Why) -> dict[str, object]:
         "step": why.step,
         "failure": why.failure and {"type": why.failure.type, "message": why.failure.message},
         "raised": [
-            {"type": error.type, "message": error.message, "lines": [line_facts(line) for line in error.lines]}
+            {
+                "type": error.type,
+                "message": error.message,
+                "lines": [call_stacks.line_facts(line) for line in error.lines],
+            }
             for error in why.exceptions
         ],
         "causes": [_cause_facts(cause) for cause in why.causes],
         "task": why.task and _task_facts(why.task),
         "around": [_task_facts(task) for task in why.task.around()] if why.task else [],
-        **call_stack_facts(why.call_stack),
+        **call_stacks.facts(why.call_stack),
         "variables": [
             {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
         ],
@@ -43,7 +46,7 @@ def facts(why: Why) -> dict[str, object]:
         "branches": [
             {
                 "task": _task_facts(branch.task),
-                "line": branch.line and line_facts(branch.line),
+                "line": branch.line and call_stacks.line_facts(branch.line),
                 "things": [_thing(involved) for involved in branch.bodies],
                 "causes": [_cause_facts(cause) for cause in branch.causes],
             }
@@ -98,7 +101,7 @@ def _plain(value: object) -> object:
     if isinstance(value, Node):
         return _task_facts(value)
     if isinstance(value, Line):
-        return line_facts(value)
+        return call_stacks.line_facts(value)
     if isinstance(value, Task | Query | Refusal):
         return record_data(value)
     if is_dataclass(value) and not isinstance(value, type):

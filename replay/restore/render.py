@@ -35,7 +35,7 @@ with needed("render"):
     from pycram.models.visual import shapes_of
     from pycram.vision.camera import Camera, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
-    from replay.restore.viewpoint import SIDES, Part, Subject, View, free_view, viewpoints
+    from replay.restore.viewpoint import SIDES, Part, Subject, View, bounds, free_view, viewpoints
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # horizontal, of cameras without one
 _NEAR, _FAR = 0.02, 30.0  # m
@@ -128,7 +128,7 @@ class Scene:
         if camera is not None:
             return self._draw(View(self._robot_camera(camera, size)), size)
         subject, point = self._subject(target)
-        low, high = self._bounds(subject)
+        low, high = bounds(self._parts, subject)
         aim = _vector((low + high) / 2) if point is None else point
         if eye is not None and not isinstance(eye, str):
             viewpoint = _point("eye", eye)
@@ -211,13 +211,6 @@ class Scene:
         if own is None or own.frame != frame:
             return _pinhole(self._robot.frames[frame], _FIELD_OF_VIEW, size)
         return _pinhole(own.pose(self._robot.frames[frame]), own.horizontal_fov, size, max(own.near, _NEAR), own.far)
-
-    def _bounds(self, subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return lowest and highest corner of what has to be seen."""
-        corners = [self._parts[number].corners for group in subject.groups for number in group]
-        if not corners:  # of what has no shape
-            return np.zeros(3), np.ones(3)
-        return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:

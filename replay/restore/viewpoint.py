@@ -117,6 +117,14 @@ def _draw(
     return replace(drawn, bodies=np.append(np.array(numbers, dtype=np.int64), -1)[drawn.bodies])
 
 
+def bounds(parts: Sequence[Part], subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return lowest and highest corner of what has to be seen, in m."""
+    corners = [parts[number].corners for group in subject.groups for number in group]
+    if not corners:  # of what has no shape
+        return np.zeros(3), np.ones(3)
+    return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+
+
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
     """Yield points in the world to look at another one from, the usual ones first.
 

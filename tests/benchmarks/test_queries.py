@@ -20,7 +20,7 @@ import pytest
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.models import rigid_parts, visual
-from pycram.models.convex import solids_of
+from pycram.models.convex_pieces import solids_of
 from pycram.physics.engine import bullet
 from pycram.reasoning.collision import boxes, simulation_clone
 from pycram.vision.camera import FAR, NEAR

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pycram.models.convex import solids_of
+from pycram.models.convex_pieces import solids_of
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.grasping.sides import GRASPS, heading

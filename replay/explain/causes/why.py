@@ -15,7 +15,7 @@ from recorder.records.choices import is_choice
 from replay.errors import NoSuchStep
 from replay.explain.causes.case import Case
 from replay.explain.causes.find import find
-from replay.explain.causes.scene import bodies, branches
+from replay.explain.causes.involved_bodies import bodies, branches
 from replay.explain.causes.why_data import Attempt, ChangesSince, RelevantQuery, Why
 from replay.explain.failures import failed_threads, failures
 from replay.explain.plan_source import Source

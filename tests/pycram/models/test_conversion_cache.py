@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from PIL import Image
 
-from pycram.models import converted, load, parts
+from pycram.models import conversion_cache, load, parts
 
 REPO = Path(__file__).parents[3]
 URDF = """<robot name="ball"><link name="ball">
@@ -54,7 +54,7 @@ def paint(folder: Path, color: tuple[int, int, int]) -> None:
 
 def pieces(ball: Path) -> list[tuple[str, bytes, list[float] | None]]:
     mesh = ball.with_suffix(".obj")
-    made = converted.get("visual", mesh, lambda: load.mesh.convert_visual(mesh))
+    made = conversion_cache.get("visual", mesh, lambda: load.mesh.convert_visual(mesh))
     return [(name, content, None if rgba is None else list(rgba)) for name, content, rgba in made]
 
 
@@ -145,7 +145,7 @@ def test_a_damaged_entry_is_replaced(cache: Path, ball: Path) -> None:
 def test_the_oldest_go_when_there_are_too_many(cache: Path, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pieces(ball)
     (oldest,) = cache.iterdir()
-    monkeypatch.setattr(converted, "_LARGEST", int(1.5 * oldest.stat().st_size))
+    monkeypatch.setattr(conversion_cache, "_LARGEST", int(1.5 * oldest.stat().st_size))
     paint(ball.parent, (0, 0, 255))
     pieces(ball)
     (left,) = cache.iterdir()
@@ -170,7 +170,7 @@ def test_a_folder_that_others_can_write_into_is_not_believed(
     made = pieces(ball)
     (entry,) = cache.iterdir()
     name, content, rgba = made[0]
-    converted._write(entry, [(name, content[:-1] + b"x", rgba)])
+    conversion_cache._write(entry, [(name, content[:-1] + b"x", rgba)])
     assert pieces(ball) != made, "in the user's own folder nobody plants anything"
     if whose == "everybody's":
         cache.chmod(0o777)
