@@ -7,13 +7,14 @@ import sys
 import threading
 import time
 import weakref
+from collections import Counter
 from collections.abc import Iterable
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder import provenance
 from recorder.errors import RecordingError
@@ -104,6 +105,7 @@ def record(
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed)
     began.by_program = program is not None and _is_program(program)
+    began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None
     file = Path(path) if overwrite or sink is not None else free_path(Path(path))
@@ -147,6 +149,8 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
+#: How many recordings of a name this process has begun.
+_numbers: Final[Counter[str]] = Counter()
 #: Gives recordings another sink than a file; see :func:`redirected`.
 _redirect: Callable[[Run], Sink | None] | None = None
 

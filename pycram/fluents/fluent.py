@@ -179,6 +179,9 @@ class Fluent:
     def wait_for(self, timeout: float | None = None) -> bool:
         """Wait until its value is not None; of one made by :meth:`pulsed`, until there is a pulse to handle.
 
+        False, 0 and the like are values: ``Fluent(False).wait_for()`` returns at once. To wait for what is true, begin
+        with None, or wait for ``fluent == True``.
+
         Args:
             timeout: In seconds; None for no limit.
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-__all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectionDied", "project", "project_all"]
+__all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "ProjectionDied", "project", "project_all"]
 
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
@@ -97,11 +97,13 @@ class Outcome:
     Attributes:
         action: Its name.
         succeeded: Whether it would succeed.
-        result: What it would return, objects being those of this process; its text, if it can't leave its process.
-        failure: What it would raise; a ProjectionDied if it crashed, took too long or needed too much memory.
+        result: What it would return, objects being those of this process; None if it can't leave its process.
+        failure: What it would raise; a ProjectionDied if it crashed, took too long or needed too much memory; a
+            ProjectedError if it can't leave its process.
         duration: Simulated time that it would take in the current world, in s.
         state: The current world's state at its end, for ``world.restore(outcome.state)``; None if there is none.
         recording: The file with all that it did; None if nothing is recorded.
+        unsent: Text of a result that can't leave its process, as it can't be pickled; else "".
     """
 
     action: str
@@ -111,6 +113,7 @@ class Outcome:
     duration: float = 0.0
     state: SavedState | None = None
     recording: Path | None = None
+    unsent: str = ""
 
     def __bool__(self) -> bool:
         return self.succeeded
@@ -123,7 +126,7 @@ class Outcome:
             "failure": None if self.failure is None else format_error(self.failure),
             "duration": self.duration,
             "recording": None if self.recording is None else str(self.recording),
-        }
+        } | ({"unsent": self.unsent} if self.unsent else {})
 
 
 def project(
@@ -291,7 +294,7 @@ class _Projection:
         if not self.child.received:
             return self._died(_end(self.child.status))
         try:
-            succeeded, result, failure, steps, state = _Unpickler(BytesIO(self.child.received)).load()
+            succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(self.child.received)).load()
         except Exception as error:  # noqa: BLE001  of a class that the action has made, say
             return self._died(f"returned what this process doesn't know: {format_error(error)}")
         if isinstance(failure, MemoryError) and self._memory is not None:
@@ -302,7 +305,7 @@ class _Projection:
             names = {body.body for body in command.bodies}
             saved = SavedState(self._world, tuple(o for o in self._world.objects if o.name in names), command)
         duration = (steps - self._began) / records.STEPS_PER_SECOND
-        return Outcome(self._name, succeeded, result, failure, duration, saved, self._recording)
+        return Outcome(self._name, succeeded, result, failure, duration, saved, self._recording, unsent)
 
     def _died(self, cause: str) -> Outcome:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
@@ -364,17 +367,19 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     world = current()
     steps = world.sim_step if world is not None else 0
     state = saved_state.save(world).command.SerializeToString() if world is not None else b""
-    rest = steps, state
-    succeeded = failure is None
-    for answer in (
-        (succeeded, result, failure, *rest),
-        (succeeded, repr(result), None if failure is None else ProjectedError(format_error(failure)), *rest),
-    ):
-        try:
-            return _pickled(answer)
-        except Exception:  # noqa: BLE001, S112  of a user's own types: then as text
-            continue
-    return b""
+    try:
+        return _pickled((failure is None, result, failure, steps, state, ""))
+    except Exception:  # noqa: BLE001  of a user's own types: then as text
+        if failure is None:
+            return _pickled((True, None, None, steps, state, _text(result)))
+        return _pickled((False, None, ProjectedError(format_error(failure)), steps, state, ""))
+
+
+def _text(result: Result) -> str:
+    try:
+        return repr(result)
+    except Exception as error:  # noqa: BLE001  as above
+        return f"<{type(result).__name__}, without a text: {format_error(error)}>"
 
 
 def _recorded(name: str, recording: Path | None) -> AbstractContextManager[object]:

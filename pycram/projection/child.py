@@ -10,6 +10,7 @@ import select
 import signal
 import sys
 import time
+from functools import partial
 from typing import TYPE_CHECKING, Final, NoReturn
 
 from pycram.language.nesting import nothing_open
@@ -94,6 +95,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         for descriptor in range(3):  # also what native code and handlers of logging print
             os.dup2(nothing.fileno(), descriptor)
         sys.stdin = sys.stdout = sys.stderr = nothing
+        os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
         begin_alone()
         nothing_open()
         forget_claims()
@@ -103,6 +105,13 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
     except BaseException:  # noqa: BLE001  the answer tells errors of the action; this is the child's own
         os._exit(_CRASHED)
     os._exit(0)
+
+
+def _leave(writing: int, parent: int) -> None:
+    """Be a process that a child's action has forked: it has no part in the answer, and ends with the child."""
+    if os.getppid() == parent:  # its own children inherit what it has
+        os.close(writing)
+        _die_with(parent)
 
 
 def _die_with(parent: int) -> None:

@@ -9,6 +9,7 @@ are streamed.
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -39,8 +40,10 @@ _INCIDENTAL: Final = (
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program",
-    "by_program", "origin",
+    "by_program", "number", "origin",
 )  # fmt: skip
+#: In the text of a Python object that has none of its own; another one in each process.
+_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 _REQUESTS: Final = ("reference", "next_solution")
 
 _Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the number of the record among the task's
@@ -246,5 +249,8 @@ def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[s
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         for at, pair in enumerate(zip(a, b, strict=True)):
             yield from _leaves(*pair, f"{name}[{at}]", tolerance)
+    elif isinstance(a, str) and isinstance(b, str):
+        if a != b and _ADDRESS.sub("", a) != _ADDRESS.sub("", b):
+            yield name, (a, b)
     elif a != b and not (isinstance(a, int | float) and isinstance(b, int | float) and abs(a - b) <= tolerance):
         yield name, (a, b)

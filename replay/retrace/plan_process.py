@@ -127,7 +127,7 @@ class PlanProcess:
             environment.pop("PYTHONHASHSEED", None)
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
-        command = [sys.executable, "-P", "-m", "replay.retrace.process"]
+        command = [sys.executable, "-P", "-m", "replay.retrace"]
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,

@@ -1,4 +1,4 @@
-"""The process in which a plan runs again: ``python -P -m replay.retrace.process JSON``, from :mod:`.plan_process`.
+"""The process in which a plan runs again: ``python -P -m replay.retrace JSON``, from :mod:`.plan_process`.
 
 Its result is one line of JSON on the file descriptor that it is given: stdout and stderr are the plan's. When it is
 only to compare, it ends there, wherever the plan is then. A fork goes on, into a recording of its own.
@@ -124,7 +124,7 @@ def main(
         nonlocal guided
         if run.by_program != by_program or os.getpid() != process:  # a projection makes a recording of its own
             return None
-        if guided or run.name not in (getattr(began, "name", ""), escaped(Path(plan).stem)):
+        if guided or not _is_meant(run, began, plan):
             return _Nowhere()
         guided = True
         if file is None:
@@ -145,5 +145,7 @@ def main(
     guide.close()
 
 
-if __name__ == "__main__":
-    main(**json.loads(sys.argv[1]))
+def _is_meant(run: Run, began: Record, plan: str) -> bool:
+    """Whether a recording that a plan begins is the one that was made before, by their first records."""
+    named = run.name in (getattr(began, "name", ""), escaped(Path(plan).stem))
+    return named and run.number == (getattr(began, "number", 0) or 1)  # an older release's: the first

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,16 +24,17 @@ from pycram.failures import BadArgument, PlanFailure, Unreachable
 from pycram.language import in_thread, par, timeout, try_in_order
 from pycram.motions.resources import Resources
 from pycram.process_module import ProcessModule
-from pycram.projection import NotProjectable, Outcome, ProjectionDied, project, project_all
+from pycram.projection import NotProjectable, Outcome, ProjectedError, ProjectionDied, project, project_all
 from pycram.scheduling.locks import LockHeld
 from pycram.scheduling.schedule import seed_order
 from pycram.world.snapshot import take_snapshot
 from recorder.records import Mutation, Task
 from replay.restore.verify import verify
+from tests.measures import seeded
 from tests.pycram.language.gates import Gate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from tests.conftest import MemorySink
 
@@ -101,8 +102,31 @@ def test_a_failure_comes_back_with_its_data(cup: Object) -> None:
     def raises() -> None:
         raise Unknown("why not")
 
-    assert "why not" in str(project(raises).failure)
-    assert project(lambda: (i for i in ()), timeout=60).result.startswith("<generator")
+    outcome = project(raises)
+    assert isinstance(outcome.failure, ProjectedError)
+    assert outcome.failure.error == "Unknown: why not"
+    assert outcome.result is None
+
+
+class Silent:
+    """Has no text, and can't leave its process."""
+
+    def __repr__(self) -> str:
+        raise ValueError("ask me not")
+
+    def __reduce__(self) -> str:
+        raise ValueError("nor this")
+
+
+def test_a_result_that_cannot_leave_the_copy_is_told_as_text(cup: Object, sink: MemorySink) -> None:
+    outcome = project(lambda: (i for i in ()))
+    assert outcome.succeeded
+    assert outcome.result is None
+    assert outcome.unsent.startswith("<generator")
+    assert project(Silent).unsent == "<Silent, without a text: ValueError: ask me not>"
+    assert project(str, None).unsent == ""
+    told = [json.loads(task.result_json) for task in sink.of(Task) if task.result_json]
+    assert [each.get("unsent", "")[:10] for each in told] == ["<generator", "<Silent, w", ""]
 
 
 def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
@@ -118,6 +142,30 @@ def test_what_ends_the_copy_is_an_outcome(cup: Object) -> None:
         assert not outcome.succeeded
     assert isinstance(project(sys.exit, 0).failure, SystemExit)
     assert project(cup.get_position).succeeded
+
+
+def test_a_process_that_an_action_forks_ends_with_the_copy_and_keeps_nobody_waiting(
+    cup: Object, tmp_path: Path
+) -> None:
+    file = tmp_path / "pid"
+
+    def forks() -> str:
+        child = os.fork()
+        if not child:
+            time.sleep(600)
+        file.write_text(str(child))
+        return "done"
+
+    assert project(forks).result == "done"
+    ended(int(file.read_text()))
+    assert project(os.fork).result > 0  # and the one that would answer, too, has no say
+
+
+def ended(process: int) -> None:
+    """Waits until a process has ended that isn't a child of this one."""
+    folder, deadline = Path("/proc") / str(process), time.monotonic() + 60
+    while folder.exists() and "zombie" not in (folder / "status").read_text():
+        assert time.monotonic() < deadline, "it outlives its parent"
 
 
 def _of_its_own() -> object:
@@ -226,25 +274,6 @@ def test_what_other_branches_claim_is_free_in_the_copy(world: BulletWorld) -> No
     assert s.branches[0].result()
 
 
-@pytest.mark.slow
-def test_an_imagined_pick_up_ends_as_the_real_one(scene: BulletWorld) -> None:
-    milk = scene.get_object("milk")
-    for arm in ("left", "right"):
-        saved = scene.save()
-        pick_up = MotionDesignator([("type", "pick-up"), ("object", milk), ("arm", arm)])
-        outcome = project(ProcessModule.perform, pick_up)
-        assert not milk.attachments
-        raised: PlanFailure | None = None
-        try:
-            ProcessModule.perform(pick_up)
-        except PlanFailure as failure:
-            raised = failure
-        assert str(outcome.failure) == str(raised)
-        assert outcome.state is not None
-        assert outcome.state.command == scene.save().command
-        scene.restore(saved)
-
-
 def test_the_outcome_and_the_copy_s_recording_are_on_record(tmp_path: Path) -> None:
     with recorder.record(tmp_path / "plan.mcap", output=True), BulletWorld() as world:
         cup = Object("cup", "cup", "cup.stl", [0, 0, 0.3], world=world)
@@ -320,30 +349,59 @@ def test_what_can_not_be_projected_is_said_before(world: BulletWorld, monkeypatc
 
 
 DYING = """
-import os, sys, time
-from pycram.bullet_world import BulletWorld
-from pycram.projection import project
-def imagined():
-    with open(sys.argv[1], "w") as file:
-        file.write(str(os.getpid()))
-    time.sleep(600)
+import os, random, sys, time
+from pycram.bullet_world import BulletWorld, Object
+from pycram.projection import project, project_all
+def imagined(depth):
+    while True:
+        if depth:
+            project_all([(imagined, depth - 1)] * 2)
+        milk.set_position([0, 0, random.random()])
 with BulletWorld():
-    project(imagined)
+    milk = Object("milk", "milk", "milk.stl")
+    print("began", flush=True)
+    while True:
+        project(milk.set_position, [1, 1, 1])
+        print("once", flush=True)
+        if random.Random(int(sys.argv[1])).random() < 0.5:
+            project_all([(imagined, 1), (imagined, 0)])
 """
 
 
+def members(session: int) -> list[int]:
+    """The processes of a session that haven't ended."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, _, of = file.read_text().rpartition(")")[2].split()[:4]
+            if int(of) == session and state not in "ZX":
+                found.append(int(file.parent.name))
+    return found
+
+
+@seeded("parents killed while they imagine", range(50), 3)
+def test_no_copy_outlives_a_parent_that_is_killed(seeds: range, record_property: Callable[[str, object], None]) -> None:
+    most = 0
+    for seed in seeds:
+        dice = random.Random(seed)
+        command = [sys.executable, "-c", DYING, str(seed)]
+        with subprocess.Popen(command, cwd=REPO, stdout=subprocess.PIPE, start_new_session=True) as parent:
+            assert parent.stdout is not None
+            assert parent.stdout.readline() == b"began\n"
+            assert parent.stdout.readline() == b"once\n"
+            moment = time.monotonic() + dice.uniform(0, 0.3)
+            while time.monotonic() < moment:
+                most = max(most, len(members(parent.pid)))
+            parent.kill()
+            parent.wait()
+            deadline = time.monotonic() + 60
+            while left := members(parent.pid):
+                assert time.monotonic() < deadline, f"{len(left)} copies outlive their parent"
+    record_property("processes at once", most)
+
+
 @pytest.mark.slow
-def test_a_copy_dies_with_its_parent_and_leaves_its_models(tmp_path: Path) -> None:
-    file = tmp_path / "pid"
-    parent = subprocess.Popen([sys.executable, "-c", DYING, str(file)], cwd=REPO)
-    while not (file.is_file() and file.read_text()):
-        assert parent.poll() is None
-        time.sleep(0.01)  # until the copy has come so far
-    parent.kill()
-    parent.wait()
-    child, deadline = Path("/proc") / file.read_text(), time.monotonic() + 60
-    while child.exists() and "zombie" not in (child / "status").read_text():
-        assert time.monotonic() < deadline, "it outlives its parent"
+def test_a_copy_that_ends_leaves_its_parent_s_models() -> None:
     code = (
         "import os, sys; from pycram.bullet_world import *; from pycram.models import store\n"
         "w = BulletWorld(); Object('cup', 'cup', 'cup.stl')\n"

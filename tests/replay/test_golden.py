@@ -1,8 +1,8 @@
 """Recordings of every release stay readable: what each must give, whatever is added to the definition later.
 
 ``golden/VERSION.mcap`` was made by that release with ``pycram run tests/replay/golden/plan.py``,
-``golden/demos/VERSION-DEMO.mcap`` with the demo, ``golden/reasons/VERSION.mcap`` with the plan beside it. A new release
-adds its own files; none is ever replaced.
+``golden/demos/VERSION-DEMO.mcap`` with the demo, ``golden/reasons/VERSION.mcap`` and ``golden/forks/VERSION.mcap`` as the
+plans beside them say. A new release adds its own files; none is ever replaced.
 ``golden/demos/why.json`` has the explanations of the demos: steps, causes and types, but no wording.
 """
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 GOLDEN = sorted((Path(__file__).parent / "golden").glob("*.mcap"))
 README = Path(__file__).parents[2] / "README.md"
 REASONS = sorted((Path(__file__).parent / "golden" / "reasons").glob("*.mcap"))
+FORKS = sorted((Path(__file__).parent / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
 DEMOS = sorted((Path(__file__).parent / "golden" / "demos").glob("*.mcap"))
 EXPLANATIONS = json.loads((Path(__file__).parent / "golden" / "demos" / "why.json").read_text())
 COMMANDS = [
@@ -55,7 +56,8 @@ def log(request: pytest.FixtureRequest) -> Iterator[Recording]:
 def test_golden_recordings_are_small() -> None:
     assert GOLDEN
     assert REASONS
-    assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS))
+    assert FORKS
+    assert all(file.stat().st_size < 100_000 for file in (*GOLDEN, *REASONS, *FORKS))
 
 
 def test_golden_recording_is_complete(log: Recording) -> None:
@@ -149,6 +151,36 @@ def test_recorded_reasons_stay_readable_and_explain_the_failure(file: Path, caps
         assert any(values.get("designator") for values in why.variables.values())
         assert verify(log).sound
     for verb in ("log", "tree", "why", "blame cereal"):
+        name, *rest = verb.split()
+        assert main([name, str(file), *rest]) == 0
+        assert not capsys.readouterr().err
+
+
+@pytest.mark.parametrize("file", FORKS, ids=lambda file: file.stem)
+def test_forks_stay_readable_with_what_they_imagined_and_restored(
+    file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with replay.open(file) as log:
+        start = log[0]
+        assert isinstance(start, Run)
+        assert (start.origin.recording, start.origin.step, start.number) == ("run.mcap", 16, 1)
+        assert start.origin.wall_time_ns
+        ended = [task for task in log.records(Task) if task.phase == Task.FINISHED]
+        assert [task.kind for task in ended if task.checkpoint] == ["wait", "in-thread", "timeout"]
+        outcomes = [json.loads(task.result_json) for task in ended if task.kind == "projection"]
+        assert [outcome["failure"] for outcome in outcomes] == [None, "PlanFailure: milk isn't to stand at -1", None]
+        assert [outcome["duration"] for outcome in outcomes] == [0.05] * 3
+        restored = [record for record in log.records(Mutation) if record.HasField("restore")]
+        assert [(record.restore.sim_step, len(record.restore.attachments)) for record in restored] == [(12, 1), (0, 1)]
+        at = log.state_at(restored[0].seq).world("table").body("milk").position
+        assert list(at) == outcomes[0]["result"]
+        assert log.state_at(restored[1].seq).world("table").body("cereal").position == pytest.approx((1, 0, 0.13))
+        assert log.blame("milk", restored[0].seq).how == "restored"
+        assert verify(log).sound
+    with replay.open(file.with_suffix(".projection-1.mcap")) as imagined:
+        assert next(task for task in imagined.records(Task)).began_ns
+        assert list(imagined.state_at("last").world("table").body("milk").position) == outcomes[0]["result"]
+    for verb in ("info", "log", "tree", "state last", "blame milk", "diff 16 last"):
         name, *rest = verb.split()
         assert main([name, str(file), *rest]) == 0
         assert not capsys.readouterr().err

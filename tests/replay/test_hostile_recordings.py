@@ -24,7 +24,7 @@ import replay.restore.render
 import replay.restore.verify
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import BodyState, Mutation, Picture, Query, Run, Task
+from recorder.records import TOPICS, BodyState, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
@@ -45,6 +45,8 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.slow
 
 GOLDEN: Final = Path(__file__).parent / "golden" / "0.1.0.mcap"
+#: What is mutated: of every kind of record one of them has some.
+CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks")))
 ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
 READING: Final = (
     ["info"],
@@ -490,11 +492,22 @@ def test_the_bounds_are_those_of_the_page() -> None:
 # --- anything ---------------------------------------------------------------------------------------------------------
 
 
-@seeded("mutations of a small recording", range(20_000), 25, always=20 if "CI" in os.environ else 1)
+def test_the_corpus_has_every_kind_of_record() -> None:
+    kinds, parts = set(), set()
+    for file in CORPUS:
+        with replay.open(file) as log:
+            kinds |= {type(record) for record in log}
+            parts |= {part.DESCRIPTOR.name for record in log for part in hostile.parts(record)}
+            parts |= {task.kind for task in log.records(Task)}
+    assert kinds == set(TOPICS)
+    assert {"Origin", "Restore", "SavedBody", "projection", "in-thread", "Candidate", "Decision"} <= parts
+
+
+@seeded("mutations of small recordings", range(20_000), 25, always=20 if "CI" in os.environ else 1)
 def test_mutations_harm_nobody(seeds: range, tmp_path: Path) -> None:
     """Each through a verb that uses the engine and two that only read."""
     for seed in seeds:
-        file = hostile.mutated(GOLDEN, tmp_path / "x.mcap", seed)
+        file = hostile.mutated(CORPUS[seed % len(CORPUS)], tmp_path / "x.mcap", seed)
         dice = random.Random(seed)
         for verb in (dice.choice(USING), *dice.sample(READING, 2)):
             ended = end(verb, file, tmp_path)

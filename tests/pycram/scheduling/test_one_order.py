@@ -19,10 +19,11 @@ from pycram.language import in_thread, par, seq, timeout
 from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.schedule import scheduler, seed_order
 from recorder.records import Task
+from tests.measures import seeded
 from tests.pycram.scheduling.random_orders import digest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from tests.conftest import MemorySink
 
@@ -86,30 +87,40 @@ def test_the_plan_s_own_random_numbers_are_not_drawn_from() -> None:
     assert random.random() == expected
 
 
-def runs(seed: int, plans: list[int], processes: int) -> list[str]:
-    """The digests of plans in processes that run at once, with a fourth that keeps the machine busy."""
-    script = [sys.executable, "-m", "tests.pycram.scheduling.random_orders", str(seed), *map(str, plans)]
+def started(order: int, plans: range, hash_seed: int) -> subprocess.Popen[str]:
+    """A process that runs plans in the order of a seed, and prints the digests of their records."""
+    script = [sys.executable, "-m", "tests.pycram.scheduling.random_orders", str(order), *map(str, plans)]
+    environment = os.environ | {"PYTHONHASHSEED": str(hash_seed)}
+    return subprocess.Popen(script, cwd=REPO, stdout=subprocess.PIPE, text=True, env=environment)
+
+
+def output(process: subprocess.Popen[str]) -> str:
+    printed = process.communicate(timeout=500)[0]
+    assert process.returncode == 0
+    return printed
+
+
+PLANS = 50
+
+
+@seeded("one order a seed: runs of random plans", range(5 * PLANS), 10)
+def test_random_plans_make_the_same_records_in_any_process_under_any_load(
+    seeds: range, record_property: Callable[[str, object], None]
+) -> None:
+    """Each plan in four processes: two of them alone, and two at once beside another that keeps the machine busy."""
+    order, plans = seeds[0] // PLANS, range(seeds[0] % PLANS, seeds[-1] % PLANS + 1)
+    outputs = [output(started(order, plans, hash_seed)) for hash_seed in (0, 1)]
     busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
     try:
-        started = [
-            subprocess.Popen(
-                script, cwd=REPO, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONHASHSEED": str(seed)}
-            )
-            for _ in range(processes)
-        ]
-        return [process.communicate(timeout=500)[0] for process in started]
+        loaded = [started(order, plans, hash_seed) for hash_seed in (2, 3)]
+        outputs += [output(process) for process in loaded]
     finally:
         busy.kill()
         busy.wait()
-
-
-@pytest.mark.slow
-def test_random_plans_make_the_same_records_in_any_process_under_load() -> None:
-    plans = list(range(6))
-    outputs = runs(5, plans, 3)
     assert len(set(outputs)) == 1
-    assert len(outputs[0].splitlines()) == len(plans)
-    assert runs(6, plans, 1) != outputs[:1]  # other seeds, other orders
+    digests = [line.split()[1] for line in outputs[0].splitlines()]
+    assert len(set(digests)) == len(plans)
+    record_property("runs", len(outputs) * len(plans))
 
 
 @pytest.mark.slow

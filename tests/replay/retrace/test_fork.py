@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import random
 import subprocess
 import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -14,14 +19,15 @@ from recorder.records import Run
 from replay.cli.main import main
 from replay.errors import ReplayError
 from replay.explain.compare_runs import differing
-from replay.restore.verify import verify
 from replay.retrace.fork import NotForked, fork, resume
 from replay.retrace.retrace import retrace
 from tests.measures import seeded
+from tests.replay.retrace.bits import assert_same_bits
+from tests.replay.retrace.control_plans import PLANS
 from tests.replay.retrace.test_retrace import record, text
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from replay.retrace.fork import Fork
 
@@ -41,24 +47,39 @@ def forked(log: Path, step: int, file: Path, plan: Path | None = None) -> Fork:
         return fork(recording, step, file, plan=plan)
 
 
-def assert_same(first: Path, second: Path) -> None:
-    """Both have the same records in the same order, and the second can be executed again."""
-    with replay.open(first) as one, replay.open(second) as other:
-        assert len(one) == len(other)
-        for a, b in zip(one, other, strict=True):
-            assert not differing(a, b), f"step {a.seq}"
-        assert verify(other).exact
+PARTS = 50  # of a plan's steps; a batch has one part of each of five plans
 
 
-@seeded("forks without a change, at each step", range(60), 2)
-def test_a_fork_without_a_change_goes_on_as_the_original(log: Path, tmp_path: Path, seeds: range) -> None:
-    with replay.open(log) as recording:
-        steps = len(recording)
-    for step in (seed * 7 % steps for seed in seeds):
-        file = tmp_path / f"{step}.mcap"
-        result = forked(log, step, file)
-        assert (result.step, result.records, result.succeeded) == (step, steps, True)
-        assert_same(log, file)
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Gives the recording of a plan, which is made once."""
+    folder = tmp_path_factory.mktemp("plans")
+
+    @functools.cache
+    def made(name: str) -> Path:
+        file = folder / f"{name.replace(' ', '_')}.py"
+        file.write_text(PLANS[name])
+        return record(file)
+
+    return made
+
+
+@seeded("forks without a change, at every step of 20 plans", range(PARTS * len(PLANS)), 5)
+def test_a_fork_without_a_change_goes_on_as_the_original(
+    recorded: Callable[[str], Path], tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
+) -> None:
+    forks = 0
+    for seed in seeds:
+        name = list(PLANS)[seed % len(PLANS)]
+        log, file = recorded(name), tmp_path / "fork.mcap"
+        with replay.open(log) as recording:
+            steps, end = len(recording), recording[-1]
+        for step in random.Random(name).sample(range(steps), steps)[seed // len(PLANS) :: PARTS]:
+            result = forked(log, step, file)
+            assert (result.step, result.records, result.succeeded) == (step, steps, end.succeeded), (name, step)
+            assert_same_bits(log, file)
+            forks += 1
+    record_property("forks", forks)
 
 
 def test_an_edited_plan_goes_on_from_where_it_is_another(log: Path, tmp_path: Path) -> None:
@@ -130,7 +151,7 @@ def test_a_plan_that_projects_runs_again_and_its_fork_has_recordings_of_its_own(
     assert result.equal == result.steps
     assert sorted(tmp_path.glob("*.mcap")) == files
     assert forked(log, last, tmp_path / "on.mcap").succeeded
-    assert_same(log, tmp_path / "on.mcap")
+    assert_same_bits(log, tmp_path / "on.mcap")
     assert len(list(tmp_path.glob("on.projection-*.mcap"))) >= 3
 
 
@@ -141,7 +162,7 @@ def test_a_program_that_projects_runs_again(tmp_path: Path) -> None:
     subprocess.run([sys.executable, file], cwd=tmp_path, check=True, capture_output=True, timeout=60)
     log = tmp_path / "run.mcap"
     assert forked(log, 4, tmp_path / "on.mcap").succeeded
-    assert_same(log, tmp_path / "on.mcap")
+    assert_same_bits(log, tmp_path / "on.mcap")
 
 
 def test_of_a_program_that_records_twice_the_one_in_question_is_forked(tmp_path: Path) -> None:
@@ -160,7 +181,7 @@ def test_of_a_program_that_records_twice_the_one_in_question_is_forked(tmp_path:
     for name in ("first", "second"):
         log = tmp_path / f"{name}.mcap"
         assert forked(log, 1, tmp_path / "fork" / f"{name}.mcap").succeeded
-        assert_same(log, tmp_path / "fork" / f"{name}.mcap")
+        assert_same_bits(log, tmp_path / "fork" / f"{name}.mcap")
         with replay.open(log) as recording:
             assert retrace(recording).identical
     assert {each: each.read_bytes() for each in tmp_path.glob("*.mcap")} == before
@@ -192,24 +213,69 @@ def test_a_run_that_has_ended_is_not_resumed(log: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "on.mcap").exists()
 
 
-@seeded("killed runs, resumed", range(50), 1)
-def test_a_killed_plan_goes_on_and_ends_as_the_undisturbed_one(tmp_path: Path, seeds: range) -> None:
-    file, order = tmp_path / "plan.py", tmp_path / "kill_at"
-    loop = (
-        "import os\n"
-        "for height in range(60):\n"
-        "    milk.set_position([0, random.random(), height / 100])\n"
-        "    world.simulate(0.02)\n"
-        "    if os.path.exists('kill_at') and int(open('kill_at').read()) == height:\n"
-        "        os.unlink('kill_at')\n"
-        "        os.kill(os.getpid(), 9)\n"
-    )
-    file.write_text(text().replace("cup.remove()", f"{loop}cup.remove()"))
-    whole = record(file).rename(tmp_path / "whole.mcap")
+@dataclass(frozen=True)
+class Undisturbed:
+    """The demo, run to its end.
+
+    Attributes:
+        log: its recording.
+        began: processor time that it had needed when its recording began, in s.
+        ended: when it ended.
+    """
+
+    log: Path
+    began: float
+    ended: float
+
+
+def demo(log: Path) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "pycram", "demo", "--log", log, "--overwrite", "--seed", "5"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def processor_seconds(process: subprocess.Popen[bytes]) -> float:
+    """What a process that runs, or that nobody has waited for, has needed so far."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def seconds_until(process: subprocess.Popen[bytes], happened: Callable[[], bool]) -> float:
+    """Processor time that a process has needed when something happens, or when it ends, in s."""
+    ended = False
+    while not (ended or happened()):
+        time.sleep(0.002)
+        ended = os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    return processor_seconds(process)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Undisturbed:
+    log = tmp_path_factory.mktemp("undisturbed") / "demo.mcap"
+    with demo(log) as process:
+        began = seconds_until(process, log.exists)
+        ended = seconds_until(process, lambda: False)
+    return Undisturbed(log, began, ended)
+
+
+@seeded("demos killed at any moment, resumed", range(50), 1)
+def test_a_killed_demo_goes_on_and_ends_as_the_undisturbed_one(
+    undisturbed: Undisturbed, tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
+) -> None:
+    kept = 0
     for seed in seeds:
-        order.write_text(str(random.Random(seed).randrange(60)))
-        with replay.open(record(file)) as recording:
-            killed_at = len(recording)
-            result = resume(recording, tmp_path / f"{seed}.mcap")
-        assert result.step == killed_at - 1 < result.records - 2
-        assert_same(whole, result.file)
+        log, dice = tmp_path / "demo.mcap", random.Random(seed)
+        killed = False
+        while not killed:  # it may need less time than the undisturbed one did, and end before
+            with demo(log) as process:
+                seconds_until(process, log.exists)
+                moment = dice.uniform(undisturbed.began, undisturbed.ended)
+                seconds_until(process, lambda process=process, at=moment: processor_seconds(process) >= at)
+                process.kill()
+            killed = process.returncode < 0
+        with replay.open(log) as recording:
+            assert not recording.closed
+            result = resume(recording, tmp_path / "on.mcap")
+        assert result.step < result.records - 1
+        assert_same_bits(undisturbed.log, result.file)
+        kept += result.step + 1
+    record_property("records kept", kept)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -16,12 +17,13 @@ from replay.retrace.retrace import retrace
 from tests.measures import seeded
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
     from replay.retrace.retrace import Retracing
 
 pytestmark = pytest.mark.slow
 
+REPO = Path(__file__).parents[3]
 #: A line of a plan, and what somebody has made of it: none, so that it is left out, or others.
 LINES: tuple[tuple[str, ...], ...] = (
     ("world = BulletWorld()", "world = BulletWorld(name='other')"),
@@ -100,12 +102,39 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_the_demo_does_the_same_again(demo_log: Path, capsys: pytest.CaptureFixture) -> None:
-    assert main(["retrace", str(demo_log), "--json"]) == 0
+@pytest.mark.parametrize("demo", ["demo_log", "failed_log"])
+def test_the_demos_do_the_same_again(
+    demo: str, request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["retrace", str(request.getfixturevalue(demo)), "--json"]) == 0
     (result,) = json.loads(capsys.readouterr().out)
     assert result["identical"]
     assert result["equal"] == result["steps"] > 100
     assert not result["notes"]
+
+
+RANDOM = f"""\
+import sys
+sys.path.insert(0, {str(REPO)!r})
+from pycram.bullet_world import BulletWorld
+from tests.pycram.scheduling.random_orders import Plan
+with BulletWorld() as world:
+    Plan(int(sys.argv[1]), world).run()
+"""
+
+
+@seeded("random concurrent plans, retraced", range(200), 4)
+def test_random_concurrent_plans_do_the_same_again(
+    tmp_path: Path, seeds: range, record_property: Callable[[str, object], None]
+) -> None:
+    file, steps = tmp_path / "plan.py", 0
+    file.write_text(RANDOM)
+    for seed in seeds:
+        result = retraced(record(file, str(seed), seed=seed))
+        assert result.identical, (seed, result.difference)
+        assert result.equal == result.steps > 20
+        steps += result.steps
+    record_property("records", steps)
 
 
 @seeded("changes of one line, told by retrace", range(len(CHANGES)), 3)
@@ -172,6 +201,40 @@ def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> No
         other = retrace(log, arguments=["0.6"])
     assert other.difference is not None
     assert other.difference.line == f"{file}:5"
+
+
+def test_of_recordings_of_one_name_each_is_retraced(tmp_path: Path) -> None:
+    file = tmp_path / "program.py"
+    file.write_text(
+        "import sys, recorder\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "for x in sys.argv[1:]:\n"
+        '    with recorder.record("program.mcap"), BulletWorld():\n'
+        '        Object("milk", "milk", "milk.stl", [float(x), 0, 1])\n'
+    )
+    subprocess.run([sys.executable, file, "1", "2", "3"], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    logs = [tmp_path / name for name in ("program.mcap", "program.2.mcap", "program.3.mcap")]
+    assert [retraced(log).identical for log in logs] == [True, True, True]
+    for place, log in enumerate(logs):
+        with replay.open(log) as recording:
+            results = [retrace(recording, arguments=arguments) for arguments in ("923", "193", "129")]
+        assert [result.identical for result in results] == [place != changed for changed in range(3)]
+
+
+def test_texts_of_objects_differ_in_each_process_and_are_the_same(tmp_path: Path) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text(
+        "import sys\n"
+        "from pycram.language import par\n"
+        "class Thing: ...\n"
+        "with par as s:\n"
+        "    s(Thing)\n"
+        "print(Thing(), len(sys.argv))\n"
+    )
+    log = record(file)
+    assert retraced(log).identical
+    with replay.open(log) as recording:
+        assert retrace(recording, arguments=["more"]).difference is not None
 
 
 def test_what_a_plan_imagined_is_imagined_again(tmp_path: Path) -> None:
