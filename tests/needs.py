@@ -31,6 +31,8 @@ _WINDOW_LIBRARIES: Final = (
     "libXrandr.so.2",
     "libxkbcommon-x11.so.0",
 )
+#: Two network cards that lead to each other, in a machine of their own.
+_CABLE: Final = ("ip", "link", "add", "name", "here", "type", "veth", "peer", "name", "there")
 #: Asks each driver for its devices; a library without a driver has none.
 _DEVICES: Final = """
 import ctypes
@@ -73,6 +75,7 @@ _FOUND: Final[dict[str, Callable[[], bool]]] = {
     "Vulkan driver": lambda: _runs(sys.executable, "-c", _DEVICES),
     "window libraries": lambda: _loads(*_WINDOW_LIBRARIES),
     "Chromium": lambda: _runs(browser() or "", "--version"),
+    "network namespaces": lambda: _runs("unshare", "-rn", *_CABLE),
 }
 
 

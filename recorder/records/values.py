@@ -27,7 +27,7 @@ MAX_NESTING: Final = 100
 """Levels of lists and dictionaries in each other, in a value that a record has; what is deeper is told as its text."""
 MAX_DIGITS: Final = 300
 """Of a whole number, which a float still holds then; what has longer ones is told as its text."""
-_BRACKET: Final = re.compile(r'"(?:[^"\\]|\\.)*"|[\[{}\]]')
+_BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a text that has no end takes all
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """What JSON holds."""
@@ -123,7 +123,7 @@ def _loaded(text: str) -> Plain:
     """
     if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING and _depth(text) > MAX_NESTING:
         raise ValueError(f"it is nested more than {MAX_NESTING} deep")
-    value: Plain = _DECODER.decode(text)
+    value: Plain = (_WARY if _LONG_NUMBER.search(text) else _DECODER).decode(text)
     return value
 
 
@@ -137,7 +137,9 @@ def _refuse(text: str) -> float:
     raise ValueError(f"{text} is not JSON")
 
 
-_DECODER: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
+_DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
+_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # calls Python for each number
+_LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
 def _depth(text: str) -> int:

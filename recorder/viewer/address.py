@@ -7,10 +7,13 @@ address, to which records are sent, or from which pages fetch them.
 from __future__ import annotations
 
 import http.client
+import os
 import socket
+import sys
 import threading
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import urlsplit
 
@@ -30,6 +33,8 @@ _SCHEMES: Final = {
 }
 _HINT: Final = f"say spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
+_SOCKETS: Final = Path("/proc/net/tcp")
+_LISTENS: Final = "0A"  # the state of a socket
 _ANSWER_TIMEOUT: Final = 1.0  # s; a viewer that lives answers within milliseconds
 
 
@@ -104,6 +109,19 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
     while not answers(url):
         check()
         pause.wait(_POLL_PERIOD)
+
+
+def is_own(port: int) -> bool:
+    """Whether this user's process listens on a port of the loopback; another user's gets nothing that is recorded.
+
+    Where the system doesn't tell whose a port is (other than Linux), it is believed to be.
+    """
+    if not _SOCKETS.exists():
+        return True
+    entries = [line.split() for line in _SOCKETS.read_text(encoding="ascii").splitlines()[1:]]
+    words = (int.from_bytes(socket.inet_aton(host), sys.byteorder) for host in (HOST, "0.0.0.0"))  # noqa: S104  either
+    places = [f"{word:08X}:{port:04X}" for word in words]
+    return {entry[7] for entry in entries if entry[3] == _LISTENS and entry[1] in places} == {str(os.getuid())}
 
 
 def free_port(preferred: int) -> int:

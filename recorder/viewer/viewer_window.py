@@ -9,13 +9,13 @@ import tempfile
 from contextlib import suppress
 from typing import IO, Final
 
-from recorder.viewer.address import HOST, PORT, ViewerGone, address, answers, free_port, wait_for_answer
+from recorder.viewer.address import HOST, PORT, ViewerGone, address, answers, free_port, is_own, wait_for_answer
 
 END_TIMEOUT: Final = 2.0  # s that a viewer whose connection broke takes to end
 
 
 class ViewerWindow:
-    """A viewer that is open on this machine, or a new one that outlives this process.
+    """This user's viewer that is open on this machine, or a new one that outlives this process.
 
     Its server answers before its window opens, and it ends then if there is no screen. So whoever can't reach it any
     more calls :meth:`check`.
@@ -24,14 +24,14 @@ class ViewerWindow:
         url: Where it takes records; it answered there.
 
     Raises:
-        ViewerGone: It ended at once.
+        ViewerGone: It ended at once, or can't be told from another user's.
     """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  its last line is read when it ended
         self.url = address(PORT)
-        if not answers(self.url):
+        if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
 
     def _start(self, port: int) -> None:
@@ -45,6 +45,8 @@ class ViewerWindow:
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
         wait_for_answer(self.url, self.check)
+        if not is_own(port):  # somebody was quicker than it
+            raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
         """Check that it lives.

@@ -200,7 +200,9 @@ def _run_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
 
 def _ended(run: Summary) -> str:
     """Return how a run ended, as a verb."""
-    return {"cut off": "broke off", "running": "had not ended"}.get(run.outcome) or _outcome(run)
+    return {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}.get(run.outcome) or _outcome(
+        run
+    )
 
 
 def _outcome(run: Summary) -> str:

@@ -72,6 +72,7 @@ def facts(why: Why) -> dict[str, object]:
         "same": why.since_same_success and _since_facts(why.since_same_success),
         "last": why.since_last_success and _since_facts(why.since_last_success),
         "running": [_task_facts(task) for task in why.unfinished],
+        "endless": [_task_facts(task) for task in why.endless],
     }
 
 

@@ -32,7 +32,8 @@ _MAX_LINES: Final = 12  # of a difference
 def lines(why: Why, path: str) -> Iterator[str]:
     """Yield the explanation as text; ``path`` is the recording's, for commands."""
     yield from _headline(why)
-    yield from _section("Unfinished when the recording ended", _unfinished(why))
+    yield from _section("Unfinished when the recording ended", _unfinished(why.unfinished))
+    yield from _section("Without an end: it may be among the records that are lost", _unfinished(why.endless))
     if why.failure is None:
         yield from _section("Why", _causes(why.causes))
         return
@@ -86,6 +87,8 @@ def _headline(why: Why) -> Iterator[str]:
         yield f"{name} succeeded{_though(why)}"
     elif run.outcome == "interrupted":
         yield f"{name} was interrupted after {run.seconds:.1f} s."
+    elif run.outcome == "lost":
+        yield f"How {name} ended is lost; the last step that can be read is {run.records - 1}."
     else:
         ended = "is still running" if run.outcome == "running" else f"was cut off at step {run.records - 1}"
         yield f"{name} {ended}." + ("" if why.failure else " Until then nothing failed.")
@@ -126,8 +129,8 @@ def _call(task: Node) -> str:
     return formatting.task(task.kind, task.name, task.parameters)
 
 
-def _unfinished(why: Why) -> Iterator[str]:
-    for task in why.unfinished:
+def _unfinished(tasks: Sequence[Node]) -> Iterator[str]:
+    for task in tasks:
         yield " in ".join(_call(each) for each in task.around()) + f"  [since step {task.started.seq}]"
 
 

@@ -46,7 +46,7 @@ class Summary:
         started: wall-clock time of the first record.
         seconds: by the clock from the first to the last record.
         worlds: with the simulated time that each reached, in the order of their opening.
-        outcome: "succeeded", "failed", "interrupted", "running" or "cut off".
+        outcome: "succeeded", "failed", "interrupted", "running", "cut off", or "lost" where its end is damaged.
         failure: of the plan, as "Type: message"; or "".
         threads: failures that ended threads of the plan's own while it went on, with the names of the threads.
         records: number of steps.
@@ -101,7 +101,8 @@ def summary(log: RecordReader) -> Summary:
     if first is None or last is None:
         raise Unreadable(log.path, f"has no record that can be read: {problems}")
     end = last if isinstance(last, Run) and last.phase == Run.FINISHED else None
-    unfinished = "running" if log.live else "cut off"
+    is_lost = end is None and any(gap.start >= len(log) for gap in log.missing())
+    unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
     return Summary(

@@ -17,9 +17,10 @@ from recorder.records import TOPICS, Envelope, Keyframe, Mutation, Record
 from recorder.records.definition import PACKAGE, known
 from replay.errors import LogClosed
 from replay.file.mcap_format import HEADER, describe
+from replay.file.payloads import decode
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
 
     from replay.file.index import Index
     from replay.file.lifetimes import Owner
@@ -28,8 +29,7 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 _CACHED: Final = 64  # chunks
-MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
-FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+_CACHED_BYTES: Final = 2 << 20  # of these, but for the last; decoded they may have fifty times as many
 MAX_STEP: Final = 1 << 40
 """Numbers of steps are below it; others are damage."""
 _MAX_DIGITS: Final = 9  # of the number of a world's lifetime
@@ -41,11 +41,12 @@ _PAYLOAD: Final = HEADER + 22  # bytes before a message's payload
 
 @dataclass(slots=True)
 class _Entries:
-    """The records of a chunk: channels, payloads, and those that were decoded by their index."""
+    """The records of a chunk: channels, payloads, and those that were decoded by their index; the chunk's bytes."""
 
     channels: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
     decoded: dict[int, Record | None] = field(default_factory=dict)
+    size: int = 0
 
 
 class Chunks:
@@ -58,9 +59,8 @@ class Chunks:
     def __init__(self, index: Index) -> None:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
+        self._cached = 0  # bytes of the chunks in it
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of the chunks that were read
-        self._inflated: dict[int, int] = {}  # bytes of the chunks that were read
-        self._total = 0  # of all of these
         self.damaged: dict[int, str] = {}
         index.arrange(kinds_of)
         self.refresh(0)
@@ -77,6 +77,7 @@ class Chunks:
         for cache in (self._cache, self._spans, self.damaged):
             for key in [cached for cached in cache if cached >= number]:
                 del cache[key]
+        self._cached = sum(entries.size for entries in self._cache.values())
         self._kinds = kinds_of(self._index)
         metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
         self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
@@ -121,9 +122,11 @@ class Chunks:
             if record is not None and (world is None or record.world == world):
                 yield record
 
-    def whole(self, number: int) -> list[Record]:
+    def whole(self, number: int) -> Iterable[Record]:
         """Return all records of a chunk, at once: for going through a recording, which doesn't come back to it."""
         entries, kinds = self._load(number), self._kinds
+        if entries.size > _CACHED_BYTES:
+            return self.records(number)
         try:
             return [
                 kinds[channel].FromString(payload)
@@ -190,9 +193,9 @@ class Chunks:
             contents, fault, stated = self._index.contents(number)
             if fault:
                 self.damaged.setdefault(number, fault)
-            self._weigh(number, len(contents))
             if text not in contents:
                 return entries
+            entries.size = len(contents)
             found = self._divide(contents, entries)
             if stated is not None and stated != found:
                 self.damaged.setdefault(number, f"it has {found} messages, by the index {stated}")
@@ -201,20 +204,10 @@ class Chunks:
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
             self.damaged.setdefault(number, describe(error))
         self._cache[number] = entries
-        if len(self._cache) > _CACHED:
-            self._cache.popitem(last=False)
+        self._cached += entries.size
+        while len(self._cache) > 1 and (len(self._cache) > _CACHED or self._cached > _CACHED_BYTES):
+            self._cached -= self._cache.popitem(last=False)[1].size
         return entries
-
-    def _weigh(self, number: int, size: int) -> None:
-        """Refuse a chunk with which all that were read have many more bytes than a recording of the file's size.
-
-        Raises:
-            ValueError: they have.
-        """
-        self._total += size - self._inflated.get(number, 0)
-        self._inflated[number] = size
-        if self._total > FREE and self._total > MAX_RATIO * self._index.size:
-            raise ValueError(f"the chunks inflate to more than {MAX_RATIO} times the file")
 
     def _divide(self, contents: bytes, entries: _Entries) -> int:
         """Divide a chunk into its records; return how many messages it has in all."""
@@ -237,17 +230,20 @@ class Chunks:
         return len(entries.channels) + others
 
     def _decode(self, number: int, entries: _Entries, at: int) -> Record | None:
-        if at not in entries.decoded:
-            try:
-                record: Record | None = self._kinds[entries.channels[at]].FromString(entries.payloads[at])
-            except DecodeError as error:
-                self.damaged.setdefault(number, str(error))
-                record = None
-            if record is not None and not 0 <= record.seq < MAX_STEP:
-                self.misplaced(number, record)
-                record = None
+        if at in entries.decoded:
+            return entries.decoded[at]
+        record: Record | None
+        try:
+            record = decode(self._kinds[entries.channels[at]], entries.payloads[at])
+        except DecodeError as error:
+            self.damaged.setdefault(number, str(error))
+            record = None
+        if record is not None and not 0 <= record.seq < MAX_STEP:
+            self.misplaced(number, record)
+            record = None
+        if entries.size <= _CACHED_BYTES:
             entries.decoded[at] = record
-        return entries.decoded[at]
+        return record
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:

@@ -19,6 +19,7 @@ from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, Met
 from replay.errors import LogClosed
 from replay.file.arrangement import Arrangement
 from replay.file.mcap_format import (
+    CHUNK_HEAD,
     CHUNK_INDEX,
     DAMAGE,
     DATA_END,
@@ -26,6 +27,7 @@ from replay.file.mcap_format import (
     HEADER,
     LENGTH,
     MAGIC,
+    MAX_INFLATED,
     ChunkExtent,
     ChunkTable,
     Decompressor,
@@ -39,6 +41,28 @@ if TYPE_CHECKING:
     from recorder.records import Record
 
 _BLOCK: Final = 1 << 20  # bytes that are read at once
+MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
+FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+
+
+class _Budget:
+    """Bytes that the chunks which are read may have in all; an index may name one and the same chunk very often."""
+
+    def __init__(self) -> None:
+        self._taken = 0
+        self._takers: set[int] = set()
+
+    def take(self, taker: int, size: int, most: int, cause: str) -> None:
+        """Take what one needs, once.
+
+        Raises:
+            ValueError: all would have more than the most.
+        """
+        if taker not in self._takers:
+            if self._taken + size > most:
+                raise ValueError(cause)
+            self._takers.add(taker)
+            self._taken += size
 
 
 class Index:
@@ -78,6 +102,9 @@ class Index:
         self.incomplete_bytes = 0
         self.data_end = 0
         self._arrangement: Arrangement | None = None
+        self._claimed = 0  # bytes of files and metadata, by the summary
+        self._stored = _Budget()  # of the file's own bytes
+        self._inflated = _Budget()
         self._scan = Scan(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
@@ -90,11 +117,19 @@ class Index:
             self._clear()
             del self.damage[damaged:]
             self.refresh()
+            self.whole = self.whole and self._claimed <= self.size
 
     def _clear(self) -> None:
         self.chunks.clear()
         for table in (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts):
             table.clear()
+        self._stored, self._inflated = _Budget(), _Budget()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._arrangement is not None:
+            self._arrangement.close()
+        self._file.close()
 
     @property
     def ours(self) -> bool:
@@ -130,11 +165,14 @@ class Index:
         Raises:
             Exception: it is damaged; what the decompressors raise has no common base.
         """
+        if self._file.closed:
+            raise LogClosed(self._file.name)
         if self._arrangement is not None:
             return self._arrangement.contents(number), "", None
         extent, stated = self.chunks[number], self.chunks.stated(number)
+        self._stored.take(number, min(extent.length, self.size), self.size, "it overlaps others, by the index")
         if stated is None:
-            return self.decompressed(extent), "", None
+            return self._decompressed(number, memoryview(self.read(extent))), "", None
         chunk = self.read(Extent(extent.offset - HEADER, extent.length + HEADER))
         head, tail, messages = stated
         crc, data = len(head), len(head) + 4 + len(tail)
@@ -144,11 +182,14 @@ class Index:
         if not chunk.startswith(head) or not chunk.startswith(tail, crc + 4):
             fault = "its head differs from the index"
             chunk = head + chunk[crc : crc + 4] + tail + chunk[data:]
-        return self._decompressor.contents(memoryview(chunk)[HEADER:]), fault, messages
+        return self._decompressed(number, memoryview(chunk)[HEADER:]), fault, messages
 
-    def decompressed(self, chunk: ChunkExtent) -> bytes:
-        """Return a chunk's messages, decompressed and checked; the errors are those of :meth:`contents`."""
-        return self._decompressor.contents(self.read(chunk))
+    def _decompressed(self, number: int, chunk: memoryview) -> bytes:
+        size = CHUNK_HEAD.unpack_from(chunk)[2]
+        if size <= MAX_INFLATED:  # others are refused without being inflated
+            cause = f"the chunks inflate to more than {MAX_RATIO} times the file"
+            self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), cause)
+        return self._decompressor.contents(chunk)
 
     def arrange(self, kinds_of: Callable[[Index], Mapping[int, type[Record]]]) -> None:
         """Put the records of a file that another program wrote in the order of their steps; see :class:`Arrangement`.
@@ -241,11 +282,19 @@ class Index:
             self.counts.update(Statistics.read(stream).channel_message_counts)
         elif opcode == Opcode.ATTACHMENT_INDEX:
             attachment = AttachmentIndex.read(stream)
+            self._claim(attachment.length)
             self.attachments[attachment.name] = Extent(attachment.offset + HEADER, attachment.length - HEADER)
         elif opcode == Opcode.METADATA_INDEX:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
+    def _claim(self, length: int) -> None:
+        """Refuse a summary by which files and metadata have more bytes than the file: it names the same ones often."""
+        self._claimed += length
+        if self._claimed > self.size:
+            raise EOFError
+
     def _read_stated_metadata(self, stated: MetadataIndex) -> None:
+        self._claim(stated.length)
         record = self.read(Extent(stated.offset, stated.length))
         whole = record.startswith(LENGTH.pack(Opcode.METADATA, stated.length - HEADER))
         try:

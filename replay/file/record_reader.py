@@ -87,7 +87,7 @@ class RecordReader:
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        self._index.close()
 
     # --- the run and the file ---------------------------------------------------------------------------------------
 
@@ -309,14 +309,17 @@ class RecordReader:
     def write_sound(self, file: BinaryIO) -> Losses:
         """Write a sound copy of what can be read; see :func:`replay.file.repair.write_sound`."""
         self.check()
-        return write_sound(file, self._index, self._chunks, self.assets, self.problems, self._missing())
+        return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
-    def _missing(self) -> list[range]:
-        """Return the ranges of steps that are missing, also those after the last one if their number is known."""
+    def missing(self) -> list[range]:
+        """Return the ranges of steps that are missing, also those after the last one if their number is known.
+
+        Those that were lost before the file was repaired are among them.
+        """
         gaps = self.lost()
         after = self._lost - sum(map(len, gaps))
         gaps += [range(self._steps, self._steps + after)] if after > 0 else []
-        return gaps + [gap for gap in self.lost_before if gap not in gaps]
+        return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
         """Look for records that were written since, if the file was not closed; return whether there are any."""

@@ -10,6 +10,7 @@ import io
 import re
 import struct
 from dataclasses import dataclass
+from itertools import islice
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from google.protobuf.message import DecodeError
@@ -20,6 +21,7 @@ from mcap.records import Attachment
 from replay.errors import Damaged, LogClosed
 from replay.file.chunks import kinds_of
 from replay.file.mcap_format import HEADER, LENGTH, describe
+from replay.file.payloads import decode
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 
 _METADATA: Final = "pycram.repair"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
+_MOST_MESSAGES: Final = 10_000  # of a chunk of the copy
 _RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
 _MAX_TEXT: Final = 1 << 16  # characters of the list of lost steps that are read
 
@@ -91,18 +94,22 @@ def write_sound(
     records = unread = 0
     for number in range(len(chunks)):
         try:
-            found = list(_messages(index.contents(number)[0]))
+            messages = _messages(index.contents(number)[0])
         except LogClosed:
             raise
         except Exception as error:  # noqa: BLE001  decompressors' errors have no common base
             lost[number] = describe(error)
             continue
-        kept_messages = [message for message in found if message[0] in ids and _is_sound(message, kinds)]
-        unread += len(found) - len(kept_messages)
-        records += sum(channel in kinds for channel, *_ in kept_messages)
-        kept_messages.sort(key=lambda message: message[2])  # the order of their times; equal ones stay as they are
-        writer.add_messages([(ids[channel], number, at, data) for channel, number, at, data in kept_messages])
-        writer.flush()
+        try:
+            while found := list(islice(messages, _MOST_MESSAGES)):
+                kept_messages = [message for message in found if message[0] in ids and _is_sound(message, kinds)]
+                unread += len(found) - len(kept_messages)
+                records += sum(channel in kinds for channel, *_ in kept_messages)
+                kept_messages.sort(key=lambda message: message[2])  # their times; equal ones stay as they are
+                writer.add_messages([(ids[channel], number, at, data) for channel, number, at, data in kept_messages])
+                writer.flush()
+        except struct.error as error:
+            lost[number] = describe(error)
     writer.finish()
     return Losses(problems, tuple(missing), records, lost, unread, dict(assets.damaged))
 
@@ -137,7 +144,7 @@ def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Rec
     """Return whether a message can be decoded, or is none of ours."""
     channel, _, _, payload = message
     try:
-        _ = kinds[channel].FromString(payload) if channel in kinds else None
+        _ = decode(kinds[channel], payload) if channel in kinds else None
     except DecodeError:
         return False
     return True

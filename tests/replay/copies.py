@@ -70,15 +70,15 @@ def rewritten_by_mcap(
     return target
 
 
-def container_records(content: bytes) -> list[tuple[int, int, int]]:
-    """Opcode, start and end of each record of the container, up to the end of the data."""
+def container_records(content: bytes, last: Opcode = Opcode.DATA_END) -> list[tuple[int, int, int]]:
+    """Opcode, start and end of each record of the container, up to the first of a kind: the end of the data."""
     extents = []
     at = MAGIC
     while at + 9 <= len(content):
         opcode, length = struct.unpack_from("<BQ", content, at)
         extents.append((opcode, at, at + 9 + length))
         at += 9 + length
-        if opcode == Opcode.DATA_END:
+        if opcode == last:
             break
     return extents
 

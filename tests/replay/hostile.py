@@ -17,6 +17,7 @@ import replay
 from recorder.mcap.writer import McapWriter
 from recorder.records import TOPICS, Asset
 from recorder.records.asset import AssetFile
+from tests.replay.copies import container_records
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -169,20 +170,9 @@ def flip(content: bytes, dice: random.Random) -> bytes:
     if way < 0.8:
         return content[:at]
     number = dice.choice((0, 1, 2**16, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1))
-    starts = [start for _, start, _ in records_of(content)]
+    starts = [start for _, start, _ in container_records(content, Opcode.FOOTER)]
     at = dice.choice(starts) + 1 if way < 0.95 and starts else at
     return content[:at] + struct.pack("<Q", number) + content[at + 8 :]
-
-
-def records_of(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of each record of an MCAP file."""
-    at = 8
-    while at + 9 <= len(content):
-        opcode, length = struct.unpack_from("<BQ", content, at)
-        yield opcode, at, at + 9 + length
-        at += 9 + length
-        if opcode == Opcode.FOOTER:
-            return
 
 
 def mutated(sound: Path, target: Path, seed: int) -> Path:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import os
 import random
-import struct
+import re
 import time
 from pathlib import Path
 
 import pytest
-from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 import replay
 from replay.cli.main import main
 from tests.measures import seeded
+from tests.replay.copies import CHUNK, container_records, zeroed
 
 GOLDEN = Path(__file__).parent / "golden" / "0.1.0.mcap"
 VERBS = (
@@ -33,23 +33,10 @@ MAGIC = 8
 PATIENCE = 10.0  # s; a hundred times what a verb takes
 
 
-def records_of(content: bytes) -> list[tuple[int, int, int]]:
-    """Opcode, start and end of each record of the container, up to the end of the data."""
-    extents = []
-    at = MAGIC
-    while at + 9 <= len(content):
-        opcode, length = struct.unpack_from("<BQ", content, at)
-        extents.append((opcode, at, at + 9 + length))
-        at += 9 + length
-        if opcode == Opcode.DATA_END:
-            break
-    return extents
-
-
 def steps_by_chunk(file: Path) -> list[tuple[int, int, list[int]]]:
     """Start and end of each chunk, and the steps in it."""
     content = file.read_bytes()
-    chunks = [(start, end) for opcode, start, end in records_of(content) if opcode == Opcode.CHUNK]
+    chunks = [(start, end) for opcode, start, end in container_records(content) if opcode == CHUNK]
     with replay.open(file) as log:
         return [
             (start, end, [record.seq for record in log._chunks.records(number)])
@@ -193,6 +180,41 @@ def test_damaged_magic_bytes_lose_no_record(
         assert "its first bytes are damaged" in capsys.readouterr().err
     with replay.open(small_log) as log, replay.open(file) as copy:
         assert list(copy) == list(log)
+
+
+def zeroed_chunks(file: Path, *numbers: int) -> None:
+    content = GOLDEN.read_bytes()
+    chunks = [(start, end) for opcode, start, end in container_records(content) if opcode == CHUNK]
+    for number in numbers:
+        content = zeroed(content, *chunks[number])
+    file.write_bytes(content)
+
+
+def test_why_does_not_call_unfinished_what_ended_in_the_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The branch of step 22 ended at 24, its block at 25, and the run at 145."""
+    file = tmp_path / "x.mcap"
+
+    def why() -> list[str]:
+        assert main(["why", str(file)]) == 3
+        return capsys.readouterr().out.splitlines()
+
+    zeroed_chunks(file, 6)
+    said = why()
+    assert "Unfinished when the recording ended" not in said
+    at = said.index("Without an end: it may be among the records that are lost")
+    assert said[at + 1].endswith("in par block  [since step 22]")
+    zeroed_chunks(file, 8, 9, 10)
+    assert why() == ["How plan ended is lost; the last step that can be read is 122."]
+    assert main(["diff", str(GOLDEN), str(file)]) == 3
+    assert "the second lost its end" in capsys.readouterr().out
+    assert main(["info", str(file)]) == 3
+    assert re.search(r"^outcome +lost$", capsys.readouterr().out, re.MULTILINE)
+    zeroed_chunks(file, 10)
+    with replay.open(file) as log:
+        assert log.why().run.outcome == "lost"
+        assert not log.why().endless
 
 
 def test_diff_with_an_unreadable_recording_exits_with_3(

@@ -19,17 +19,19 @@ from mcap.records import AttachmentIndex, Chunk, ChunkIndex
 
 import replay
 import replay.cli.info
+import replay.cli.repair
 import replay.restore.ask
 import replay.restore.render
 import replay.restore.verify
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
-from recorder.records import TOPICS, BodyState, Mutation, Picture, Query, Run, Task
+from recorder.records import TOPICS, BodyState, Keyframe, Mutation, Picture, Query, Run, Task
 from recorder.records.values import MAX_DIGITS, MAX_NESTING
 from recorder.viewer.query_picture import MAX_PIXELS
 from replay.cli.main import main
 from replay.explain.task_tree import MAX_DEPTH
-from replay.file.chunks import FREE, MAX_RATIO, MAX_STEP
+from replay.file.chunks import MAX_STEP
+from replay.file.index import FREE, MAX_RATIO
 from replay.file.mcap_format import MAX_INFLATED
 from replay.state.fold import FAR
 from tests.measures import seeded
@@ -279,6 +281,97 @@ def test_chunks_inflate_to_no_more_than_recordings_do(tmp_path: Path) -> None:
     check(file, tmp_path, ["info"], ["tree"], ["why"], says="inflate to more than")
 
 
+def message(channel: int, step: int, payload: bytes) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22 + len(payload), channel, step, 1, 1) + payload
+
+
+def filler(writer: McapWriter, size: int) -> None:
+    """Make a file larger, so that its chunks may be."""
+    writer.add_attachment(0, "0/filler", "", random.Random(0).randbytes(size))
+
+
+@pytest.mark.parametrize("crc", ["right", "wrong"])
+@pytest.mark.parametrize("index", ["", "names one chunk 5,000 times", "is missing"])
+@pytest.mark.parametrize("library", ["pycram", "another"])
+def test_chunks_that_are_too_much_are_not_inflated(library: str, index: str, crc: str, tmp_path: Path) -> None:
+    """60 MB each; whoever reads them all, to count, to sort or to find them broken, would take minutes."""
+    file = tmp_path / "x.mcap"
+    one = message(2, 1, Task(seq=1, task=1, phase=Task.STARTED).SerializeToString())
+    chunk = one * (60 * MEGABYTE // len(one))
+    with file.open("wb") as stream:
+        writer = Bomb(stream, library)
+        begin(writer)
+        for _ in range(1 if "5,000" in index else 60):
+            writer.inflate("zstd", zstandard.compress(chunk), len(chunk), zlib.crc32(chunk) if crc == "right" else 1)
+        writer._chunks += writer._chunks[-1:] * (5000 if "5,000" in index else 0)
+        writer.finish()
+    if "missing" in index:
+        file.write_bytes(file.read_bytes()[:-60])
+    check(file, tmp_path, ["info"], ["log"], says="inflate to more than")
+
+
+@pytest.mark.parametrize("table", ["_chunks", "_attachments", "_metadata"])
+def test_an_index_that_names_the_same_very_often_harms_nobody(
+    table: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To read each is to read a megabyte thousands of times."""
+
+    def change(_: list[Record], assets: dict[str, bytes]) -> None:
+        assets["0/filler"] = random.Random(0).randbytes(MEGABYTE)
+
+    def finish(writer: McapWriter) -> None:
+        writer.flush()
+        setattr(writer, table, getattr(writer, table) * 2000)
+        McapWriter.finish(writer)
+
+    monkeypatch.setattr(hostile, "McapWriter", type("Lying", (McapWriter,), {"finish": finish}))
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change, {"filler": "x" * MEGABYTE})
+    check(file, tmp_path, ["info"])
+    check(file, tmp_path, ["state", "last"], damaged=False)
+
+
+def test_records_in_disorder_are_read_once(tmp_path: Path) -> None:
+    """Neighbouring steps are in other chunks, of which each takes a while to inflate, and another program wrote it."""
+    file, chunks, each = tmp_path / "x.mcap", 20, 500
+    picture = bytes(2000)
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "another")
+        begin(writer)
+        for first in range(1, chunks + 1):
+            records = [
+                Task(seq=step, task=step, phase=Task.STARTED, kind="motion", parameters=[{"json": picture.decode()}])
+                for step in range(first, chunks * each, chunks)
+            ]
+            content = b"".join(message(2, record.seq, record.SerializeToString()) for record in records)
+            writer.inflate("zstd", zstandard.compress(content), len(content), zlib.crc32(content))
+        filler(writer, MEGABYTE)
+        writer.finish()
+    check(file, tmp_path, ["info"], ["tree"], damaged=False)
+    with replay.open(file) as log:
+        assert [record.seq for record in log] == list(range(chunks * each))
+
+
+@pytest.mark.parametrize(("count", "size"), [(1, 60 * MEGABYTE), (30, MEGABYTE)])
+def test_empty_parts_take_no_more_memory_than_others(count: int, size: int, tmp_path: Path) -> None:
+    """Each takes three bytes in the file, and a hundred in memory."""
+    file, bodies = tmp_path / "x.mcap", b"\xa2\x01\x00"
+    assert Keyframe.FromString(bodies).bodies, "the field's number, and no bytes"
+    with file.open("wb") as stream:
+        writer = Bomb(stream, "pycram")
+        begin(writer)
+        schema = writer.add_schema(Keyframe.DESCRIPTOR.full_name, "protobuf", b"")
+        channel = writer.add_channel("/keyframe", "protobuf", schema)
+        writer.flush()
+        for step in range(1, count + 1):
+            payload = Keyframe(seq=step, world="w").SerializeToString() + bodies * (size // len(bodies))
+            content = message(channel, step, payload)
+            writer.inflate("zstd", zstandard.compress(content), len(content), zlib.crc32(content))
+        filler(writer, 2 * MEGABYTE)
+        writer.finish()
+    for verb in (["info"], ["log"], ["state", "0"], ["repair", "-o", "x.sound.mcap"]):
+        check(file, tmp_path, verb, damaged=count == 1, says="parts" if count == 1 else "")
+
+
 # --- what records say -------------------------------------------------------------------------------------------------
 
 
@@ -357,12 +450,23 @@ def swapped(records: list[Record], _: dict[str, bytes]) -> None:
         record.monotonic_ns += 3_000_000_000_000_000_000
 
 
+def circular(records: list[Record], _: dict[str, bytes]) -> None:
+    """Every task is its own part, and caused itself."""
+    for record in records:
+        record.cause = record.seq
+        if isinstance(record, Task):
+            record.parent = record.task
+
+
 SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
     "tasks in each other": lambda records, _: tasks(records, 20_000),
     "unknown phases": every(ENUM, 99),
     "negative phases": every(ENUM, -1),
     "deep JSON": jsons("[" * 100_000),
     "sound but deep JSON": jsons("[" * 900 + "]" * 900),
+    "JSON that takes long to look through": jsons("[" * 101 + '"' + '\\"' * 50_000),
+    "long rows of digits": jsons(("1" * 299 + " ") * 2000),
+    "circles": circular,
     "large numbers": jsons("9" * 4200),
     "more digits than Python reads": jsons("9" * 5000),
     "numbers that JSON doesn't have": jsons("[NaN, 1e999, -Infinity]"),
@@ -380,7 +484,11 @@ SAID: Final[dict[str, Callable[[list[Record], dict[str, bytes]], None]]] = {
 
 @pytest.mark.parametrize("what", SAID)
 def test_what_records_say_harms_nobody(what: str, tmp_path: Path) -> None:
-    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", SAID[what])
+    def change(records: list[Record], assets: dict[str, bytes]) -> None:
+        SAID[what](records, assets)
+        assets["0/filler"] = random.Random(0).randbytes(MEGABYTE)  # so that the texts aren't too much for the file
+
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
     check(file, tmp_path, *READING, *ENGINE, ["ask", "-20", "stable(milk)"], damaged=False)
 
 

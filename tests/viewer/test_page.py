@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
 import socket
+import subprocess
+import sys
 import urllib.request
 from html.parser import HTMLParser
 from http.client import HTTPConnection
@@ -15,12 +19,12 @@ import numpy as np
 import psutil
 import pytest
 
-from recorder.viewer import viewer_files
+from recorder.viewer import address, viewer_files, viewer_window
+from recorder.viewer.address import PORT
 from recorder.viewer.page_server import PageServer
 from recorder.viewer.web_page import private_link
 
 if TYPE_CHECKING:
-    import subprocess
     from collections.abc import Callable, Iterator
     from http.client import HTTPResponse
 
@@ -178,10 +182,89 @@ def own_addresses() -> list[str]:
     return ["127.0.0.2", *(address for address in cards if address != "127.0.0.1")]
 
 
-@pytest.mark.parametrize("address", own_addresses())
-def test_it_listens_on_the_loopback_alone(server: PageServer, address: str) -> None:
+@pytest.mark.parametrize("place", own_addresses())
+def test_it_listens_on_the_loopback_alone(server: PageServer, place: str) -> None:
     with pytest.raises(ConnectionRefusedError):
-        socket.create_connection((address, server.server_port), timeout=30)
+        socket.create_connection((place, server.server_port), timeout=30)
+
+
+#: A machine of its own, as far as the network goes, with a page and something that listens everywhere; and another one
+#: beside it, which asks for both.
+MACHINE = """
+import socket, subprocess, sys
+from recorder.viewer.page_server import PageServer
+
+ip = lambda *words: subprocess.run(["ip", *words], check=True)
+with subprocess.Popen(
+    ["unshare", "-n", sys.executable, "-c", sys.argv[1]], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+) as other:
+    assert other.stdout.readline() == "begun\\n"
+    ip("link", "set", "lo", "up")
+    ip("link", "add", "name", "here", "type", "veth", "peer", "name", "there", "netns", str(other.pid))
+    ip("address", "add", "192.0.2.1/24", "dev", "here")
+    ip("link", "set", "here", "up")
+    page, everywhere = PageServer(0, dict, None), socket.create_server(("", 0))
+    print(other.communicate(f"{page.server_port} {everywhere.getsockname()[1]}\\n")[0])
+"""
+OTHER_MACHINE = """
+import socket, subprocess
+
+print("begun", flush=True)
+ports = input().split()
+for words in ("address add 192.0.2.2/24 dev there", "link set there up"):
+    subprocess.run(["ip", *words.split()], check=True)
+for port in ports:
+    try:
+        socket.create_connection(("192.0.2.1", int(port)), timeout=30).close()
+        print("reached")
+    except ConnectionRefusedError:
+        print("refused")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.needs("network namespaces")
+def test_another_machine_is_refused() -> None:
+    command = ["unshare", "-rn", sys.executable, "-c", MACHINE, OTHER_MACHINE]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=100)
+    assert ended.stdout.split() == ["refused", "reached"], ended.stderr
+
+
+def listening_to(user: int, port: int) -> str:
+    """What the system tells of who listens: this user at another port, and a user at this one."""
+    return (
+        "  sl  local_address rem_address   st tx_queue rx_queue tr tm->when retrnsmt   uid  timeout inode\n"
+        f"   0: 0100007F:{port + 1:04X} 00000000:0000 0A 00000000:00000000 00:00000000 00000000 {os.getuid()} 0 1 1\n"
+        f"   1: 0100007F:{port:04X} 00000000:0000 0A 00000000:00000000 00:00000000 00000000 {user} 0 2 1\n"
+    )
+
+
+def test_a_port_is_told_from_another_user_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as ours, socket.create_server(("", 0)) as everywhere:
+        for listener in (ours, everywhere):
+            assert address.is_own(listener.getsockname()[1])
+        port = ours.getsockname()[1]
+    assert not address.is_own(port), "nobody listens any more"
+    monkeypatch.setattr(address, "_SOCKETS", tmp_path / "tcp")
+    for user, own in ((os.getuid(), True), (os.getuid() + 1, False)):
+        (tmp_path / "tcp").write_text(listening_to(user, 9876))
+        assert address.is_own(9876) == own
+
+
+def test_another_user_s_viewer_gets_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It answers at the usual port; a viewer of this user's is started at another."""
+    started: list[int] = []
+    monkeypatch.setattr(viewer_window, "answers", lambda _: True)
+    monkeypatch.setattr(viewer_window, "is_own", lambda _: False)
+    monkeypatch.setattr(viewer_window.ViewerWindow, "_start", lambda _, port: started.append(port))
+    with socket.socket() as theirs:
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with contextlib.suppress(OSError):  # somebody's viewer is open
+            theirs.bind(("127.0.0.1", PORT))
+            theirs.listen()
+        viewer_window.ViewerWindow()._stderr.close()
+    assert started
+    assert PORT not in started
 
 
 def test_the_page_may_contact_its_own_server_only(server: PageServer) -> None:
@@ -198,15 +281,15 @@ def test_a_port_that_somebody_has_is_refused(server: PageServer) -> None:
 
 
 def test_the_browser_is_called_with_a_file_that_only_its_user_can_read() -> None:
-    address = "http://127.0.0.1:1234/secret/?a&url=b"
-    with private_link(address) as link:
+    page = "http://127.0.0.1:1234/secret/?a&url=b"
+    with private_link(page) as link:
         file = Path(link.removeprefix("file://"))
         assert file.stat().st_mode & 0o777 == 0o600
         found: list[str] = []
         parser = HTMLParser()
         parser.handle_starttag = lambda _, attributes: found.append(dict(attributes).get("content") or "")  # type: ignore[method-assign]
         parser.feed(file.read_text())
-        assert found == [f"0;url={address}"]
+        assert found == [f"0;url={page}"]
     assert not file.exists()
 
 

@@ -54,16 +54,20 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         explained = _task_failure(log, run, task, RootCause(task.last_step, task))
         return replace(explained, variables=_variables(RootCause(task.last_step, task)))
     cause = root_cause(log, failed)
-    unfinished = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
+    open_tasks = tuple(task for task in failed.running if not any(part in failed.running for part in task.children))
+    lost = max((gap.start for gap in log.missing()), default=-1) if open_tasks else -1
+    unfinished = tuple(task for task in open_tasks if task.started.seq > lost)
+    endless = tuple(task for task in open_tasks if task.started.seq < lost)
     if cause is None:
         step = log.final_step()
         cut = Case(log, step, Failure(), None, failed, state_at(log, step), None)
-        return Why(run, step, None, find(cut) if run.outcome == "cut off" else (), unfinished=unfinished)
+        causes = find(cut) if run.outcome == "cut off" and not endless else ()
+        return Why(run, step, None, causes, unfinished=unfinished, endless=endless)
     if cause.task is None:
         explained = _plan_failure(log, run, failures(log, cause.step) if cause.thread else failed, cause)
     else:
         explained = _task_failure(log, run, cause.task, cause, unfinished)
-    explained = replace(explained, variables=_variables(cause))
+    explained = replace(explained, variables=_variables(cause), endless=endless)
     threads = tuple(record for record in failed_threads(log) if record.failure != cause.failure)
     return replace(explained, failed_threads=threads)
 

@@ -141,6 +141,7 @@ class Why:
         since_same_success: changes since the same kind of task succeeded for the last time; None if it never did.
         since_last_success: changes since anything succeeded for the last time.
         unfinished: the innermost tasks that have not ended, of a recording that was cut.
+        endless: the innermost tasks without an end, where that may be among records that are lost.
         failed_threads: the records of other threads of the plan's own that failed.
     """
 
@@ -167,6 +168,7 @@ class Why:
     since_same_success: ChangesSince | None = None
     since_last_success: ChangesSince | None = None
     unfinished: tuple[Node, ...] = ()
+    endless: tuple[Node, ...] = ()
     failed_threads: tuple[Run, ...] = ()
 
     @property
