@@ -108,7 +108,7 @@ def test_the_demo_does_the_same_again(demo_log: Path, capsys: pytest.CaptureFixt
     assert not result["notes"]
 
 
-@seeded("changes of one line, told by retrace", range(len(CHANGES)), 3)
+@seeded("changes of one line, found by retrace", range(len(CHANGES)), 3)
 def test_a_changed_line_is_told(plan: Path, tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         number, change = CHANGES[seed]
