@@ -139,10 +139,9 @@ def _moved_in_hand(case: Case) -> Iterator[NoLonger]:
     """Yield the pick-ups of what the robot holds, if the plan itself has moved it since then, far off its hand."""
     if case.motion is None or case.before is None or case.robot is None:
         return
-    arm = str(case.given.get("arm") or "")
-    meeting = {pair.get("mover") for pair in case.pairs}
+    moved = {pair.get("mover") for pair in case.pairs} | set(case.subjects if case.motion.name == "place" else ())
     for held in case.before.carried(case.robot.name):
-        if held.body not in meeting and held.carrier_link != case.hands.get(arm):
+        if held.body not in moved:
             continue
         grasp = next((each for each in case.motions("pick-up") if about(each, body=held.body)), None)
         changes = tuple(_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()

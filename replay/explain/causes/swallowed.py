@@ -42,7 +42,7 @@ def find(case: Case) -> Iterator[Swallowed]:
             also = _also(case, lack, last)
             yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last, also)
         found = skipped(case, lack) if last is None else None
-        if found is not None:
+        if found is not None and not _done_since(case, lack, found[0]):
             motion, name, line = found
             yield replace(_swallowed(case, "result", name, "", motion), skipped=line)
     yield from _results(case)
