@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.explain.blame import blame
-from replay.explain.causes.why import why
 from replay.explain.step_names import moment_of, step_of
 from replay.explain.task_tree import tree
 from replay.file.record_reader import RecordReader
@@ -56,6 +55,8 @@ class Recording(RecordReader):
 
     def why(self, step: int | str | None = None) -> Why:
         """Explain a failure; see :func:`replay.explain.causes.why.why`."""
+        from replay.explain.causes.why import why  # noqa: PLC0415  needs numpy, which most questions don't
+
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:

@@ -87,7 +87,7 @@ class Changed(OSError):
 
 
 class Watched:
-    """A file that nobody but this process may change: who does, is told of.
+    """A file that nobody but this process may change: a change by others is an error.
 
     Pipes and devices have no content that could change.
 

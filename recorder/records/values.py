@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 #: A longer traceback has its innermost frames, of each error in it: a failure through many blocks is recorded by each.
 MAX_FRAMES: Final = 32
 MAX_NESTING: Final = 100
-"""Levels of lists and dictionaries in each other, in a value that a record has; what is deeper is told as its text."""
+"""Levels of lists and dictionaries in each other, in a recorded value; what is deeper is recorded as its text."""
 MAX_DIGITS: Final = 300
-"""Of a whole number, which a float still holds then; what has longer ones is told as its text."""
+"""Of a whole number, which a float still holds then; what has longer ones is recorded as its text."""
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')  # a text that has no end takes all
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
@@ -119,7 +119,7 @@ def _loaded(text: str) -> Plain:
     """Return the value of a line of JSON.
 
     Raises:
-        ValueError: It isn't JSON, is nested deeper than any that is told, or has longer numbers.
+        ValueError: It isn't JSON, is nested deeper than any that is recorded, or has longer numbers.
     """
     if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING and _depth(text) > MAX_NESTING:
         raise ValueError(f"it is nested more than {MAX_NESTING} deep")

@@ -91,8 +91,15 @@ def lines(
         yield f"{'> ' if row.failing else '  '}{'  ' * row.depth}{mark}{row.text}{extent}"
 
 
+def timeout_text(name: str, clock: object) -> str:
+    """A timeout in words; its name is its limit."""
+    return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
+
+
 def label(node: Node) -> str:
     """Name, parameters and kind of a task in a line."""
+    if node.kind == "timeout":
+        return timeout_text(node.name, node.parameters.get("clock"))
     parameters = values(node.started.parameters)
     if len(parameters) > _MAX_WIDTH:
         parameters = parameters[: _MAX_WIDTH - 3] + "..."

@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
+from recorder.tasks.tree_text import timeout_text
+
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -85,6 +87,8 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     """Return a task, with its kind if the name doesn't imply it; a process module's parameters are its motion's."""
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
+    if kind == "timeout":
+        return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)
     return called if kind in _PLAIN_KINDS else f"{called} {kind}"
 

@@ -50,6 +50,7 @@ FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
+_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a step that isn't there, which says so
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -100,11 +101,16 @@ def _own_error(error: Exception) -> str:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Return the arguments, points that begin with a minus joined to their options: alone they look like options."""
+    """Return the arguments so that what begins with a minus is no option, as argparse would take it.
+
+    Points are joined to their options; times have a space before them, which no option has.
+    """
     joined: list[str] = []
     for text in arguments:
         if joined and joined[-1] in _POINT_OPTIONS and _NEGATIVE.match(text):
             joined[-1] += f"={text}"
+        elif _NEGATIVE_TIME.fullmatch(text):
+            joined.append(f" {text}")
         else:
             joined.append(text)
     return joined

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import singledispatch
+from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, argument_values, format_failure, from_json
+from recorder.records import Fluent, Query, argument_values, format_failure, from_json
 from recorder.records.choices import rejection_lines
 from recorder.tasks import State
 from replay.cli import formatting, record_text
 from replay.explain.causes import cause as kinds
+from replay.explain.causes.timeout import duration
 
 if TYPE_CHECKING:
     from recorder.records import Task
@@ -66,8 +68,10 @@ def _(cause: kinds.Swallowed) -> Iterator[str]:
     at = f" at {_at(cause.line)}" if cause.line is not None else ""
     how = f"{at} was cancelled" if failed.status is State.CANCELLED else f"{at} failed"
     on = f" at {_at(cause.went_on)}" if cause.went_on is not None else ""
-    step = cause.steps[-1]
-    yield f"{_call(failed)}{how} at step {failed.last_step} and the plan went on{on}; {lacked} at step {step}"
+    lacked += f" at step {cause.steps[-1]}"
+    if cause.skipped is not None:
+        lacked = f"so {cause.subject} had nothing from it, and {_at(cause.skipped)} was skipped: {cause.skipped.text}"
+    yield f"{_call(failed)}{how} at step {failed.last_step} and the plan went on{on}; {lacked}"
     if failed.error is not None:
         yield f"it failed with: {_error(failed)}"
     for task in cause.also:
@@ -155,8 +159,17 @@ def _(cause: kinds.Timeout) -> Iterator[str]:
     for pending in cause.pending:
         yield from _pending(pending)
     if cause.took and not any(pending.task.kind == "wait" for pending in cause.pending):
-        took = (f"{_call(task)} {formatting.seconds(round((task.seconds or 0.0) * 1e9))}" for task in cause.took)
-        yield f"until then: {', '.join(took)}"
+        times = ((task, round(duration(task, cause.clock) * 1e9)) for task in cause.took)
+        took = [f"{_call(task)} {formatting.seconds(time_ns)}" for task, time_ns in times if time_ns]
+        if took:
+            yield f"until then: {', '.join(took)}"
+        for error, tasks in groupby((task for task in cause.took if task.failed), _error):
+            names = formatting.names([_call(task) for task in tasks])
+            yield f"{names} failed: {error}"
+    for each in cause.simulated:
+        at = f"{_at(each.line)} simulated" if each.line is not None else "simulated were"
+        calls = f" in {len(each.steps)} calls" if len(each.steps) > 1 else ""
+        yield f"{at} {formatting.number(each.seconds)} s{calls}"
 
 
 @_words.register
@@ -207,6 +220,8 @@ def _(cause: kinds.OutOfReach) -> Iterator[str]:
 @_words.register
 def _(cause: kinds.Gone) -> Iterator[str]:
     yield f"{cause.body} had been removed at step {cause.change.step}{_by(cause.change)}"
+    if cause.loaded is not None:
+        yield f"step {cause.loaded.step}: another {_change(cause.loaded)}"
 
 
 # --- parts of sentences ----------------------------------------------------------------------------------------------
@@ -256,6 +271,7 @@ def _change(change: Change) -> str:
         "command": f"{name} was moved",
         "carried": f"{name} was carried{f' by {change.mover}' if change.mover else ''}",
         "along": f"{name} moved along{f' with {change.mover}' if change.mover else ''}",
+        "in-hand": f"{name} was moved itself while a hand held it, off that hand",
         "physics": f"{name} moved in simulation",
         "removed": f"{name} was removed",
         "joints": f"joints of {name} moved",
@@ -321,10 +337,13 @@ def _fulfiller(each: Fulfiller) -> str:
     return text
 
 
-def _answer(record: Query | Task) -> str:
+def _answer(record: Query | Task | Fluent) -> str:
     if isinstance(record, Query):
         reasons = record_text.reasons(record) if record.candidates else ""
         return f"{record_text.question(record)}: {record_text.answer(record)}" + (f"; {reasons}" if reasons else "")
+    if isinstance(record, Fluent):
+        at = f", at {formatting.path(record.source_file)}:{record.source_line}" if record.source_line else ""
+        return f"{record.name} became {formatting.value(from_json(record.after_json))}{at}"
     if record.kind != "wait":
         return f"{record.name} failed: {formatting.short(formatting.one_line(record.failure.message))}"
     done = "it came true" if from_json(record.result_json) is True else "it didn't come true in time"

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Query, Refusal, Task
+from recorder.records import Fluent, Query, Refusal, Task
 from recorder.tasks import Node
 from replay.cli import call_stacks, diff, why_causes
 from replay.explain.plan_source import Line
@@ -103,7 +103,7 @@ def _plain(value: object) -> object:
         return _task_facts(value)
     if isinstance(value, Line):
         return call_stacks.line_facts(value)
-    if isinstance(value, Task | Query | Refusal):
+    if isinstance(value, Task | Query | Refusal | Fluent):
         return record_data(value)
     if is_dataclass(value) and not isinstance(value, type):
         return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}

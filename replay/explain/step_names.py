@@ -41,9 +41,10 @@ def step_of(log: RecordReader, name: int | str) -> int:
         return cause.step
     if text.startswith("task:"):
         return task_step(log, text)
+    moment = moment_of(text)
+    if moment is not None:
+        return _at_time(log, moment, text)
     try:
-        if text.endswith("s"):
-            return _at_time(log, float(text[:-1]), text)
         number = int(text)
     except ValueError:
         raise NoSuchStep(repr(text), len(log), f"a step is a {HINT}") from None
@@ -56,12 +57,11 @@ def step_of(log: RecordReader, name: int | str) -> int:
 def moment_of(name: int | str) -> float | None:
     """Return the simulated time, s, that a name of a step is; None if it is none."""
     text = str(name).strip()
-    if not text.endswith("s"):
-        return None
     try:
-        return float(text[:-1])
+        moment = float(text[:-1]) if text.endswith("s") else math.nan
     except ValueError:
         return None
+    return moment if math.isfinite(moment) else None
 
 
 def task_step(log: RecordReader, text: str) -> int:
@@ -117,7 +117,7 @@ def _no_task_hint(log: RecordReader, path: str, count: int) -> str:
 
 
 def _at_time(log: RecordReader, seconds: float, text: str) -> int:
-    if not math.isfinite(seconds) or seconds < 0 or not log.lifetimes:
+    if seconds < 0 or not log.lifetimes:
         raise NoSuchStep(text, len(log), "simulated time begins at 0 s")
     limit = seconds * STEPS_PER_SECOND
     ends = {}

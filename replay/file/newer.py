@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from replay.file.index import Index
 
-_MAX_NAMES: Final = 4  # that are told
+_MAX_NAMES: Final = 4  # in a message
 _MAX_DIGITS: Final = 9  # of a number that is one
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 

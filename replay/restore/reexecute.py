@@ -123,7 +123,7 @@ class Reexecution:
             repeated.world, repeated.task, repeated.cause = record.world, record.task, record.cause
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
-            _keep_what_follows(record, repeated, told=self._log.format > 0)
+            _keep_what_follows(record, repeated, with_overlaps=self._log.format > 0)
         return repeated
 
 
@@ -136,11 +136,11 @@ def _check_clock(log: RecordReader, world: BulletWorld, record: Mutation) -> Non
         raise Damaged(log.path, f"step {record.seq}", cause)
 
 
-def _keep_what_follows(record: Mutation, repeated: Mutation, *, told: bool) -> None:
-    """Take over what says nothing of how a change is made; overlaps only where the recording's release tells them."""
+def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
+    """Take over what says nothing of how a change is made; overlaps only where the recording's release records them."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window changes nothing
-    if record.HasField("load_body") and not told and not record.load_body.overlaps:
+    if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
     if record.simulate.HasField("settled"):  # follows from the states
         repeated.simulate.settled = record.simulate.settled

@@ -104,7 +104,7 @@ class TaskIntegrity:
             return ""
         if record.status not in _STATUSES.get(record.phase, ()):
             return f"{subject} is {_name(record.phase)} with a status that doesn't go with that"
-        cause = _failure(failed=record.status == Task.FAILED, told=record.HasField("failure"))
+        cause = _failure(failed=record.status == Task.FAILED, recorded=record.HasField("failure"))
         if cause:
             return f"{subject} {cause}"
         began = self._running.get(record.task)
@@ -120,7 +120,7 @@ class TaskIntegrity:
     def check_run(self, record: Run) -> str:
         """Take the next record of the run; return what is wrong with it, or ""."""
         failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
-        cause = _failure(failed=failed, told=record.HasField("failure"))
+        cause = _failure(failed=failed, recorded=record.HasField("failure"))
         if cause:
             return f"the run {cause}"
         if record.succeeded and record.phase != Run.FINISHED:
@@ -141,8 +141,8 @@ class TaskIntegrity:
         return task.kind == "branch" or task.thread == self._threads.get(task.parent)
 
 
-def _failure(*, failed: bool, told: bool) -> str:
-    if failed == told:
+def _failure(*, failed: bool, recorded: bool) -> str:
+    if failed == recorded:
         return ""
     return "failed, but has no failure" if failed else "has a failure, but did not fail"
 

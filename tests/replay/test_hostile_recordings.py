@@ -573,11 +573,11 @@ def test_an_error_of_our_own_is_said_as_one(
     monkeypatch.setattr(replay.cli.info, "run", broken)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     assert main(["info", str(GOLDEN)]) == 4
-    told = capsys.readouterr()
+    output = capsys.readouterr()
     (kept,) = tmp_path.glob("pycram-replay-*.txt")
-    assert "an error of PyCRAM's own" in told.err
-    assert str(kept) in told.err
-    assert "Traceback" not in told.err
+    assert "an error of PyCRAM's own" in output.err
+    assert str(kept) in output.err
+    assert "Traceback" not in output.err
     assert "nobody foresaw it" in kept.read_text()
     assert "Traceback" in kept.read_text()
 

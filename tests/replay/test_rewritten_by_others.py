@@ -31,7 +31,7 @@ COPIES: dict[str, dict[str, Any]] = {
 VERBS = ("log", "info", "tree", "why", "state 0", "state 9", "state 100", "state last", "show 0", "diff 9 last")
 
 
-def told(file: Path, verb: str, capsys: pytest.CaptureFixture[str]) -> list[Any]:
+def output_of(file: Path, verb: str, capsys: pytest.CaptureFixture[str]) -> list[Any]:
     """What a verb says of a recording, but for the file's own name and size."""
     name, *rest = verb.split()
     code = main([name, str(file), *rest, "--json"])
@@ -51,7 +51,7 @@ def test_every_reading_verb_says_the_same_of_a_copy(
 ) -> None:
     copy = rewritten_by_mcap(GOLDEN, tmp_path / "x.mcap", **options)
     for verb in VERBS:
-        assert told(copy, verb, capsys) == told(GOLDEN, verb, capsys), verb
+        assert output_of(copy, verb, capsys) == output_of(GOLDEN, verb, capsys), verb
     assert main(["verify", "--static", str(copy)]) == 0
     with replay.open(copy) as log, replay.open(GOLDEN) as original:
         assert log.complete

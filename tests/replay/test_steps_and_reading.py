@@ -204,6 +204,11 @@ def test_reading_verbs_work_without_engine_viewer_and_meshes(small_log: Path) ->
     assert exit_codes_without(f"{ENGINE_AND_VIEWER},pycram,trimesh,collada,PIL", small_log, *verbs) == ["0"] * 8
 
 
+def test_most_verbs_need_no_numpy_which_takes_longer_to_load_than_they_do(small_log: Path) -> None:
+    verbs = ["info", "log", "show 9", "state last", "blame milk"]
+    assert exit_codes_without("numpy", small_log, *verbs) == ["0"] * 5
+
+
 @pytest.mark.slow
 def test_pictures_are_drawn_without_engine_and_viewer(small_log: Path, tmp_path: Path) -> None:
     verbs = [f"render 9 -o {tmp_path}/x.png", f"why --pictures {tmp_path}"]

@@ -89,7 +89,7 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
     Args:
         robot: the robot; its world's lock is held.
         arm: the arm.
-        choice: is told why other ways won't do.
+        choice: takes the other ways, and why they won't do.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:

@@ -9,7 +9,7 @@ import tomllib
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchName
@@ -161,7 +161,7 @@ class Case:
             if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
 
-    def is_here(self, record: Task | Refusal) -> bool:
+    def is_here(self, record: Task | Refusal | Mutation) -> bool:
         """Return whether something was in the world that the failure is about, not in an earlier one of its name."""
         if self.world is None:
             return True
@@ -235,7 +235,7 @@ class Case:
         return found
 
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
-        """Return the variables that the statements at some lines read (``ast.Load``) or set (``ast.Store``).
+        """Return the variables that the statements at some lines read (``ast.Load``), or set or fill (``ast.Store``).
 
         Each has its function's name before its own.
         """
@@ -245,6 +245,8 @@ class Case:
                 if statement.lineno <= line.number <= (statement.end_lineno or statement.lineno):
                     nodes = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
                     found |= {(line.function, node.id) for node in nodes if isinstance(node.ctx, context)}
+                    if context is ast.Store:
+                        found |= {(line.function, name) for name in _filled(statement)}
         return found
 
 
@@ -305,6 +307,22 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
         yield from reasons
 
 
+_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods of lists and the like
+
+
+def _filled(statement: ast.stmt) -> Iterator[str]:
+    """Yield the variables into whose lists or the like a statement puts something."""
+    for node in ast.walk(statement):
+        if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+            owner: ast.expr | None = node.value
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _FILLING:
+            owner = node.func.value
+        else:
+            owner = None
+        if isinstance(owner, ast.Name):
+            yield owner.id
+
+
 def _statements(text: str) -> Iterator[ast.stmt]:
-    """Yield a file's simple statements, and the heads of others."""
+    """Yield a file's simple statements."""
     return (node for node in syntax_nodes(text) if isinstance(node, ast.stmt) and not hasattr(node, "body"))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from recorder.records import Plain, Query, Refusal, Task
+    from recorder.records import Fluent, Plain, Query, Refusal, Task
     from recorder.tasks import Node
     from replay.explain.plan_source import Line
 
@@ -37,7 +37,8 @@ class Change:
         step: of the record.
         body: name of the body.
         joint: name of its joint; "" for its pose.
-        how: as in :class:`replay.explain.blame.Blame`, or "attached", "detached".
+        how: as in :class:`replay.explain.blame.Blame`, or "attached", "detached", "in-hand" (it was moved itself while
+            a hand held it, and stays in that hand).
         task: the start of the innermost motion or handler, or else task, that it is part of; None if the plan itself
             did it.
         handler: the start of the handler's call that it is part of, whose cause is its event; None if it is of none.
@@ -73,6 +74,7 @@ class Swallowed(Cause):
         line: the plan's line that asked for that; None if that isn't known.
         went_on: the plan's line with which it went on; None if that isn't known.
         also: earlier tasks that would have done as well, and failed too, as with the other arm.
+        skipped: the plan's line that skipped what would have used the variable, as a loop over nothing does; or None.
     """
 
     kind = "swallowed-failure"
@@ -83,6 +85,7 @@ class Swallowed(Cause):
     line: Line | None
     went_on: Line | None
     also: tuple[Node, ...] = ()
+    skipped: Line | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +177,7 @@ class Raised(Cause):
         own: whether it is a ``raise`` or ``assert`` of the plan's; else that line made a mistake.
         task: the branch or other task in which it did; None outside of all.
         answers: the last queries and waits of that task before it, whose answers it may have judged by; before them
-            the end of the last motion, if that failed.
+            the end of the last motion, if that failed; of a ``whenever`` the last change of its fluents.
     """
 
     kind = "raised"
@@ -182,7 +185,7 @@ class Raised(Cause):
     line: Line
     own: bool
     task: Node | None
-    answers: tuple[Query | Task, ...] = ()
+    answers: tuple[Query | Task | Fluent, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,6 +231,21 @@ class Pending:
 
 
 @dataclass(frozen=True, slots=True)
+class Simulated:
+    """Simulated time that a line of the plan took.
+
+    Attributes:
+        line: the line; None if it isn't known.
+        seconds: s of simulated time.
+        steps: of the records.
+    """
+
+    line: Line | None
+    seconds: float
+    steps: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Timeout(Cause):
     """A part of the plan missed its deadline.
 
@@ -236,7 +254,8 @@ class Timeout(Cause):
         clock: "wall" or "simulated".
         pending: what it was waiting for, or doing, at the deadline.
         line: the plan's line at which it stopped; None if that isn't known.
-        took: the tasks that ended within it, the longest first.
+        took: the tasks that ended within it, the longest first by that clock.
+        simulated: of a limit in simulated time, the lines that took most of it.
     """
 
     kind = "timeout"
@@ -245,6 +264,7 @@ class Timeout(Cause):
     pending: tuple[Pending, ...]
     line: Line | None
     took: tuple[Node, ...] = ()
+    simulated: tuple[Simulated, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,7 +317,7 @@ class InTheWay(Cause):
 
 @dataclass(frozen=True, slots=True)
 class NoCandidate(Cause):
-    """Of several ways to do it, as grasps or postures, none would do.
+    """Of the ways to do it, as grasps or postures, none would do.
 
     Attributes:
         asked: the choice, with its candidates and why each was rejected.
@@ -319,7 +339,7 @@ class OutOfReach(Cause):
         distance: from the robot's base to it on the ground, m.
         miss: how far away the nearest posture stays, m; None if that isn't known.
         orientation: xyzw of the tool that was asked for; none if any would have done.
-        changes: what put the robot, and the object, where they are.
+        changes: what put the robot, its torso, and the object, where they are.
     """
 
     kind = "out-of-reach"
@@ -338,8 +358,10 @@ class Gone(Cause):
     Attributes:
         body: its name.
         change: the record that removed it.
+        loaded: the record that loaded another one of its name since then; None if none did.
     """
 
     kind = "removed"
     body: str
     change: Change
+    loaded: Change | None = None

@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 from replay.explain.causes import (
+    gone,
     hand_states,
     interrupted,
     no_longer,
@@ -46,7 +47,7 @@ def find(case: Case) -> tuple[Cause, ...]:
         *physics.find(case),
         *no_longer.find(case),
         *timeout.find(case),
-        *surroundings.gone(case),
+        *gone.find(case),
         *raised.find(case),
         *hand_states.find(case),
         *surroundings.in_the_way(case),
@@ -72,6 +73,8 @@ def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
         return any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
     if isinstance(cause, InTheWay):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
+    if isinstance(cause, NoCandidate) and cause.count == 1:  # then the message says it
+        return len(found) > 1
     if isinstance(cause, OutOfReach | NoCandidate):
         return any(isinstance(each, Physics | NoLonger | Swallowed) for each in found)
     return False

@@ -9,11 +9,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, argument_values, from_json
+from recorder.records import Mutation, Query, argument_values, from_json
 from recorder.tasks import State
 from replay.explain.causes.case import joints_of, objects_in
 from replay.explain.causes.cause import NoLonger
-from replay.explain.causes.preconditions import result
+from replay.explain.causes.gone import removal_of
+from replay.explain.causes.preconditions import about, result
 from replay.explain.causes.raised import answers
 from replay.state.difference import turn
 from replay.state.fold import state_at
@@ -41,11 +42,13 @@ _NOTHING: Final = {
     "PerceptionError": ("occluding",),
 }
 _MOVED: Final = (1e-3, 5e-3)  # m, rad
+_IN_HAND: Final = 0.05  # m; less is an adjustment
 _SEARCHED: Final = 5_000  # queries
 
 
 def find(case: Case) -> Iterator[NoLonger]:
-    """Yield the last answer, and the last perception, that no longer held."""
+    """Yield the last answer, or the last perception, that no longer held, or pick-up of what was moved in the hand."""
+    yield from _moved_in_hand(case)
     asked: Query | Node | None = _contradicted(case)
     if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
         asked = _perceived(case)
@@ -111,11 +114,10 @@ def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
         before, after = then.bodies.get(name), case.world.bodies.get(name)
         if after is None or (before is not None and not _has_moved(before, after)):
             continue
-        change = case.blame(name)
-        if change is not None and change.how == "physics" and change.earlier is not None:
-            change = change.earlier  # what physics itself did is another cause
-        if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
-            yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
+        removal = removal_of(case, name, step) if before is not None else None
+        if removal is not None:  # it is another one of its name
+            yield case.change(removal, name, "removed")
+        yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
         for joint in _relevant_joints(after, asked.name):
@@ -123,6 +125,41 @@ def _changes(case: Case, asked: Query | Node) -> Iterator[Change]:
                 change = case.blame(f"{robot}.{joint}")
                 if change is not None and change.record.seq > step:
                     yield case.change(change.record, robot, change.how, joint=joint, size=(change.distance, 0.0))
+
+
+def _last_change(case: Case, name: str, step: int) -> Iterator[Change]:
+    change = case.blame(name)
+    if change is not None and change.how == "physics" and change.earlier is not None:
+        change = change.earlier  # what physics itself did is another cause
+    if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
+        yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
+
+
+def _moved_in_hand(case: Case) -> Iterator[NoLonger]:
+    """Yield the pick-ups of what the robot holds, if the plan itself has moved it since then, far off its hand."""
+    if case.motion is None or case.before is None or case.robot is None:
+        return
+    moved = {pair.get("mover") for pair in case.pairs} | set(case.subjects if case.motion.name == "place" else ())
+    for held in case.before.carried(case.robot.name):
+        if held.body not in moved:
+            continue
+        grasp = next((each for each in case.motions("pick-up") if about(each, body=held.body)), None)
+        changes = tuple(_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()
+        if grasp is not None and changes:
+            yield NoLonger((grasp.last_step, *(each.step for each in changes), case.step), grasp, changes)
+
+
+def _moves(case: Case, name: str, start: int) -> Iterator[Change]:
+    """Yield the commands by which the plan itself has moved an object since a step, in order."""
+    for record in case.log.records(Mutation, start + 1, case.began):
+        if not record.HasField("move_body") or record.move_body.body != name or not case.is_here(record):
+            continue
+        before, after = (
+            state_at(case.log, step).worlds[record.world].bodies[name] for step in (record.seq - 1, record.seq)
+        )
+        distance = math.dist(before.position, after.position)
+        if distance > _IN_HAND:
+            yield case.change(record, name, "in-hand", size=(distance, turn(before.orientation, after.orientation)))
 
 
 def _relevant_joints(robot: Body, query: str) -> tuple[str, ...]:

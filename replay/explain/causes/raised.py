@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import builtins
 import re
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Query, Refusal, Task
+from recorder.records import Fluent, Query, Refusal, Task
 from recorder.records.choices import is_choice
 from replay.explain.causes.cause import Raised
 
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from replay.explain.causes.case import Case
+    from replay.explain.plan_source import Line
 
 _MAX_ANSWERS: Final = 3
+_SEARCHED: Final = 1_000  # changes of fluents
 _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the head of a statement
 #: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
 USAGE_ERRORS: Final = frozenset(
@@ -30,7 +33,8 @@ _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")
 
 
 def find(case: Case) -> Iterator[Raised]:
-    """Yield the plan's line that raised it, unless a module of PyCRAM's did in a motion."""
+    """Yield what the plan made of it, and the line that raised it, unless a module of PyCRAM's did so in a motion."""
+    yield from _made_of_it(case)
     error = next(reversed(case.traced), None)
     asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
     lines = error.lines or asked if error is not None else ()
@@ -41,10 +45,26 @@ def find(case: Case) -> Iterator[Raised]:
     if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
         return
     line = lines[-1] if error.own else case.line(lines) or lines[-1]
-    own = error.own and _RAISES.search(line.text) is not None
-    judged = (*_failed_before(case), *answers(case)) if own else ()
+    own = error.own and _is_raise(line)
+    judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
     steps = {*(each.seq for each in judged), *refusal_of(case), case.step}
     yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+
+def _is_raise(line: Line) -> bool:
+    return _RAISES.search(line.text) is not None
+
+
+def _made_of_it(case: Case) -> Iterator[Raised]:
+    """Yield the plan's line that raised another error where it handled the task's failure."""
+    last = next(reversed(case.exceptions), None)
+    end = case.task.motion.finished if case.task is not None else None
+    failure = (case.failure.type, case.failure.message)
+    if last is None or end is None or not last.lines or (last.type, last.message) == failure:
+        return
+    if last.own if _is_raise(last.lines[-1]) else last.type in USAGE_ERRORS or hasattr(builtins, last.type):
+        line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
+        yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
 
 
 def is_mistake(case: Case) -> bool:
@@ -71,6 +91,16 @@ def _failed_before(case: Case) -> Iterator[Task]:
     last = max(ended, key=lambda motion: motion.last_step, default=None)
     if last is not None and last.failed and last.finished is not None and case.is_here(last.started):
         yield last.finished
+
+
+def _watched(case: Case) -> Iterator[Fluent]:
+    """Yield the last change of the fluents that a ``whenever`` reacts to, if it is one."""
+    if case.task is None or case.task.kind != "whenever":
+        return
+    for record in islice(case.log.backwards(case.step, Fluent), _SEARCHED):
+        if record.name in case.task.name:
+            yield record
+            return
 
 
 def answers(case: Case) -> Iterator[Query | Task]:

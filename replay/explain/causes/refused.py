@@ -81,7 +81,7 @@ def _missed(case: Case, refusal: Refusal) -> Iterator[tuple[str, str]]:
     elif refusal.name in _POSES and (subject in case.mentioned or _is_robot(case, subject)):
         yield "moved", subject
     elif refusal.name in _JOINTS:
-        yield from _joints(case, subject, given)
+        yield from _joints(case, subject, refusal, given)
     elif refusal.name == "remove" and ("clear", subject) in lacks:
         yield "clear", subject
 
@@ -91,9 +91,9 @@ def _is_robot(case: Case, name: str) -> bool:
     return case.motion is not None and case.robot is not None and case.robot.name == name
 
 
-def _joints(case: Case, subject: str, given: Mapping[str, Plain]) -> Iterator[tuple[str, str]]:
+def _joints(case: Case, subject: str, refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[tuple[str, str]]:
     """Yield the joints that would have been moved, if the failure depends on these."""
-    names = set(_joints_in(given))
+    names = set(_joints_meant(refusal, given))
     if case.robot is not None and subject == case.robot.name:
         parts = ["torso", "head"] if case.failure.type in _SEEN else ["torso"]
         touching = [arm for arm in case.hands if any(pair.get("mover") == subject for pair in case.pairs)]
@@ -105,18 +105,20 @@ def _joints(case: Case, subject: str, given: Mapping[str, Plain]) -> Iterator[tu
         yield "joint-moved", f"{', '.join(sorted(names))} of {subject}"
 
 
-def _joints_in(given: Mapping[str, Plain]) -> Iterator[str]:
+def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
+    """Yield the joints that would have been moved; of a misspelt one the name that the refusal suggests first."""
     positions = given.get("positions")
-    if isinstance(positions, dict):
-        yield from positions
-    if isinstance(given.get("name"), str):
-        yield str(given["name"])
+    error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
+    near = error.get("nearest")
+    for name in (*(positions if isinstance(positions, dict) else ()), given.get("name")):
+        if isinstance(name, str):
+            yield str(near[0]) if isinstance(near, list) and near and name == error.get("name") else name
 
 
 def _done_since(case: Case, refusal: Refusal) -> bool:
     """Return whether the same was done between a refusal and the failure, or the plan moved the object otherwise."""
     given = argument_values(refusal.arguments)
-    subject, joints = next(objects_in(given.get("object")), ""), set(_joints_in(given))
+    subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():
         if record.world != refusal.world:
             continue

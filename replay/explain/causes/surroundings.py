@@ -1,12 +1,13 @@
-"""What was in the way, out of reach or gone, and what had put it there."""
+"""What was in the way or out of reach, and what had put it there."""
 
 from __future__ import annotations
 
 import math
 from typing import TYPE_CHECKING
 
-from replay.explain.causes.cause import Gone, InTheWay, NoCandidate, OutOfReach
-from replay.explain.causes.preconditions import joints_to, lacking
+from replay.explain.causes.case import joints_of
+from replay.explain.causes.cause import InTheWay, NoCandidate, OutOfReach
+from replay.explain.causes.preconditions import joints_to
 from replay.explain.task_tree import choices
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
 
     from replay.explain.causes.case import Case
     from replay.explain.causes.cause import Change
-
-_GONE = " is gone"  # of the message of a WorldClosed
 
 
 def in_the_way(case: Case) -> Iterator[InTheWay]:
@@ -50,18 +49,18 @@ def _obstacle(case: Case, body: str, link: str, mover: str) -> InTheWay:
 
 
 def no_candidate(case: Case) -> Iterator[NoCandidate]:
-    """Yield the last choice of the failed motion, if several were considered and none would do."""
+    """Yield the last choice of the failed motion, if none of what was considered would do."""
     if case.task is None or case.motion is None:
         return
     last = next(reversed(list(choices(case.log, case.task, case.step + 1))), None)
     if last is not None and last.chosen < 0:
         count = sum(each.count or len(each.names) for each in last.candidates)
-        if count > 1:
+        if count:
             yield NoCandidate((last.seq, case.step), last, count)
 
 
 def out_of_reach(case: Case) -> Iterator[OutOfReach]:
-    """Yield how far away it was, and what put robot and object there."""
+    """Yield how far away it was, and what put the robot, its torso and the object there."""
     if case.failure.type not in ("Unreachable", "HandleUnreachable") or case.robot is None or case.motion is None:
         return
     body = next((name for name in case.subjects if case.free_body(name) is not None), "")
@@ -71,7 +70,8 @@ def out_of_reach(case: Case) -> Iterator[OutOfReach]:
         return
     distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
     miss, turned = case.data.get("distance"), case.given.get("orientation")
-    changed = (case.changed(name) for name in (case.robot.name, taken) if name)
+    torso = (f"{case.robot.name}.{joint}" for joint in joints_of(case.robot, "torso"))
+    changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
     changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
     yield OutOfReach(
         (*(change.step for change in changes), case.step),
@@ -82,17 +82,3 @@ def out_of_reach(case: Case) -> Iterator[OutOfReach]:
         tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
         changes,
     )
-
-
-def gone(case: Case) -> Iterator[Gone]:
-    """Yield which object, that the plan used, had been removed."""
-    message = case.failure.message
-    if case.failure.type != "WorldClosed" or case.world is None or _GONE not in message:
-        return
-    known = list(lacking(case))
-    for name in () if known else [word for word in message.split() if word not in case.world.bodies]:
-        last = case.blame(name)
-        if last is not None and last.how == "removed":
-            change = case.change(last.record, name, "removed")
-            yield Gone((change.step, case.step), name, change)
-            return

@@ -1,20 +1,23 @@
 """Failures that the plan swallowed, and that made a later motion fail.
 
 Of what a failed motion lacked, the last motion that should have brought it about had failed, or was cancelled: with the
-same object, the same arm, the same joint. A later success of such a motion ends that, as does any other change that did
-it, or something else, to the same: a plan that attached the object itself and let go of it then failed for that.
+same object, the same arm, the same joint. Or it was skipped, for want of what a perception would have found. A later
+success of such a motion ends that, as does any other change that did it, or something else, to the same: a plan that
+attached the object itself and let go of it then failed for that.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Task
 from recorder.tasks import State
 from replay.explain.causes.cause import Swallowed
 from replay.explain.causes.preconditions import about, lacking
+from replay.explain.causes.skipped import skipped
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
 
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # that a list or the like makes which lacks a value
 _MAX_ALSO: Final = 3
 _SEARCHED: Final = 2000  # records in which a plan goes on after a failure
 
@@ -37,6 +41,10 @@ def find(case: Case) -> Iterator[Swallowed]:
         if last is not None and last.status in _UNSUCCESSFUL and not _done_since(case, lack, last):
             also = _also(case, lack, last)
             yield _swallowed(case, lack.precondition, lack.subject, lack.arm, last, also)
+        found = skipped(case, lack) if last is None else None
+        if found is not None and not _done_since(case, lack, found[0]):
+            motion, name, line = found
+            yield replace(_swallowed(case, "result", name, "", motion), skipped=line)
     yield from _results(case)
 
 
@@ -115,6 +123,8 @@ def _results(case: Case) -> Iterator[Swallowed]:
 def lacks_value(case: Case) -> bool:
     """Return whether a line of the plan failed for want of a value."""
     own_mistake = hasattr(builtins, case.failure.type) or case.failure.type in _MISSING_VALUE
+    if case.failure.type in _EMPTY:
+        return True
     texts = (case.failure.message, *(case.motion.parameters.values() if case.motion is not None else ()))
     return own_mistake and any(text is None or "None" in str(text) or _unset(case, str(text)) for text in texts)
 

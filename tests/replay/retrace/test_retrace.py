@@ -137,7 +137,7 @@ def test_random_concurrent_plans_do_the_same_again(
     record_property("records", steps)
 
 
-@seeded("changes of one line, told by retrace", range(len(CHANGES)), 3)
+@seeded("changes of one line, found by retrace", range(len(CHANGES)), 3)
 def test_a_changed_line_is_told(plan: Path, tmp_path: Path, seeds: range) -> None:
     for seed in seeds:
         number, change = CHANGES[seed]
