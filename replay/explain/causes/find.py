@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 from replay.explain.causes import (
     gone,
     hand_states,
+    in_the_way,
     interrupted,
     no_longer,
+    out_of_reach,
     physics,
     raised,
     refused,
-    surroundings,
     swallowed,
     timeout,
 )
@@ -50,9 +51,9 @@ def find(case: Case) -> tuple[Cause, ...]:
         *gone.find(case),
         *raised.find(case),
         *hand_states.find(case),
-        *surroundings.in_the_way(case),
-        *surroundings.out_of_reach(case),
-        *surroundings.no_candidate(case),
+        *in_the_way.in_the_way(case),
+        *out_of_reach.out_of_reach(case),
+        *out_of_reach.no_candidate(case),
     ]
     return tuple(_with_events(cause) for cause in found if not _is_explained(cause, found))
 
