@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import math
 import re
-import tomllib
 from collections import defaultdict
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,6 +14,7 @@ from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchName
 from replay.explain.blame import blame, commanded
 from replay.explain.causes.cause import Change
+from replay.explain.causes.robot_description import hands
 from replay.explain.causing_tasks import causes
 from replay.explain.parsed_traceback import parse_traceback
 from replay.explain.plan_source import Source, syntax_nodes
@@ -260,26 +260,6 @@ def _mover(record: Mutation | Keyframe) -> str:
         return body
     joints = list(record.move_joints.joints)
     return f"{joints[0]} of {body}" if len(joints) == 1 else body
-
-
-def hands(robot: Body | None) -> dict[str, str]:
-    """Return the tool frames of a robot's arms, by the arms' names; none if its description isn't on record."""
-    try:
-        arms = tomllib.loads(robot.loaded.robot_description).get("arms", {}) if robot is not None else {}
-    except tomllib.TOMLDecodeError:
-        return {}
-    return {name: str(arm.get("tool_frame", "")) for name, arm in arms.items() if isinstance(arm, dict)}
-
-
-def joints_of(robot: Body | None, part: str) -> tuple[str, ...]:
-    """Return the joints of the torso, the head or an arm, as a robot's description has them."""
-    try:
-        table = tomllib.loads(robot.loaded.robot_description) if robot is not None else {}
-    except tomllib.TOMLDecodeError:
-        return ()
-    found = table.get(part) or table.get("arms", {}).get(part) or {}
-    joints = [*found.get("joints", ()), found.get("joint"), found.get("pan"), found.get("tilt")]
-    return tuple(str(name) for name in joints if name)
 
 
 def objects_in(value: Plain) -> Iterator[str]:

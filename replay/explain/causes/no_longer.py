@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Query, argument_values, from_json
 from recorder.tasks import State
-from replay.explain.causes.case import joints_of, objects_in
+from replay.explain.causes.case import objects_in
 from replay.explain.causes.cause import NoLonger
 from replay.explain.causes.gone import removal_of
 from replay.explain.causes.preconditions import about, result
 from replay.explain.causes.raised import answers
+from replay.explain.causes.robot_description import joints_of
 from replay.state.difference import turn
 from replay.state.fold import state_at
 

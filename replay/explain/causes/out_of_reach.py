@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from replay.explain.causes.case import joints_of
 from replay.explain.causes.cause import NoCandidate, OutOfReach
+from replay.explain.causes.robot_description import joints_of
 from replay.explain.task_tree import choices
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from recorder import geometry
 from recorder.geometry.shapes import read_shapes
 from recorder.records import from_json
 from replay.errors import Damaged, NoSuchName
-from replay.explain.causes.case import hands, joints_of, objects_in
+from replay.explain.causes.case import objects_in
+from replay.explain.causes.robot_description import hands, joints_of
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:

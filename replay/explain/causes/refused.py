@@ -8,10 +8,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Refusal, argument_values
-from replay.explain.causes.case import HANDLER, joints_of, objects_in
+from replay.explain.causes.case import HANDLER, objects_in
 from replay.explain.causes.cause import Refused
 from replay.explain.causes.preconditions import lacking, lies_in, shut_in
 from replay.explain.causes.raised import is_mistake
+from replay.explain.causes.robot_description import joints_of
 from replay.explain.causes.swallowed import lacks_value, values_from, went_on
 from replay.explain.causing_tasks import causes
 
