@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final
 
 import pyarrow as pa
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 QUERIES: Final = "queries"
 PAGE: Final = "page"
+_ACTIVE: Final = re.compile(r"\\|(?<=!)\[|(?<=\])[\[(]|<")
 
 
 class QueryPage:
@@ -40,10 +42,10 @@ def _pages(rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
 def _page(record: Query) -> str:
     raised = f"raised {format_failure(record.failure)}" if record.HasField("failure") else ""
     lines = [
-        f"## {record.name}({values(record.arguments)})",
-        f"**{raised or by_name(record.answer_json)}**",
+        _text(f"## {record.name}({values(record.arguments)})"),
+        _text(f"**{raised or by_name(record.answer_json)}**"),
         "",
-        f"asked at step {record.seq} of {record.world}, took {record.duration_ns / 1e6:.1f} ms",
+        _text(f"asked at step {record.seq} of {record.world}, took {record.duration_ns / 1e6:.1f} ms"),
         "",
         "| evidence | |",
         "|---|---|",
@@ -54,4 +56,9 @@ def _page(record: Query) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+    return _text(text).replace("|", "\\|")
+
+
+def _text(line: str) -> str:
+    """A line of a stranger's recording: viewers would fetch the pictures that Markdown names from wherever they are."""
+    return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))

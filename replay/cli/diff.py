@@ -200,9 +200,8 @@ def _run_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
 
 def _ended(run: Summary) -> str:
     """Return how a run ended, as a verb."""
-    return {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}.get(run.outcome) or _outcome(
-        run
-    )
+    verbs = {"cut off": "broke off", "running": "had not ended", "lost": "lost its end"}
+    return verbs.get(run.outcome) or _outcome(run)
 
 
 def _outcome(run: Summary) -> str:

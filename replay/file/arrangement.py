@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import struct
 from array import array
-from tempfile import SpooledTemporaryFile
 from typing import TYPE_CHECKING, Final
 
 from google.protobuf.message import DecodeError
@@ -72,6 +71,8 @@ class Arrangement:
     """
 
     def __init__(self, index: Index, places: _Places) -> None:
+        from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import, and seldom needed
+
         self._index = index
         self._places = places
         self._inflated = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115  close() closes it

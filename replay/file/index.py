@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 MAX_RATIO: Final = 32  # of bytes of all chunks to those of the file; recordings come to 3 to 13
 FREE: Final = 4 << 20  # bytes of the chunks, whatever the file has
+_TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
@@ -83,10 +84,12 @@ class Index:
         library: the library that wrote the file, by its header; "" if that is damaged.
         definitions: of message types, as in the file, by their names.
         loose: messages outside of chunks, as some programs write them, in the file's order.
+        size: bytes of the file, when it was looked at last.
     """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
+        self.size = os.fstat(file.fileno()).st_size
         self._decompressor = Decompressor()
         self.closed = False
         self.whole = False
@@ -145,16 +148,11 @@ class Index:
         """
         if self._file.closed:
             raise LogClosed(self._file.name)
-        size = self.size
-        if not (0 <= extent.offset <= size and extent.length >= 0):
-            raise EOFError(f"byte {extent.offset} is not in the file, or {extent.length} bytes are no length")
-        self._file.seek(extent.offset)
-        return self._file.read(min(extent.length, size - extent.offset))
-
-    @property
-    def size(self) -> int:
-        """Bytes of the file."""
-        return os.fstat(self._file.fileno()).st_size
+        offset, length = extent.offset, extent.length
+        if not (0 <= offset <= self.size and length >= 0):
+            raise EOFError(f"byte {offset} is not in the file, or {length} bytes are no length")
+        self._file.seek(offset)
+        return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
         """Return a chunk's messages, decompressed and checked; how the chunk isn't what the index says of it, or "".
@@ -187,8 +185,7 @@ class Index:
     def _decompressed(self, number: int, chunk: memoryview) -> bytes:
         size = CHUNK_HEAD.unpack_from(chunk)[2]
         if size <= MAX_INFLATED:  # others are refused without being inflated
-            cause = f"the chunks inflate to more than {MAX_RATIO} times the file"
-            self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), cause)
+            self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
         return self._decompressor.contents(chunk)
 
     def arrange(self, kinds_of: Callable[[Index], Mapping[int, type[Record]]]) -> None:

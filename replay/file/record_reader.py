@@ -71,6 +71,8 @@ class RecordReader:
             raise
         self.assets = Assets(self.path, self._index)
         self.lost_before = lost_before(self._index)
+        self._gaps: list[range] = []  # what is lost, when so many chunks were known to be damaged, of so many steps
+        self._gaps_of = (-1, -1)
 
     def __enter__(self) -> Self:
         return self
@@ -298,13 +300,15 @@ class RecordReader:
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        gaps = []
-        expected = 0
-        for record in self.records():
-            if record.seq > expected:
-                gaps.append(range(expected, record.seq))
-            expected = max(expected, record.seq + 1)
-        return gaps
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording asks for them
+            self._gaps.clear()
+            expected = 0
+            for record in self.records():
+                if record.seq > expected:
+                    self._gaps.append(range(expected, record.seq))
+                expected = max(expected, record.seq + 1)
+            self._gaps_of = len(self._chunks.damaged), self._steps
+        return list(self._gaps)
 
     def write_sound(self, file: BinaryIO) -> Losses:
         """Write a sound copy of what can be read; see :func:`replay.file.repair.write_sound`."""

@@ -53,7 +53,7 @@ class Scan:
         """Scan on from where the last scan ended; return whether there is anything new."""
         index = self._index
         before = self._next
-        size = self._file.seek(0, io.SEEK_END)
+        size = index.size = self._file.seek(0, io.SEEK_END)
         at = self._next
         while at + HEADER <= size:
             opcode, extent = self._head(at)

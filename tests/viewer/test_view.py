@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import runpy
 import subprocess
 import sys
@@ -22,8 +23,9 @@ from pycram.failures import InCollision, PlanFailure
 from pycram.language import par, seq
 from pycram.process_module import ProcessModule
 from recorder import geometry
-from recorder.records import Mutation, Query, Task
+from recorder.records import Argument, Mutation, Query, Task, to_json
 from recorder.tracing.span import Span
+from recorder.viewer import query_page
 from replay.cli.main import main
 from tests.viewer.conftest import rows_of
 from tests.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
@@ -188,6 +190,7 @@ def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
 PLAN = """\
 from pycram.bullet_world import BulletWorld, Object
 from recorder.tracing.span import Span
+from recorder.viewer import query_page
 
 def shove(cup):
     cup.set_position([1, 0, 1])
@@ -335,6 +338,18 @@ def test_names_with_bars_keep_the_table_of_a_query(tmp_path: Path) -> None:
     row = next(line for line in page.splitlines() if "hidden_by" in line)
     assert "milk" in row
     assert row.replace("\\|", "").count("|") == 3
+
+
+def test_a_stranger_s_query_names_no_picture_that_the_viewer_would_fetch() -> None:
+    """Its page is Markdown."""
+    fetching = (
+        "![seen](http://127.0.0.1:9/x.png) \\<img src='http://127.0.0.1:9/y.png'> ![1]\n[1]: http://127.0.0.1:9/z"
+    )
+    evidence = [Argument(name=fetching, json=to_json(fetching))]
+    page = query_page._page(Query(name=fetching, world=fetching, answer_json=to_json(fetching), evidence=evidence))
+    assert page.count("127.0.0.1:9/x.png") == 5
+    assert not re.search(r"(?<!\\)(\\\\)*(!\[|\]\(|\]\[|<)", page)
+    assert not re.search(r"^\[1\]:", page, re.MULTILINE)
 
 
 def context(shown: Shown) -> list[dict]:
