@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import platform
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final
 
 from recorder.secrets import without_secrets
@@ -79,6 +78,8 @@ def needed(extra: str | None = None) -> Iterator[None]:
 
 def versions() -> dict[str, str]:
     """Versions of what a recording depends on, the platform and the arguments of the process."""
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers need none
+
     installed = {}
     for package in _RECORDED:
         try:

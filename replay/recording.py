@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from replay.explain.blame import blame
 from replay.explain.step_names import moment_of, step_of
-from replay.explain.task_tree import tree
 from replay.file.record_reader import RecordReader
 from replay.state.fold import last_open_step, state_at
 
@@ -51,16 +49,20 @@ class Recording(RecordReader):
 
     def tree(self, step: int | str | None = None) -> Tree:
         """Return the task tree, as it was after a step if one is given; the classes are those of ``pycram.tasks``."""
+        from replay.explain.task_tree import tree  # noqa: PLC0415  these take long to import
+
         return tree(self, None if step is None else self.step(step) + 1)
 
     def why(self, step: int | str | None = None) -> Why:
         """Explain a failure; see :func:`replay.explain.causes.why.why`."""
-        from replay.explain.causes.why import why  # noqa: PLC0415  needs numpy, which most questions don't
+        from replay.explain.causes.why import why  # noqa: PLC0415  it and what it needs take long to import
 
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
         """Return what last changed a body or joint; see :func:`replay.explain.blame.blame`."""
+        from replay.explain.blame import blame  # noqa: PLC0415  as above
+
         return blame(self, target, None if step is None else self.step(step), world)
 
     # --- these import their modules late: they need more than reading does -----------------------------------------

@@ -8,8 +8,6 @@ from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final
 
-from recorder.tasks.tree_text import timeout_text
-
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
@@ -88,6 +86,8 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
+        from recorder.tasks.tree_text import timeout_text  # noqa: PLC0415  most verbs show no tasks
+
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)
     return called if kind in _PLAIN_KINDS else f"{called} {kind}"

@@ -12,7 +12,6 @@ import io
 import os
 import re
 import sys
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -63,6 +62,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
     arguments = _joined(sys.argv[1:] if argv is None else argv)
     if arguments == ["--version"]:
+        from importlib.metadata import version  # noqa: PLC0415  slow to import
+
         print(f"pycram-replay {version('pycram')}")
         return FINE
     verb = _module(arguments[0]) if arguments and arguments[0] in VERBS else None

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from recorder.suggestions import suggestion
 from replay.errors import NoSuchStep
-from replay.explain.root_cause import root_cause
 from replay.file.lifetimes import closes_world
 
 if TYPE_CHECKING:
@@ -35,6 +34,8 @@ def step_of(log: RecordReader, name: int | str) -> int:
     if text == "last":
         return len(log) - 1
     if text == "failure":
+        from replay.explain.root_cause import root_cause  # noqa: PLC0415  it and what it needs take long to import
+
         cause = root_cause(log)
         if cause is None:
             raise NoSuchStep("failure", len(log), "nothing failed")

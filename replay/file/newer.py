@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from replay.file.index import Index
 
 _MAX_NAMES: Final = 4  # in a message
+_FIRST: Final = [0, 1, 0]  # release: no recording of it is newer
 _MAX_DIGITS: Final = 9  # of a number that is one
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
@@ -82,14 +83,16 @@ def _is_ours(name: str) -> bool:
 
 def _is_later(release: str) -> bool:
     """Return whether a release is later than this one, as far as that is known."""
+    other = _RELEASE.match(release)
+    if other is None or _numbers(other) <= _FIRST:
+        return False
     from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import
 
     try:
         own = _RELEASE.match(version("pycram"))
     except PackageNotFoundError:
         return False
-    other = _RELEASE.match(release)
-    return own is not None and other is not None and _numbers(other) > _numbers(own)
+    return own is not None and _numbers(other) > _numbers(own)
 
 
 def _numbers(release: re.Match[str]) -> list[int]:

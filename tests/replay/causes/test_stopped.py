@@ -10,6 +10,7 @@ import pytest
 import replay
 from pycram.cli import run
 from recorder.records import Run
+from replay.cli.main import main
 from replay.explain.causes import cause as kinds
 from tests.replay.causes.explaining import line_of, words
 
@@ -88,7 +89,9 @@ def test_a_timeout_in_simulated_time_tells_which_lines_took_it(
     )
     text = words(tmp_path, capsys)
     assert "attempt 1, attempt 2 and attempt 3 failed: it sticks" in text
-    assert "timeout of 0.6 s of simulated time" in text
+    assert "timeout of 0.6 s of simulated time failed" in text
+    main(["tree", str(tmp_path / "x.mcap")])
+    assert "X timeout of 0.6 s of simulated time" in capsys.readouterr().out
 
 
 def test_a_wait_in_vain_is_told_where_the_plan_raised_for_it(explained: Callable[..., Why]) -> None:
