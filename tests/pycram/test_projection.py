@@ -156,9 +156,9 @@ def test_a_process_that_an_action_forks_ends_with_the_copy_and_keeps_nobody_wait
         file.write_text(str(child))
         return "done"
 
-    assert project(forks).result == "done"
+    assert project(forks, timeout=60).result == "done"
     ended(int(file.read_text()))
-    assert project(os.fork).result > 0  # and the one that would answer, too, has no say
+    assert project(os.fork, timeout=60).result > 0  # and the one that would answer, too, has no say
 
 
 def ended(process: int) -> None:
