@@ -20,6 +20,7 @@ from replay.explain.causes import (
 )
 from replay.explain.causes.cause import (
     Change,
+    Gone,
     HandState,
     InTheWay,
     NoCandidate,
@@ -71,7 +72,8 @@ def _is_explained(cause: Cause, found: Sequence[Cause]) -> bool:
     """Return whether a deeper cause explains the same already."""
     if isinstance(cause, HandState):
         deeper = [each for each in found if isinstance(each, Swallowed | Refused)]
-        return any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
+        gone = any(isinstance(each, Gone) and each.body == cause.body for each in found)
+        return gone or any((each.precondition, each.subject) == (cause.precondition, cause.body) for each in deeper)
     if isinstance(cause, InTheWay):
         return any(isinstance(each, Physics) and each.body == cause.body for each in found)
     if isinstance(cause, NoCandidate) and cause.count == 1:  # then the message says it

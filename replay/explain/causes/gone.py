@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation
 from replay.explain.causes.cause import Gone
-from replay.explain.causes.preconditions import lacking
+from replay.explain.causes.preconditions import holder, lacking
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -33,9 +33,16 @@ def find(case: Case) -> Iterator[Gone]:
 
 
 def _removal(case: Case) -> tuple[str, Mutation | None]:
-    """Return the name of what the failure is about, and the record that removed it; None if none did."""
+    """Return the name of what the failure is about, and the record that removed it; None if none did.
+
+    Of what a hand should hold, only a removal out of a hand counts.
+    """
     kind, sought = case.failure.type, case.data.get("name")
-    used = _GONE.search(case.failure.message) if kind == "WorldClosed" and not list(lacking(case)) else None
+    for lack in lacking(case):
+        removal = removal_of(case, lack.subject) if lack.precondition == "held" else None
+        if removal is not None and holder(case, lack.subject, removal.seq - 1):
+            return lack.subject, removal
+    used = _GONE.search(case.failure.message) if kind == "WorldClosed" else None
     if used is not None:
         return used[1], removal_of(case, used[1])
     if kind == "UnknownName" and case.data.get("kind") == "object" and isinstance(sought, str):

@@ -16,7 +16,7 @@ from replay.explain.causes.robot_description import hands, joints_of
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Mapping
 
     from recorder.records import Mutation, Plain
     from recorder.tasks import Node
@@ -150,15 +150,23 @@ def _taken_out(case: Case) -> Iterator[Lacking]:
     names = shut_in(case)
     for task in case.motions("accessing") if names else ():
         given = values(task)
-        owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
+        owner, joint = _accessed(case, given)
         if task.failed and any(lies_in(case, name, owner, joint) for name in names):
 
-            def fits(other: Node, owner: str = owner, joint: str = joint) -> bool:
-                slots = values(other)
-                return owner in objects_in(slots.get("part-of")) and slots.get("drawer-joint") == joint
+            def fits(other: Node, accessed: tuple[str, str] = (owner, joint)) -> bool:
+                return _accessed(case, values(other)) == accessed
 
             yield Lacking("joint-moved", f"{joint} of {owner}", "", ("accessing",), fits, owner, (joint,))
             return
+
+
+def _accessed(case: Case, given: Mapping[str, Plain]) -> tuple[str, str]:
+    """Return what an accessing was to move: furniture, and its joint; if there is none of that name, the handle's."""
+    owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
+    body = case.world.bodies.get(owner) if case.world is not None else None
+    if body is not None and joint not in body.joints:
+        joint = next(iter(joints_to(case, owner, str(given.get("drawer-handle") or ""))), joint)
+    return owner, joint
 
 
 def shut_in(case: Case) -> list[str]:

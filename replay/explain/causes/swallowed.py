@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import builtins
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Task
@@ -31,6 +32,7 @@ _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = ("DesignatorError", "BadArgument")  # that a plan's None makes, beside Python's own errors
 _EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # that a list or the like makes which lacks a value
 _MAX_ALSO: Final = 3
+_MAX_SETTING: Final = 100  # motions that may have put something into a list
 _SEARCHED: Final = 2000  # records in which a plan goes on after a failure
 
 
@@ -104,20 +106,36 @@ def went_on(
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
         if lines and record.thread == thread:
+            if list(lines) == list(stack):  # in the next round of a loop
+                return record.seq, case.line(lines)
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
     return 0, None
 
 
 def _results(case: Case) -> Iterator[Swallowed]:
-    """Yield the failures that left a variable without a value, which the failed line reads."""
-    for motion in reversed(case.failed.motions) if lacks_value(case) else ():
+    """Yield the failures that left without a value, or empty, what the failed line reads."""
+    setting = _setting(case) if lacks_value(case) else iter(())
+    if case.failure.type in _EMPTY:  # several things may have been put into it
+        found = list(islice(setting, _MAX_SETTING))
+        succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
+        missing = [each for each in found if each[0].status in _UNSUCCESSFUL and each[0].parameters not in succeeded]
+        key = case.failure.message.strip("'") if case.failure.type == "KeyError" else ""
+        named = [each for each in missing if key and key in each[0].parameters.values()]
+        last = next(iter(named or missing), None)
+    else:
+        last = next(setting, None)
+    if last is not None and last[0].status in _UNSUCCESSFUL:
+        yield _swallowed(case, "result", ", ".join(last[1]), "", last[0])
+
+
+def _setting(case: Case) -> Iterator[tuple[Node, list[str]]]:
+    """Yield the earlier motions whose lines set variables that the failed line reads, the last first, and these."""
+    for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = values_from(case, case.source.call_stack(motion.started))
-            if names and motion.status in _UNSUCCESSFUL:
-                yield _swallowed(case, "result", ", ".join(names), "", motion)
             if names:
-                return
+                yield motion, names
 
 
 def lacks_value(case: Case) -> bool:

@@ -32,7 +32,7 @@ HERE = Path(__file__).parent
 PLANS = HERE / "plans"
 SHARED = PLANS / "household.py"
 CAUSES = tomllib.loads((HERE / "causes.toml").read_text(encoding="utf-8"))
-KINDS = dict.fromkeys("abcdefghij", 6) | {"k": 4, "l": 3, "m": 3, "n": 14}
+KINDS = dict.fromkeys("abcdefghij", 6) | {"k": 4, "l": 3, "m": 3, "n": 17}
 #: The first of each kind is part of ``make test``.
 PARAMETERS = [
     pytest.param(name, marks=[] if name == min(each for each in CAUSES if each[0] == name[0]) else [pytest.mark.long])

@@ -156,6 +156,29 @@ def test_what_was_removed_is_told_also_where_another_has_its_name(
     assert (gone.loaded is not None) is again
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_what_was_removed_while_a_hand_held_it_is_told_before_the_empty_hand(
+    explained: Callable[..., Why], held: bool
+) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        milk.set_position([7, 0, 0.9])
+        robot.set_position([6.35, -0.2, 0])
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        perform(type="pick-up", object=milk, arm="left")
+        if not {held}:
+            robot.detach(milk)
+        milk.remove()
+        Object("milk", "milk", "milk.stl", [9, 0, 0.1])
+        perform(type="place", object=milk, target=[7, 0, 0.1], arm="left")
+    """)
+    (gone,) = why.causes
+    if not held:
+        assert isinstance(gone, kinds.HandState)
+        return
+    assert (gone.kind, gone.body, gone.loaded.how) == ("removed", "milk", "load")
+
+
 def test_of_a_kind_that_is_not_there_the_one_that_was_removed_is_told(explained: Callable[..., Why]) -> None:
     why = explained(f"""
         {WITH_PR2}

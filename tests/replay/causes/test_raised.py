@@ -151,3 +151,19 @@ def test_a_list_that_a_failure_left_empty_leads_to_it(explained: Callable[..., W
     """)
     swallowed = next(each for each in why.causes if isinstance(each, kinds.Swallowed))
     assert (swallowed.subject, swallowed.failed.name) == ("things", "detecting")
+
+
+def test_of_several_things_that_were_not_found_the_one_that_is_missed_is_told(explained: Callable[..., Why]) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        known = {{}}
+        for kind in ("cup", "bowl"):
+            try:
+                known[kind] = perform(type="detecting", object_type=kind)
+            except PlanFailure:
+                pass
+        print(known["cup"])
+    """)
+    swallowed = next(each for each in why.causes if isinstance(each, kinds.Swallowed))
+    assert swallowed.failed.parameters["object-type"] == "cup"
+    assert swallowed.went_on == swallowed.line
