@@ -66,7 +66,8 @@ def _find(keys: list[str], name: str) -> str:
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
     """Write attachments, and return the files: all into a folder, with their hashes where names are shared."""
-    names = [name_of(key) for key in keys]
+    # a stranger's names could steer the terminal that lists the folder, or be none
+    names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []
     for key, name in zip(keys, names, strict=True):
         shared = names.count(name) > 1

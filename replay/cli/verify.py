@@ -85,7 +85,7 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
     yield f"       {_count(verification.keyframes, 'keyframe')} equal to the fold of the records before"
     yield f"       {_count(verification.files, 'file')} as attached"
     if verification.static:
-        yield "note   no change was made again: that needs the engine, and verify without --static"
+        yield "note   models and changes were not tried: that needs the engine, and verify without --static"
         return
     changes, worlds = _count(verification.changes, "change"), _count(verification.worlds, "world")
     changes = f"{changes} in {worlds}, made again in {seconds:.1f} s,"

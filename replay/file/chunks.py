@@ -79,6 +79,7 @@ class Chunks:
                 del cache[key]
         self._cached = sum(entries.size for entries in self._cache.values())
         self._kinds = kinds_of(self._index)
+        self._decoders = {channel: kind.FromString for channel, kind in self._kinds.items()}
         metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
         self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
         self._owners = {channel: _owner(values) for channel, values in metadata.items()}
@@ -124,13 +125,12 @@ class Chunks:
 
     def whole(self, number: int) -> Iterable[Record]:
         """Return all records of a chunk, at once: for going through a recording, which doesn't come back to it."""
-        entries, kinds = self._load(number), self._kinds
+        entries, decoders = self._load(number), self._decoders
         if entries.size > _CACHED_BYTES:
             return self.records(number)
         try:
             return [
-                kinds[channel].FromString(payload)
-                for channel, payload in zip(entries.channels, entries.payloads, strict=True)
+                decoders[channel](payload) for channel, payload in zip(entries.channels, entries.payloads, strict=True)
             ]
         except DecodeError:
             return list(self.records(number))

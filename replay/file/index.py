@@ -32,6 +32,7 @@ from replay.file.mcap_format import (
     ChunkTable,
     Decompressor,
     Extent,
+    StatedChunk,
 )
 from replay.file.scan import Scan
 
@@ -139,7 +140,7 @@ class Index:
         """Whether PyCRAM wrote the file, as far as is known; then it has all checksums, and steps in their order."""
         return not self.library or self.library.startswith("pycram")
 
-    def read(self, extent: Extent | ChunkExtent) -> bytes:
+    def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
         """Return the content of a record, less if the file ends in it.
 
         Raises:
@@ -167,12 +168,12 @@ class Index:
             raise LogClosed(self._file.name)
         if self._arrangement is not None:
             return self._arrangement.contents(number), "", None
-        extent, stated = self.chunks[number], self.chunks.stated(number)
-        self._stored.take(number, min(extent.length, self.size), self.size, "it overlaps others, by the index")
+        stated = self.chunks.stated(number)
         if stated is None:
-            return self._decompressed(number, memoryview(self.read(extent))), "", None
-        chunk = self.read(Extent(extent.offset - HEADER, extent.length + HEADER))
-        head, tail, messages = stated
+            return self._decompressed(number, memoryview(self.read(self.chunks[number]))), "", None
+        self._stored.take(number, min(stated.length, self.size), self.size, "it overlaps others, by the index")
+        chunk = self.read(stated)
+        _, _, head, tail, messages = stated
         crc, data = len(head), len(head) + 4 + len(tail)
         fault = ""
         if chunk[crc : crc + 4] == b"\0\0\0\0" and self.ours:

@@ -68,11 +68,15 @@ class StatedChunk(NamedTuple):
     """What the index at a file's end states of a chunk.
 
     Attributes:
+        offset: where it begins, with opcode and length.
+        length: its bytes, with these.
         head: its first bytes, opcode and length first, up to its CRC.
         tail: the bytes after its CRC, up to its data.
         messages: how many it has; None if that isn't stated.
     """
 
+    offset: int
+    length: int
     head: bytes
     tail: bytes
     messages: int | None
@@ -112,13 +116,13 @@ class ChunkTable:
         if isinstance(at, ChunkExtent):
             return None
         summary = self._summary
-        _, _, _, length, channels = CHUNK_INDEX.unpack_from(summary, at)
+        _, _, offset, length, channels = CHUNK_INDEX.unpack_from(summary, at)
         sizes = at + CHUNK_INDEX.size + channels
         indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
         end = sizes + _INDEX_LENGTH.size + name + 8  # of the compressed size; the uncompressed one follows
         head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
         entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
-        return StatedChunk(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
+        return StatedChunk(offset, length, head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Yield what :class:`ChunkExtent` has as ``channels``, of each chunk."""
@@ -157,7 +161,7 @@ class Decompressor:
     def __init__(self) -> None:
         self._zstd = ZstdDecompressor()
 
-    def contents(self, chunk: bytes | memoryview) -> bytes:
+    def contents(self, chunk: memoryview) -> bytes:
         """Return the messages of a chunk.
 
         Raises:
@@ -167,8 +171,8 @@ class Decompressor:
         if size > MAX_INFLATED:
             raise ValueError(f"it has {size} bytes by its head; chunks have up to {MAX_INFLATED}")
         start = CHUNK_HEAD.size + length
-        compressed = int.from_bytes(chunk[start : start + 8], "little")
-        data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), memoryview(chunk)[start + 8 :][:compressed], size)
+        end = start + 8 + int.from_bytes(chunk[start : start + 8], "little")
+        data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), chunk[start + 8 : end], size)
         if len(data) != size:
             raise ValueError(f"it has {len(data)} bytes, by its head {size}")
         if crc and zlib.crc32(data) != crc:

@@ -266,12 +266,14 @@ class _BodyBuilder:
 
 
 def _vector(values: Sequence[float]) -> Vector:
-    x, y, z = _numbers(values)
+    x, y, z = numbers = values[:]
+    if not (-FAR <= x <= FAR and -FAR <= y <= FAR and -FAR <= z <= FAR):
+        raise _beyond(numbers)
     return x, y, z
 
 
 def _quaternion(values: Sequence[float]) -> Quaternion:
-    x, y, z, w = _numbers(values)
+    x, y, z, w = values[:]
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
         raise ValueError(f"{[x, y, z, w]} is no unit quaternion")
     return x, y, z, w
@@ -285,8 +287,12 @@ def _numbers(values: Sequence[float]) -> Sequence[float]:
     """
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
-        raise ValueError(f"the numbers {numbers[:4]} are not finite, or beyond {FAR:g}")
+        raise _beyond(numbers)
     return numbers
+
+
+def _beyond(numbers: Sequence[float]) -> ValueError:
+    return ValueError(f"the numbers {numbers[:4]} are not finite, or beyond {FAR:g}")
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:

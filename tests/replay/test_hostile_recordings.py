@@ -207,6 +207,21 @@ def test_a_file_with_a_name_that_is_none_is_damage(path: str, tmp_path: Path) ->
     check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change), tmp_path, ENGINE[1])
 
 
+@pytest.mark.parametrize(
+    "name", ["a/../../x.py", "/x.py", "../x.py", "a/x\0.py", "a/\x1b[2J.py", "a/" + "x" * 300 + ".py"]
+)
+def test_the_plan_s_files_are_written_where_they_are_wanted(name: str, tmp_path: Path) -> None:
+    def change(_: list[Record], assets: dict[str, bytes]) -> None:
+        assets[name] = b"x"
+
+    folder = tmp_path / "x.source"
+    folder.mkdir()
+    file = hostile.rewritten(GOLDEN, tmp_path / "x.mcap", change)
+    check(file, tmp_path, ["source"], ["source", "-o", "x.source"], damaged=False)
+    assert all(each.name.isprintable() for each in folder.iterdir())
+    assert not (tmp_path / "x.py").exists()
+
+
 # --- bombs ------------------------------------------------------------------------------------------------------------
 
 
