@@ -82,7 +82,12 @@ def _plan(info: Summary) -> str:
 def _origin(start: Run | None) -> str:
     if start is None or not start.HasField("origin"):
         return ""
-    return f"forked from {start.origin.recording} after step {start.origin.step}"
+    changes = [
+        f"{change.set or change.answer or f'seed {change.seed}'} after step {change.step}"
+        for change in start.origin.changes
+    ]
+    changed = f"; {', '.join(changes)}" if changes else ""
+    return f"forked from {start.origin.recording} after step {start.origin.step}{changed}"
 
 
 def _seed(start: Run | None) -> str:
