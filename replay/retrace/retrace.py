@@ -10,6 +10,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from replay.retrace.outside import reads_before
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
@@ -83,4 +84,6 @@ def compared(process: PlanProcess, steps: int, *, take_answers: bool = False) ->
     start = time.perf_counter()
     outcome = process.run(take_answers=take_answers)
     seconds = time.perf_counter() - start
+    if outcome.difference is not None:
+        notes += tuple(reads_before(outcome.difference))
     return Retracing(process.program, steps, outcome.equal, outcome.difference, notes, seconds, outcome.taken)
