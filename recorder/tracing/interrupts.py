@@ -237,8 +237,10 @@ def call_soon(function: Callable[[], bool]) -> None:
 def _call() -> None:
     """Call what is to be called soon; sections that it opens itself don't."""
     global _soon  # noqa: PLW0603  as above
+    if threading.get_ident() != threading.main_thread().ident:
+        return
     function, _soon = _soon, None
-    if function is not None and (threading.get_ident() != threading.main_thread().ident or not function()):
+    if function is not None and not function():
         _soon = function
 
 

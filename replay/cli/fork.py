@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -105,4 +105,5 @@ def _lines(log: Recording, forked: Fork) -> Iterator[str]:
     yield f"{file}: {forked.records} records, the first {forked.step + 1} as in {log.path}; the plan {ended}"
     yield from (f"note  {note}" for note in forked.notes)
     if forked.control is not None:
-        yield from lines_of(forked.control, "without the change: ")
+        notes = tuple(note for note in forked.control.notes if note not in forked.notes)
+        yield from lines_of(replace(forked.control, notes=notes), "without the change: ")

@@ -241,6 +241,8 @@ def _at(line: Line) -> str:
 
 def _by(change: Change) -> str:
     """Return what made a change, and the plan's line."""
+    if change.by_fork:
+        return ", by the fork"
     task, handler = change.task, change.handler
     called = formatting.task(task.kind, task.name, argument_values(task.parameters)) if task is not None else ""
     by = f", by {_handler(handler) if handler is not None and task is handler else called}" if task is not None else ""

@@ -88,7 +88,7 @@ class Setting:
 
     def _fluent(self) -> Fluent:
         """Return the fluent of that name; nobody but the plan itself keeps them."""
-        fluents = [each for each in gc.get_objects() if isinstance(each, Fluent)]
+        fluents = [each for each in gc.get_objects() if issubclass(type(each), Fluent)]  # proxies may do anything
         named = {each.expression: each for each in fluents if _is_settable(each)}
         found = [each for expression, each in named.items() if expression.text() == self.name]
         if not found:

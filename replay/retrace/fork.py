@@ -104,6 +104,7 @@ def fork(
         Damaged: steps up to that one are lost; nothing has run.
         ReplayError: there is no folder for the new recording; nothing has run.
     """
+    log.check()  # what is lost is known only then
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"what led to step {step}", f"step {gap.start} is lost; fork before it")

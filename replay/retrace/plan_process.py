@@ -10,7 +10,7 @@ import tempfile
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
@@ -21,7 +21,7 @@ from replay.retrace.guide import Difference
 from replay.retrace.recorded_source import NoSource, RecordedSource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from recorder.records import Change
     from replay.file.record_reader import RecordReader
@@ -93,6 +93,7 @@ class PlanProcess:
         self._log = log
         self._began = began
         self._until = until
+        self._edited = plan is not None
         self._source: RecordedSource | None = None
         if recorded_source:
             self.program = _recorded_program(log, began)
@@ -140,45 +141,26 @@ class PlanProcess:
             CantRetrace: the process has ended before it came to a result.
             ReplayError: a change can't be made.
         """
-        began = self._began
+        reading, writing = os.pipe()
+        output = os.dup(_STDERR)
         request: dict[str, object] = {
-            "log": str(self._log.path.resolve()),
-            "arguments": self._arguments,
-            "seed": int(began.seed) if began.seed.isdecimal() else None,
-            "by_program": began.by_program,
             "until": self._until,
             "file": None if file is None else str(file.absolute()),
             "take_answers": take_answers,
-            "changes": [_fields(change) for change in (*self._recorded_changes(final=bool(changes)), *changes)],
+            "changes": [_fields(change) for change in (*self._recorded_changes(changed=bool(changes)), *changes)],
+            "moved": None,
         }
-        environment = dict(os.environ)
-        if began.hash_seed.isdecimal():
-            environment["PYTHONHASHSEED"] = began.hash_seed
-        else:
-            environment.pop("PYTHONHASHSEED", None)
-        reading, writing = os.pipe()
-        output = os.dup(_STDERR)
-        command = [sys.executable, "-P", "-m", "replay.retrace"]
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,
             os.fdopen(reading, "rb") as results,
         ):
-            program, moved = self.program, None
+            request |= {"result": writing, "output": output, "folder": folder}
             if self._source is not None:
                 program = self._source.write(Path(folder).resolve())
-                moved = str(program.parent), str(self.program.parent)
-            request |= {"result": writing, "output": output, "folder": folder, "plan": str(program), "moved": moved}
+                request |= {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
             try:
-                process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [*command, json.dumps(request)],
-                    cwd=self._folder,
-                    env=environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=errors,
-                    pass_fds=[writing, output],
-                )
+                process = self.start("replay.retrace", request, errors, (writing, output))
             finally:
                 os.close(writing)
                 os.close(output)
@@ -189,6 +171,8 @@ class PlanProcess:
                 except BaseException:
                     process.kill()
                     raise
+            os.set_blocking(reading, False)
+            line = results.readline() or line  # a later one tells what came up on the way
             if not line:
                 errors.seek(0)
                 printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
@@ -200,10 +184,44 @@ class PlanProcess:
         found = answer["difference"]
         return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
 
-    def _recorded_changes(self, *, final: bool) -> Iterator[Change]:
-        """Yield what the recorded run is changed by, where it is a fork; with ``final`` up to the last step only."""
+    def start(
+        self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
+
+        Args:
+            module: its name.
+            request: arguments of its main function, beside the log, the plan, its arguments and seed.
+            errors: for what is written to stderr.
+            descriptors: open files that it gets.
+        """
+        began = self._began
+        given = {
+            "log": str(self._log.path.resolve()),
+            "plan": str(self.program),
+            "arguments": self._arguments,
+            "seed": int(began.seed) if began.seed.isdecimal() else None,
+            "by_program": began.by_program,
+        }
+        environment = dict(os.environ)
+        if began.hash_seed.isdecimal():
+            environment["PYTHONHASHSEED"] = began.hash_seed
+        else:
+            environment.pop("PYTHONHASHSEED", None)
+        return subprocess.Popen(  # noqa: S603  no text of users is a command
+            [sys.executable, "-P", "-m", module, json.dumps({**given, **request})],
+            cwd=self._folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            pass_fds=descriptors,
+        )
+
+    def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
+        """Yield what the recorded run is changed by, where it is a fork; of a changed one up to the last step only."""
         for change in self._began.origin.changes:
-            if not final or self._until is None or change.step <= self._until:
+            if not (changed or self._edited) or self._until is None or change.step <= self._until:
                 yield change
 
 

@@ -187,33 +187,29 @@ class _GuidedRun:
         self._guide = Guide(self._recorded, self._report, request.until, Path(request.folder) / Path(request.log).name)
         self._answers = Answers(self._guide, taken=request.take_answers, refuse=self._refuse)
         self._steering = Steering(self._changes, self._answers, _make, self._refuse)
-        self._process = os.getpid()
-        self._guided = self._sent = False
+        self._sent = False
         self._equal: int | None = None  # number of equal records, when the comparison has ended
 
     def run(self) -> None:
         """Run it to its end, unless the process ends before."""
         request = self._request
-        with redirected(self._sink_of), answered_by(self._answers):
-            if request.by_program:
-                sys.argv = [request.plan, *request.arguments]
-                sys.path.insert(0, str(Path(request.plan).parent.resolve()))
-                with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
-                    runpy.run_path(request.plan, run_name="__main__")
-            else:
-                cli.run(Path(request.plan), Path(request.file or os.devnull), request.arguments, seed=request.seed)
+        with answered_by(self._answers):
+            run_plan(
+                request.plan,
+                request.arguments,
+                request.seed,
+                self._recorded,
+                self._sink_of,
+                by_program=request.by_program,
+                file=Path(request.file or os.devnull),
+            )
         self._guide.close()
         if self._steering.due:
             change = self._steering.due[0]
             self._refuse(BadChange(text_of(change), f"the plan ended before that could be after step {change.step}"))
 
-    def _sink_of(self, run: Run) -> Sink | None:
+    def _sink_of(self, run: Run) -> Sink:
         request, began = self._request, self._recorded[0]
-        if run.by_program != request.by_program or os.getpid() != self._process:  # a projection makes one of its own
-            return None
-        if self._guided or run.name not in (getattr(began, "name", ""), escaped(Path(request.plan).stem)):
-            return _Nowhere()
-        self._guided = True
         if request.moved is not None and isinstance(began, Run):  # else it would be that of no repository
             run.plan.CopyFrom(began.plan)
         file = None
@@ -248,3 +244,45 @@ class _GuidedRun:
         self._sent = True
         answer = {"equal": self._equal, "taken": self._answers.taken, **facts}
         os.write(self._request.result, json.dumps(answer).encode() + b"\n")
+
+
+def run_plan(
+    plan: str,
+    arguments: Sequence[str],
+    seed: int | None,
+    recorded: RecordReader,
+    sink_of: Callable[[Run], Sink],
+    *,
+    by_program: bool,
+    file: Path = Path(os.devnull),
+) -> None:
+    """Run a plan as a program, whatever it ends with.
+
+    Args:
+        plan: the plan's file.
+        arguments: of the plan.
+        seed: of random numbers; None to leave them as they are.
+        recorded: the recording that it has made.
+        sink_of: gives the sink for the recording of that name, or else the first, that the plan makes.
+        by_program: whether the plan begins the recording itself.
+        file: where it would be recorded.
+    """
+    owner, name, guided = os.getpid(), getattr(recorded[0], "name", ""), False
+
+    def redirect(run: Run) -> Sink | None:
+        nonlocal guided
+        if run.by_program != by_program or os.getpid() != owner:  # a projection makes a recording of its own
+            return None
+        if guided or run.name not in (name, escaped(Path(plan).stem)):
+            return _Nowhere()
+        guided = True
+        return sink_of(run)
+
+    with redirected(redirect):
+        if by_program:
+            sys.argv = [plan, *arguments]
+            sys.path.insert(0, str(Path(plan).parent.resolve()))
+            with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
+                runpy.run_path(plan, run_name="__main__")
+        else:
+            cli.run(Path(plan), file, arguments, seed=seed)
