@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Query, Refusal, Run, Task
+from recorder.records import Fluent, Mutation, Query, Refusal, Run, Task
 from recorder.records.choices import is_choice
 from replay.explain.causing_tasks import causes
 from replay.explain.paired_names import PairedNames
@@ -172,6 +172,8 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
         path = paths.get(record.task, 0)
         if _explains(record):  # numbered by themselves, as early recordings lack them
             path = _explaining(path)
+        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own are compared with each other
+            path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
         if isinstance(record, Task) and record.phase == Task.FINISHED:

@@ -88,13 +88,15 @@ class Setting:
 
     def _fluent(self) -> Fluent:
         """Return the fluent of that name; nobody but the plan itself keeps them."""
-        fluents = [each for each in gc.get_objects() if issubclass(type(each), Fluent)]  # proxies may do anything
+        fluents: list[Fluent] = [
+            each for each in gc.get_objects() if issubclass(type(each), Fluent)
+        ]  # proxies may do anything
         named = {each.expression: each for each in fluents if _is_settable(each)}
         found = [each for expression, each in named.items() if expression.text() == self.name]
         if not found:
             names = sorted({expression.text() for expression in named})
-            known = f"those that can be set are {', '.join(names)}" if names else "none can be set"
-            raise BadChange(self.text, f"there is no fluent {self.name} at that moment; {known}")
+            others = f"those that can be set are {', '.join(names)}" if names else "none can be set"
+            raise BadChange(self.text, f"there is no fluent {self.name} at that moment; {others}")
         if len(found) > 1:
             raise BadChange(self.text, f"{len(found)} fluents have that name")
         return found[0]
