@@ -263,17 +263,17 @@ def run_plan(
         arguments: of the plan.
         seed: of random numbers; None to leave them as they are.
         recorded: the recording that it has made.
-        sink_of: gives the sink for the recording of that name, or else the first, that the plan makes.
+        sink_of: gives the sink for that recording, when the plan makes it again.
         by_program: whether the plan begins the recording itself.
         file: where it would be recorded.
     """
-    owner, name, guided = os.getpid(), getattr(recorded[0], "name", ""), False
+    owner, began, guided = os.getpid(), recorded[0], False
 
     def redirect(run: Run) -> Sink | None:
         nonlocal guided
         if run.by_program != by_program or os.getpid() != owner:  # a projection makes a recording of its own
             return None
-        if guided or run.name not in (name, escaped(Path(plan).stem)):
+        if guided or not _is_meant(run, began, plan):
             return _Nowhere()
         guided = True
         return sink_of(run)
@@ -286,3 +286,9 @@ def run_plan(
                 runpy.run_path(plan, run_name="__main__")
         else:
             cli.run(Path(plan), file, arguments, seed=seed)
+
+
+def _is_meant(run: Run, began: Record, plan: str) -> bool:
+    """Whether a recording that a plan begins is the one that was made before, by their first records."""
+    named = run.name in (getattr(began, "name", ""), escaped(Path(plan).stem))
+    return named and run.number == (getattr(began, "number", 0) or 1)  # an older release's: the first
