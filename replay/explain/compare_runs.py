@@ -142,13 +142,13 @@ def _earliest(
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
 ) -> _Diverged | None:
     """Return what comes first: a pair that differs, or a record that only one run has."""
-    candidates: list[tuple[int, _Diverged]] = []
+    candidates: list[tuple[Sequence[int], _Diverged]] = []
     if diverged is not None:
-        candidates.append((min(diverged[0].seq, diverged[1].seq), diverged))
+        candidates.append((sorted((diverged[0].seq, diverged[1].seq)), diverged))
     for side, unmatched in enumerate(waiting):
         record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
         if record is not None:
-            candidates.append((record.seq, (None, record, {}) if side else (record, None, {})))
+            candidates.append(([record.seq] * 2, (None, record, {}) if side else (record, None, {})))
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
