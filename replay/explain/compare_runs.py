@@ -142,7 +142,7 @@ def _earliest(
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
 ) -> _Diverged | None:
     """Return what comes first: a pair that differs, or a record that only one run has."""
-    candidates: list[tuple[Sequence[int], _Diverged]] = []
+    candidates: list[tuple[list[int], _Diverged]] = []
     if diverged is not None:
         candidates.append((sorted((diverged[0].seq, diverged[1].seq)), diverged))
     for side, unmatched in enumerate(waiting):
