@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.secrets import without_secrets
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
 #: Extras by the modules that they bring. trimesh is in two: whoever needs it for pictures alone names the extra.
 _EXTRAS: Final = {
@@ -92,3 +92,11 @@ def versions() -> dict[str, str]:
         "machine": platform.machine(),
         "arguments": " ".join(without_secrets(sys.argv)),
     }
+
+
+def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
+    """What of the given names is another version now than in a recording's metadata, in words."""
+    now = versions()
+    return tuple(
+        f"{name} {now[name]} instead of {then[name]}" for name in names if then.get(name, now[name]) != now[name]
+    )

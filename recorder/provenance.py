@@ -7,6 +7,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -42,6 +43,11 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
         run.plan.CopyFrom(_plan_revision(program.resolve()))
     run.pycram.CopyFrom(pycram_revision())
     run.host, run.cpu = escaped(platform.node()), _cpu()
+
+
+def metadata(run: Run) -> dict[str, str]:
+    """What a file's metadata tell of a run that begins now, for programs that don't know its records."""
+    return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
 
 
 def hash_seed() -> str:

@@ -189,13 +189,8 @@ def _begin(
             if live is not None:
                 viewer = RerunSink(live, began.name)
                 undoing.callback(viewer.close)
-            metadata = {
-                "plan": began.name,
-                "plan_arguments": " ".join(began.arguments),
-                "started_ns": str(time.time_ns()),
-            }
             final_metadata = dict if viewer is None else viewer.final_metadata
-            sink = McapSink(file, metadata, final_metadata, durable=durable)
+            sink = McapSink(file, provenance.metadata(began), final_metadata, durable=durable)
             undoing.callback(sink.close)
         log = Journal([each for each in (other, sink, viewer) if each is not None], local_variables=local_variables)
         _leave_to_parent(sink, log)

@@ -45,6 +45,11 @@ class Lock:
     def __init__(self) -> None:
         self._lock = threading.RLock()
 
+    @property
+    def is_mine(self) -> bool:
+        """Whether this thread holds it."""
+        return bool(self._lock._is_owned())  # type: ignore[attr-defined]  # noqa: SLF001  as above
+
     def __enter__(self) -> None:
         self._lock.acquire()
         _held.count += 1

@@ -10,6 +10,7 @@ from recorder.records.log_pb2 import (
     Attachment as Attachment,
     BodyState as BodyState,
     Candidate as Candidate,
+    Change as Change,
     CloseWorld as CloseWorld,
     Decision as Decision,
     DetachBody as DetachBody,

@@ -119,7 +119,8 @@ def _query(record: Query) -> tuple[str, Log.Level.ValueType]:
     rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
         return f"{asked} raised {record.failure.type}{rejected}", _WARNING
-    return f"{asked} -> {by_name(record.answer_json)}{rejected}", _INFO
+    by = f", by the fork; else {by_name(record.own_answer_json)}" if record.by_fork else ""
+    return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
 def _event(record: Event) -> tuple[str, Log.Level.ValueType]:
@@ -148,6 +149,7 @@ def mutation_text(record: Mutation) -> str:
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
     text = name.replace("_", " ") + (f" {details(command)}" if details else "")
+    text += ", by the fork" if record.by_fork else ""
     if name == "simulate":
         dragged = " and ".join(dict.fromkeys(drag.body for drag in record.drags[:]))
         return f"{text}, while {dragged} was dragged by hand" if dragged else text
@@ -181,6 +183,8 @@ def _simulated(command: Simulate) -> str:
 
 def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
     name, after = f"fluent {record.name}", record.after_json
+    if record.by_fork:
+        return f"{name}: {record.before_json} -> {after}, by the fork", _DEBUG
     if record.before_json == after:
         return f"{name} pulsed at {after}" if after else f"{name} pulsed", _DEBUG
     return f"{name}: {record.before_json} -> {after}", _DEBUG

@@ -27,7 +27,7 @@ CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
 #: A longer call stack is truncated in the middle.
 MAX_LINES: Final = 32
 #: Frames of these packages are left out: the plan's lines are outside of them.
-_MACHINERY: Final = frozenset({"pycram", "recorder", "contextlib", "threading", "concurrent", "contextvars"})
+_MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
 #: Modules that run a plan as a program: their callers are left out, too.
 _RUNNERS: Final = frozenset({"pycram.cli", "replay.restore.session", "replay.retrace.process"})
 #: Python's own files, installed packages and their commands: they may call plans, but are none.

@@ -222,6 +222,28 @@ def drop_pending() -> None:
     _pending = False
 
 
+_soon: Callable[[], bool] | None = None
+
+
+def call_soon(function: Callable[[], bool]) -> None:
+    """Call a function in the main thread when a section there has ended that is in no other one, until it returns True.
+
+    For what has to follow a record, and can't be done within it: a change that is to follow a certain step.
+    """
+    global _soon  # noqa: PLW0603  there is one main thread
+    _soon = function
+
+
+def _call() -> None:
+    """Call what is to be called soon; sections that it opens itself don't."""
+    global _soon  # noqa: PLW0603  as above
+    if threading.get_ident() != threading.main_thread().ident:
+        return
+    function, _soon = _soon, None
+    if function is not None and not function():
+        _soon = function
+
+
 class Uninterrupted:
     """A section that SIGINT doesn't interrupt; may nest. Does nothing outside of the main thread."""
 
@@ -252,3 +274,5 @@ class Uninterrupted:
                 leave()
             if _pending and not _defers(sys._getframe(1)):  # noqa: SLF001  as above
                 raise_pending()
+        if _soon is not None and not _sections:
+            _call()

@@ -94,7 +94,8 @@ def lines(change: Blame) -> Iterator[str]:
 def _lines(change: Blame, printed: list[CallStack], *, is_earlier: bool) -> Iterator[str]:
     yield _headline(change)
     yield f"  step {change.record.seq}: {record_text.line(change.record)}"
-    yield from _because(change.causes, "  ", printed)
+    if not getattr(change.record, "by_fork", False):  # which its line says
+        yield from _because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)
     if change.other_worlds and not is_earlier:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +10,11 @@ from recorder.mcap.output_file import free_path
 from replay.cli import formatting
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
+from replay.cli.retracing import add_source_and_arguments, facts_of, lines_of
 from replay.explain.step_names import HINT
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterator
 
     from replay.recording import Recording
@@ -23,21 +24,36 @@ AGAIN = "what it does outside of its worlds (files, network) happens again"
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the edited plan and the new recording."""
+    """Add the step, what is to be changed, the control and the new recording."""
     parser.epilog = (
-        "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to the step."
+        "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to the step. With "
+        "--control, 0: the control came out as recorded. 1: it didn't."
     )
     parser.add_argument("--at", metavar="STEP", required=True, help=f"the last step that is the same: {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="an edited plan, which does the same up to that step")
-    parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
-    add_arguments(parser)
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the plan's arguments."""
     parser.add_argument(
-        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
+        "--set",
+        metavar="WHAT=VALUE",
+        action="append",
+        default=[],
+        help="set something after that step: milk.position=1,2,0.9 (also orientation, color), a joint as "
+        "pr2.torso_lift_joint=0.2, a fluent as battery=20; repeatable",
     )
+    parser.add_argument("--world", metavar="NAME", help="in this world (default: the one opened last)")
+    parser.add_argument(
+        "--answer",
+        metavar="QUERY=ANSWER",
+        action="append",
+        default=[],
+        help="the next such query gets that answer: 'reachable_object(milk, ...)=false', 'blocking(...)=[bowl]'; "
+        "repeatable",
+    )
+    parser.add_argument("--seed", metavar="N", type=int, help="from there on, draw random numbers and order from this")
+    parser.add_argument(
+        "--control", action="store_true", help="also run the plan without the change, and compare it to its end"
+    )
+    parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
+    add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -47,7 +63,20 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.at)
     target = new_file(log, options.target, "fork")
     print_message(f"the plan runs again up to step {step}; {AGAIN}")
-    return tell(log, fork(log, step, target, plan=options.plan, arguments=options.arguments), as_json=options.json)
+    forked = fork(
+        log,
+        step,
+        target,
+        plan=options.plan,
+        arguments=options.arguments,
+        settings=options.set,
+        world=options.world,
+        answers=options.answer,
+        seed=options.seed,
+        control=options.control,
+        recorded_source=options.recorded_source,
+    )
+    return tell(log, forked, as_json=options.json)
 
 
 def new_file(log: Recording, given: str | None, kind: str) -> Path:
@@ -57,8 +86,16 @@ def new_file(log: Recording, given: str | None, kind: str) -> Path:
 
 def tell(log: Recording, forked: Fork, *, as_json: bool) -> int:
     """Print what has become of the plan, and return the exit code."""
-    facts = {**asdict(forked), "file": str(forked.file), "parent": str(log.path)}
+    control = forked.control
+    facts = {
+        **asdict(forked),
+        "file": str(forked.file),
+        "parent": str(log.path),
+        "control": control and facts_of(control),
+    }
     print_result(lambda: facts, _lines(log, forked), as_json=as_json)
+    if control is not None:
+        return FINE if control.identical else FAILED
     return FINE if forked.succeeded else FAILED
 
 
@@ -67,3 +104,6 @@ def _lines(log: Recording, forked: Fork) -> Iterator[str]:
     file = formatting.path(str(forked.file))
     yield f"{file}: {forked.records} records, the first {forked.step + 1} as in {log.path}; the plan {ended}"
     yield from (f"note  {note}" for note in forked.notes)
+    if forked.control is not None:
+        notes = tuple(note for note in forked.control.notes if note not in forked.notes)
+        yield from lines_of(replace(forked.control, notes=notes), "without the change: ")

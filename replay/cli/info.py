@@ -15,7 +15,7 @@ from replay.state.json_data import record_data
 if TYPE_CHECKING:
     import argparse
 
-    from recorder.records import Revision, Run
+    from recorder.records import Change, Revision, Run
     from replay.explain.run_summary import Summary
     from replay.recording import Recording
 
@@ -82,7 +82,15 @@ def _plan(info: Summary) -> str:
 def _origin(start: Run | None) -> str:
     if start is None or not start.HasField("origin"):
         return ""
-    return f"forked from {start.origin.recording} after step {start.origin.step}"
+    origin = start.origin
+    changes = [_change(change, origin.step) for change in origin.changes]
+    changed = f", with {', '.join(changes)}" if changes else ""
+    return f"forked from {origin.recording} after step {origin.step}{changed}"
+
+
+def _change(change: Change, step: int) -> str:
+    text = change.set or change.answer or f"seed {change.seed}"
+    return text if change.step == step else f"{text} after step {change.step}"
 
 
 def _seed(start: Run | None) -> str:

@@ -40,7 +40,7 @@ VERBS: Final = {
     "view": "the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
     "retrace": "whether the plan, run again, does the same; else the first difference",
-    "fork": "the plan run again up to a step, and on from there: another plan, a new recording",
+    "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
     "resume": "a plan whose process was killed goes on where it was",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",

@@ -42,10 +42,16 @@ def question(query: Query) -> str:
 
 
 def answer(query: Query) -> str:
-    """Return its answer: yes, no, the objects found, or how it failed."""
+    """Return its answer: yes, no, the objects found, or how it failed; and whether a fork gave it."""
     if query.HasField("failure"):
         return formatting.one_line(format_failure(query.failure))
-    result = from_json(query.answer_json)
+    if query.by_fork:
+        return f"{_answer(query.answer_json)}, by the fork; else {_answer(query.own_answer_json)}"
+    return _answer(query.answer_json)
+
+
+def _answer(text: str) -> str:
+    result = from_json(text)
     if isinstance(result, bool):
         return "yes" if result else "no"
     if isinstance(result, list):

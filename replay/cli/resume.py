@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
-from replay.cli.fork import AGAIN, add_arguments, new_file, tell
+from replay.cli.fork import AGAIN, new_file, tell
+from replay.cli.retracing import add_source_and_arguments
 
 if TYPE_CHECKING:
     import argparse
@@ -20,7 +21,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Exit code 0: the plan succeeded. 1: it failed. 2: it can't be run, or isn't the same up to there."
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, where it is another one than was recorded")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
-    add_arguments(parser)
+    add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -29,4 +30,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
     target = new_file(log, options.target, "resumed")
     print_message(f"the plan runs again up to step {len(log) - 1}, where it was killed; {AGAIN}")
-    return tell(log, resume(log, target, plan=options.plan, arguments=options.arguments), as_json=options.json)
+    resumed = resume(
+        log, target, plan=options.plan, arguments=options.arguments, recorded_source=options.recorded_source
+    )
+    return tell(log, resumed, as_json=options.json)

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from replay.cli import formatting
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE, USAGE
+from replay.cli.retracing import add_source_and_arguments, facts_of, lines_of
 from replay.errors import ReplayError, Unreadable
 from replay.recording import Recording
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from replay.retrace.retrace import Retracing
-
-_MAX_FIELDS = 4  # that are listed
-_MAX_CALLERS = 4
+    import argparse
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,8 +20,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("more", metavar="LOG", nargs="*", help="other recordings")
     parser.add_argument("--plan", metavar="FILE", help="run this file (default: the one that was recorded)")
     parser.add_argument(
-        "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
+        "--answers",
+        choices=("asked", "recorded"),
+        default="asked",
+        help="ask queries again and compare their answers (default), or take the recorded ones, which is faster",
     )
+    add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -54,12 +51,18 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
     from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
 
     try:
-        result = retrace(log, plan=options.plan, arguments=options.arguments)
+        result = retrace(
+            log,
+            plan=options.plan,
+            arguments=options.arguments,
+            answers=options.answers,
+            recorded_source=options.recorded_source,
+        )
     except CantRetrace as error:  # the others are to be run
         return _not_run(str(log.path), error, results)
-    results.append({"file": str(log.path), **asdict(result), "plan": str(result.plan), "identical": result.identical})
+    results.append({"file": str(log.path), **facts_of(result)})
     if not options.json:
-        print_result(dict, _lines(log, result), as_json=False)
+        print_result(dict, lines_of(result, f"{log.path}: "), as_json=False)
     return FINE if result.identical else FAILED
 
 
@@ -68,26 +71,3 @@ def _not_run(name: str, error: ReplayError, results: list[dict[str, object]]) ->
     print_message(str(error))
     results.append({"file": name, "error": str(error)})
     return INCOMPLETE if isinstance(error, Unreadable) else USAGE
-
-
-def _lines(log: Recording, result: Retracing) -> Iterator[str]:
-    difference = result.difference
-    of = f"{log.path}: {formatting.path(str(result.plan))}"
-    if difference is None:
-        where = f"{result.equal} records" if result.equal == result.steps else f"first {result.equal} records"
-        yield f"identical  {of} made the same {where} again, in {result.seconds:.1f} s"
-    else:
-        yield f"different  {of}, from step {difference.step} on: {difference.text.replace(*_short(difference.line))}"
-        yield from (f"           called from {_short(caller)[1]}" for caller in difference.callers[:_MAX_CALLERS])
-        for name, (before, now) in list(difference.fields.items())[:_MAX_FIELDS]:
-            yield f"           {name}: recorded {formatting.short(str(before))}, now {formatting.short(str(now))}"
-        left = len(difference.fields) - _MAX_FIELDS
-        if left > 0:
-            yield f"           and {left} more fields"
-    yield from (f"note       {note}" for note in result.notes)
-
-
-def _short(line: str) -> tuple[str, str]:
-    """Return a plan's line, and with its file's path from the folder that one is in."""
-    file, _, number = line.rpartition(":")
-    return (line, f"{formatting.path(file)}:{number}") if file else ("\0", "")

@@ -36,6 +36,8 @@ def place(line: Line) -> str:
 
 def originator(change: Change) -> str:
     """Return what made a change, and the plan's line."""
+    if change.by_fork:
+        return ", by the fork"
     task, handler = change.task, change.handler
     called = formatting.task(task.kind, task.name, argument_values(task.parameters)) if task is not None else ""
     by = (

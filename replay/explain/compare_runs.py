@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Query, Refusal, Run, Task
+from recorder.records import Fluent, Mutation, Query, Refusal, Run, Task
 from recorder.records.choices import is_choice
 from replay.explain.causing_tasks import causes
 from replay.explain.paired_names import PairedNames
@@ -142,13 +142,13 @@ def _earliest(
     waiting: tuple[dict[_Key, Record], dict[_Key, Record]],
 ) -> _Diverged | None:
     """Return what comes first: a pair that differs, or a record that only one run has."""
-    candidates: list[tuple[int, _Diverged]] = []
+    candidates: list[tuple[list[int], _Diverged]] = []
     if diverged is not None:
-        candidates.append((min(diverged[0].seq, diverged[1].seq), diverged))
+        candidates.append((sorted((diverged[0].seq, diverged[1].seq)), diverged))
     for side, unmatched in enumerate(waiting):
         record = next(iter(unmatched.values()), None)  # dictionaries are in the order of the run
         if record is not None:
-            candidates.append((record.seq, (None, record, {}) if side else (record, None, {})))
+            candidates.append(([record.seq] * 2, (None, record, {}) if side else (record, None, {})))
     return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
 
 
@@ -172,6 +172,8 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
         path = paths.get(record.task, 0)
         if _explains(record):  # numbered by themselves, as early recordings lack them
             path = _explaining(path)
+        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own are compared with each other
+            path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
         if isinstance(record, Task) and record.phase == Task.FINISHED:

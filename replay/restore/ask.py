@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PycramError
-from pycram.reasoning.queries.query import Verdict
+from pycram.reasoning.queries.query import RECORDED_AS, Verdict
 from recorder.records import Query, format_error, to_json
 from replay.errors import NoSuchName
 from replay.restore.question import BadQuestion, Name, Question, parse, question_of
@@ -35,7 +35,7 @@ QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getatt
 
 #: Parameters that take an object, or several; a pose may be one, or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
-_RECORDED: Final = {"gripper": "gripper_name"}  # recorded argument names that differ from the parameter's
+_PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ def _apply(world: BulletWorld, move: Move) -> None:
 def _call(world: BulletWorld, question: Question) -> Verdict | Found[Object] | Found[Verdict]:
     query: Callable[..., Verdict | Found[Object] | Found[Verdict]] = getattr(btr, question.query)
     signature = inspect.signature(query)
-    keywords = {_RECORDED.get(name, name): term for name, term in question.keywords.items()}
+    keywords = {_PARAMETERS.get(name, name): term for name, term in question.keywords.items()}
     try:
         bound = signature.bind(*question.arguments, **keywords)
     except TypeError as error:

@@ -123,6 +123,7 @@ class Reexecution:
             repeated.world, repeated.task, repeated.cause = record.world, record.task, record.cause
             repeated.source_file, repeated.source_line = record.source_file, record.source_line
             repeated.callers.extend(record.callers)
+            repeated.by_fork = record.by_fork
             _keep_what_follows(record, repeated, with_overlaps=self._log.format > 0)
         return repeated
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
 from pycram.world.snapshot import restore_snapshot, take_snapshot
-from recorder.packages import versions
+from recorder.packages import other_versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
 from recorder.tracing.journal import unrecorded
@@ -53,7 +53,7 @@ class _Verifier(Verifier):
     def __init__(self, log: RecordReader, reexecution: Reexecution) -> None:
         super().__init__(log)
         self._reexecution = reexecution
-        self.environment = _environment(log)
+        self.environment = other_versions(log.metadata, *_ENVIRONMENT_KEYS)
 
     def forget(self) -> None:
         """Forget all worlds: records are missing."""
@@ -165,13 +165,3 @@ def _deviations(world: BulletWorld, state: World) -> Iterator[Deviation]:
         for name, value in zip(body.joints, actual.positions, strict=True):
             if expected.joint(name) != value:
                 yield Deviation(f"{body.name}.{name}", expected.joint(name), value)
-
-
-def _environment(log: RecordReader) -> tuple[str, ...]:
-    """Return how this environment differs from the one that a recording was made in."""
-    now, then = versions(), log.metadata
-    return tuple(
-        f"{name} {now[name]} instead of {then[name]}"
-        for name in _ENVIRONMENT_KEYS
-        if name in then and then[name] != now[name]
-    )

@@ -1,23 +1,31 @@
 """Forks a run: the plan runs again, guided by the recording up to a step, and goes on from there, live.
 
-So the plan's variables, blocks and branches are what they were, not only its world. From that step on the plan may be
-another one: an edited file whose records up to there are the same.
+So the plan's variables, blocks and branches are what they were, not only its world. From that step on something may be
+different: the plan itself, as an edited file whose records up to there are the same; the world; the answer of a query;
+the seed.
 """
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from recorder.records import Change, Query, Run
+from recorder.secrets import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
+from replay.retrace.answers import parse_answer
+from replay.retrace.changes import BadChange, seed_change, settings as settings_of, text_of
 from replay.retrace.plan_process import PlanProcess
+from replay.retrace.retrace import compared
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from replay.retrace.guide import Difference
+    from replay.retrace.retrace import Retracing
 
 
 class NotForked(ReplayError):
@@ -44,6 +52,7 @@ class Fork:
         records: of its recording.
         succeeded: whether the plan ended well.
         notes: what else is different from when the first one was recorded.
+        control: the plan run again without the change, compared with the first recording to its end; None if it wasn't.
     """
 
     file: Path
@@ -51,6 +60,7 @@ class Fork:
     records: int
     succeeded: bool
     notes: tuple[str, ...]
+    control: Retracing | None = None
 
 
 def fork(
@@ -60,6 +70,12 @@ def fork(
     *,
     plan: str | Path | None = None,
     arguments: Sequence[str] | None = None,
+    settings: Sequence[str] = (),
+    world: str | None = None,
+    answers: Sequence[str] = (),
+    seed: int | None = None,
+    control: bool = False,
+    recorded_source: bool = False,
 ) -> Fork:
     """Run a plan again to a step of its recording, and on from there into a new recording.
 
@@ -72,35 +88,88 @@ def fork(
         file: the new recording; what is there is replaced.
         plan: another file than the recorded one: an edited plan.
         arguments: other arguments than the recorded ones.
+        settings: what is set after that step, as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
+        world: the world of the objects that are set; by default the open one that was opened last.
+        answers: of the next queries after that step that fit, as ``reachable_object(milk)=false``.
+        seed: of random numbers and of the order of branches from that step on.
+        control: whether the plan is run again without the change as well, to its end: what differs in the fork is due
+            to the change if that comes out as recorded.
+        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
 
     Raises:
-        CantRetrace: the plan isn't there, or the recording doesn't tell how it was run; nothing has run.
+        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or a window, real time or the
+            system rule out that it does the same; nothing has run.
+        BadChange, NoSuchName: a setting or an answer can't be; nothing has run.
         NotForked: the plan did something else before that step; there is no new recording.
         Damaged: steps up to that one are lost; nothing has run.
         ReplayError: there is no folder for the new recording; nothing has run.
     """
+    log.check()  # what is lost is known only then
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"what led to step {step}", f"step {gap.start} is lost; fork before it")
     if not file.absolute().parent.is_dir():
         raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
-    process = PlanProcess(log, plan, arguments)
+    process = PlanProcess(log, plan, arguments, until=step, recorded_source=recorded_source)
+    changes = _changes(log, step, settings, world, answers, seed)
+    unchanged = _unchanged(log, arguments, recorded_source=recorded_source) if control else None
     notes = tuple(process.notes())
-    try:
-        outcome = process.run(until=step, file=file)
-    except ReplayError:
-        file.unlink(missing_ok=True)
-        raise
-    if outcome.difference is not None:
-        file.unlink(missing_ok=True)
-        raise NotForked(step, outcome.difference)
+    with ThreadPoolExecutor() as beside:
+        controlling = None if unchanged is None else beside.submit(compared, unchanged, len(log))
+        try:
+            outcome = process.run(file=file, changes=changes)
+        except ReplayError:
+            file.unlink(missing_ok=True)
+            raise
+        if outcome.difference is not None:
+            file.unlink(missing_ok=True)
+            raise NotForked(step, outcome.difference)
+        controlled = None if controlling is None else controlling.result()
     with RecordReader(file) as forked:
         end = forked[-1]
-        return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes)
+        notes += tuple(_unasked(forked, changes))
+        return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
+
+
+def _changes(
+    log: RecordReader, step: int, given: Sequence[str], world: str | None, answers: Sequence[str], seed: int | None
+) -> list[Change]:
+    """Return the changes of a fork, checked."""
+    changes = settings_of(log, step, given, world)
+    for text in answers:
+        parse_answer(text)
+        changes.append(Change(step=step, answer=text))
+    if seed is not None:
+        changes.insert(0, seed_change(step, seed))
+    if changes and step == len(log) - 1 and log.closed:
+        raise BadChange(text_of(changes[0]), f"step {step} is the last one: nothing comes after it")
+    return changes
+
+
+def _unchanged(log: RecordReader, arguments: Sequence[str] | None, *, recorded_source: bool) -> PlanProcess:
+    """Return the plan as it was, to its end; the arguments that are given count where the recorded ones lack some."""
+    began = log[0]
+    lacking = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
+    return PlanProcess(log, None, arguments if lacking else None, recorded_source=recorded_source)
+
+
+def _unasked(forked: RecordReader, changes: Sequence[Change]) -> Iterator[str]:
+    """Yield in words which answers nobody has asked for."""
+    given = sum(record.by_fork for record in forked.records(Query))
+    recorded = forked[0]
+    wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
+    if given < len(wanted):
+        asked = ", ".join(change.answer for change in changes if change.answer)
+        yield f"{len(wanted) - given} of the given answers weren't asked for after step {changes[-1].step}: {asked}"
 
 
 def resume(
-    log: RecordReader, file: Path, *, plan: str | Path | None = None, arguments: Sequence[str] | None = None
+    log: RecordReader,
+    file: Path,
+    *,
+    plan: str | Path | None = None,
+    arguments: Sequence[str] | None = None,
+    recorded_source: bool = False,
 ) -> Fork:
     """Have a plan whose process was killed go on where it was: a fork at the last step of its recording.
 
@@ -112,4 +181,4 @@ def resume(
         raise ReplayError(f"{log.path}: this run has come to its end; fork runs it again from a step")
     if log.live:
         raise ReplayError(f"{log.path}: this run still goes on")
-    return fork(log, len(log) - 1, file, plan=plan, arguments=arguments)
+    return fork(log, len(log) - 1, file, plan=plan, arguments=arguments, recorded_source=recorded_source)

@@ -8,6 +8,7 @@ see :func:`replay.explain.compare_runs.differing`. The order of records is.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -71,6 +72,8 @@ class Guide:
         self._log = log
         self._until = until
         self._recorded = log.records()
+        self._ahead: Record | None = None  # what was looked up of them
+        self._reading = threading.Lock()
         self._report = report
         self._ended = False
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of tasks that run, recorded and now
@@ -80,7 +83,7 @@ class Guide:
         """Compare a record."""
         if self._ended:
             return
-        recorded = next(self._recorded, None)
+        recorded = self._next()
         if recorded is None or recorded.seq != self.equal:  # it ends here, or what comes next is lost
             self._end(None if recorded is not None or not self._log.closed else self._goes_on(record))
             return
@@ -93,6 +96,20 @@ class Guide:
         if recorded.seq == self._until or (isinstance(record, Run) and record.phase == Run.FINISHED):
             self._end(None)
 
+    def upcoming(self) -> Record | None:
+        """Return the record that has to come next; None if none has, or what comes next is lost."""
+        if self._ended:
+            return None
+        with self._reading:
+            if self._ahead is None:
+                self._ahead = next(self._recorded, None)
+            return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
+
+    def _next(self) -> Record | None:
+        with self._reading:
+            record, self._ahead = self._ahead, None
+            return record or next(self._recorded, None)
+
     def attach(self, asset: AssetFile) -> None:
         """Ignore a file: loaded models are compared by their hashes."""
 
@@ -102,7 +119,7 @@ class Guide:
     def close(self) -> None:
         """Report that the plan has ended, where the recording goes on."""
         if not self._ended:
-            recorded = next(self._recorded, None)
+            recorded = self._next()
             if recorded is None or recorded.seq != self.equal:
                 self._end(None)
                 return

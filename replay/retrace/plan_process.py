@@ -10,18 +10,20 @@ import tempfile
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
-from recorder.packages import versions
+from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
-from recorder.records import Run
+from recorder.records import Mutation, Run
 from recorder.secrets import LEFT_OUT
 from replay.errors import ReplayError
 from replay.retrace.guide import Difference
+from replay.retrace.recorded_source import NoSource, RecordedSource
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
+    from recorder.records import Change
     from replay.file.record_reader import RecordReader
 
 _SHOWN: Final = 2000  # characters of stderr that a process which gave no result has last written
@@ -47,12 +49,12 @@ class Outcome:
     Attributes:
         equal: number of records, from the first on, that came out the same.
         difference: the first one that didn't; None if all did that were compared.
-        code: exit code of the process.
+        taken: number of answers that were taken from the recording.
     """
 
     equal: int
     difference: Difference | None
-    code: int
+    taken: int
 
 
 class PlanProcess:
@@ -62,37 +64,61 @@ class PlanProcess:
         log: the recording.
         plan: another file than the recorded one.
         arguments: other arguments than the recorded ones.
+        until: the last step that is compared; by default all are.
+        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
 
     Attributes:
-        program: the file that will run.
+        program: the file that will run, or whose recorded source will.
 
     Raises:
-        CantRetrace: the plan isn't there, or the recording doesn't tell how it was run.
+        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or it wouldn't do the same.
     """
 
-    def __init__(self, log: RecordReader, plan: str | Path | None, arguments: Sequence[str] | None) -> None:
+    def __init__(
+        self,
+        log: RecordReader,
+        plan: str | Path | None,
+        arguments: Sequence[str] | None,
+        *,
+        until: int | None = None,
+        recorded_source: bool = False,
+    ) -> None:
         began = log[0]
+        if not hasattr(os, "fork"):  # nor can it hand on what is open
+            raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
             raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
+        if recorded_source and plan is not None:
+            raise CantRetrace("either another file of the plan, or its recorded source")
         self._log = log
         self._began = began
-        self.program = _program(log, began, plan)
+        self._until = until
+        self._edited = plan is not None
+        self._source: RecordedSource | None = None
+        if recorded_source:
+            self.program = _recorded_program(log, began)
+            try:
+                self._source = RecordedSource(log, self.program)
+            except NoSource:
+                raise CantRetrace(f"{log.path}: the source of {self.program.name} isn't attached to it") from None
+        else:
+            self.program = _program(log, began, plan)
         self._arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in text for text in self._arguments):
             raise CantRetrace(f"{log.path}: secret arguments were left out of it; give all with --arguments, last")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
+        _refuse_unrepeatable(log, until)
 
     def notes(self) -> Iterator[str]:
         """Yield in words what is different from when the recording was made."""
         began = self._began
-        if began.plan.sha256 and sha256(self.program.read_bytes()).hexdigest() != began.plan.sha256:
+        if self._source is not None:
+            yield str(self._source)
+        elif began.plan.sha256 and sha256(self.program.read_bytes()).hexdigest() != began.plan.sha256:
             yield f"{self.program.name} differs from the recorded source"
         if began.pycram.sha256 and began.pycram.sha256 != pycram_revision().sha256:
             yield "PyCRAM's code differs from the one that made the recording"
-        now, then = versions(), self._log.metadata
-        for name in ("python", "pybullet", "numpy", "machine", "platform"):
-            if name in then and name in now and then[name] != now[name]:
-                yield f"{name} is {now[name]} instead of {then[name]}"
+        yield from other_versions(self._log.metadata, "python", "pybullet", "numpy", "machine", "platform")
         if not began.seed:
             yield "no seed is recorded: random numbers may differ"
         if not began.hash_seed.isdecimal():
@@ -100,50 +126,41 @@ class PlanProcess:
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} isn't there: {self._folder} is taken"
 
-    def run(self, *, until: int | None = None, file: Path | None = None) -> Outcome:
+    def run(self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False) -> Outcome:
         """Run it to the first difference; or as a fork, to its end.
 
+        What was changed of the recorded run, where that is a fork itself, is changed again, each after its step.
+
         Args:
-            until: the last step that is compared; by default all are.
-            file: where it goes on from there, into this recording; what it prints then goes to stderr.
+            file: where it goes on after the last step that is compared, into this recording; what it prints then goes
+                to stderr.
+            changes: what is changed after steps; with any, changes of the recorded run after the last step are dropped.
+            take_answers: whether queries have the recorded answers, and aren't asked.
 
         Raises:
             CantRetrace: the process has ended before it came to a result.
+            ReplayError: a change can't be made.
         """
-        began = self._began
-        request = {
-            "log": str(self._log.path.resolve()),
-            "plan": str(self.program),
-            "arguments": self._arguments,
-            "seed": int(began.seed) if began.seed.isdecimal() else None,
-            "by_program": began.by_program,
-            "until": until,
-            "file": None if file is None else str(file.absolute()),
-        }
-        environment = dict(os.environ)
-        if began.hash_seed.isdecimal():
-            environment["PYTHONHASHSEED"] = began.hash_seed
-        else:
-            environment.pop("PYTHONHASHSEED", None)
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
-        command = [sys.executable, "-P", "-m", "replay.retrace"]
+        request: dict[str, object] = {
+            "until": self._until,
+            "file": None if file is None else str(file.absolute()),
+            "take_answers": take_answers,
+            "changes": [_fields(change) for change in (*self._recorded_changes(changed=bool(changes)), *changes)],
+            "moved": None,
+        }
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,
             os.fdopen(reading, "rb") as results,
         ):
             request |= {"result": writing, "output": output, "folder": folder}
+            if self._source is not None:
+                program = self._source.write(Path(folder).resolve())
+                request |= {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
             try:
-                process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [*command, json.dumps(request)],
-                    cwd=self._folder,
-                    env=environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=errors,
-                    pass_fds=[writing, output],
-                )
+                process = self.start("replay.retrace", request, errors, (writing, output))
             finally:
                 os.close(writing)
                 os.close(output)
@@ -154,21 +171,84 @@ class PlanProcess:
                 except BaseException:
                     process.kill()
                     raise
+            os.set_blocking(reading, False)
+            line = results.readline() or line  # a later one tells what came up on the way
             if not line:
                 errors.seek(0)
                 printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with {code}"
                 raise CantRetrace(f"the plan's process {how}, without a result{printed and f':{chr(10)}{printed}'}")
         answer: Mapping[str, Any] = json.loads(line)
+        if "error" in answer:
+            raise ReplayError(answer["error"])
         found = answer["difference"]
-        return Outcome(answer["equal"], None if found is None else Difference(**found), code)
+        return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
+
+    def start(
+        self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
+
+        Args:
+            module: its name.
+            request: arguments of its main function, beside the log, the plan, its arguments and seed.
+            errors: for what is written to stderr.
+            descriptors: open files that it gets.
+        """
+        began = self._began
+        given = {
+            "log": str(self._log.path.resolve()),
+            "plan": str(self.program),
+            "arguments": self._arguments,
+            "seed": int(began.seed) if began.seed.isdecimal() else None,
+            "by_program": began.by_program,
+        }
+        environment = dict(os.environ)
+        if began.hash_seed.isdecimal():
+            environment["PYTHONHASHSEED"] = began.hash_seed
+        else:
+            environment.pop("PYTHONHASHSEED", None)
+        return subprocess.Popen(  # noqa: S603  no text of users is a command
+            [sys.executable, "-P", "-m", module, json.dumps({**given, **request})],
+            cwd=self._folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            pass_fds=descriptors,
+        )
+
+    def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
+        """Yield what the recorded run is changed by, where it is a fork; of a changed one up to the last step only."""
+        for change in self._began.origin.changes:
+            if not (changed or self._edited) or self._until is None or change.step <= self._until:
+                yield change
+
+
+def _fields(change: Change) -> dict[str, object]:
+    return {field.name: value for field, value in change.ListFields()}
+
+
+def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
+    """Refuse what a person or the clock has decided: it wouldn't be the same."""
+    for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
+        window = record.HasField("open_world") and record.open_world.mode == "GUI"
+        if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
+            what = f"{record.world} has a window" if window else f"{record.world} runs in real time"
+            why = "what a person or the clock does there can't be done again"
+            raise CantRetrace(
+                f"{log.path}: from step {record.seq} on {what}; {why}. A fork before that step can be made"
+            )
+
+
+def _recorded_program(log: RecordReader, began: Run) -> Path:
+    if not began.program:
+        raise CantRetrace(f"{log.path}: no file of a plan is recorded, as from a prompt; give one with --plan")
+    return Path(began.program)
 
 
 def _program(log: RecordReader, began: Run, plan: str | Path | None) -> Path:
-    if plan is None and not began.program:
-        raise CantRetrace(f"{log.path}: no file of a plan is recorded, as from a prompt; give one with --plan")
-    program = Path(began.program if plan is None else plan)
+    program = _recorded_program(log, began) if plan is None else Path(plan)
     if not program.is_file():
-        back = f"pycram-replay source {log.path} -o DIR"
-        raise CantRetrace(f"{program}: the plan isn't there; give its file with --plan, or have it back: {back}")
+        raise CantRetrace(f"{program}: the plan isn't there; give its file with --plan, or run --recorded-source")
     return program.absolute()

@@ -1,4 +1,4 @@
-"""The process in which a plan runs again: ``python -P -m replay.retrace JSON``, from :mod:`.plan_process`.
+"""The process in which a plan runs again; :mod:`.plan_process` starts it.
 
 Its result is one line of JSON on the file descriptor that it is given: stdout and stderr are the plan's. When it is
 only to compare, it ends there, wherever the plan is then. A fork goes on, into a recording of its own.
@@ -11,23 +11,35 @@ import json
 import os
 import runpy
 import sys
-import time
-from dataclasses import asdict
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from pycram import cli
+from pycram.reasoning.queries.query import answered_by
+from pycram.scheduling.cancellation import uninterruptible
+from pycram.scheduling.schedule import seed_order
+from pycram.seeding import seed_random_numbers
+from recorder.errors import PortableError
 from recorder.mcap.sink import McapSink
+from recorder.provenance import metadata
 from recorder.recording import redirected
-from recorder.records import escaped
+from recorder.records import Change, Run, escaped, format_error
 from replay.file.record_reader import RecordReader
+from replay.retrace.answers import Answers
+from replay.retrace.changes import BadChange, parse_setting, text_of
 from replay.retrace.guide import Guide
+from replay.retrace.steering import Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from recorder.records import Record, Run
+    from google.protobuf.message import Message
+
+    from recorder.records import Record
     from recorder.records.asset import AssetFile
+    from recorder.tracing.journal import Sink
     from replay.retrace.guide import Difference
 
 _STDOUT, _STDERR = 1, 2
@@ -49,49 +61,87 @@ class _Nowhere:
         """Do nothing."""
 
 
-class _Fork:
-    """A sink that writes a recording of its own, guided by another one to its step.
+class _Guided:
+    """A sink that is guided by a recording; that of a fork writes one of its own as well.
 
-    Attributes:
-        path: the recording's.
+    Args:
+        guide: compares the records.
+        file: the fork's recording; None to compare only.
+        steering: makes the changes.
+        moved: the folder that the plan's recorded source was written to, and the one that it came from.
+        passed: called when a step has passed, and what is changed after it.
     """
 
-    def __init__(self, guide: Guide, file: McapSink) -> None:
+    def __init__(
+        self,
+        guide: Guide,
+        file: McapSink | None,
+        steering: Steering,
+        moved: tuple[str, str] | None,
+        passed: Callable[[], None],
+    ) -> None:
         self._guide = guide
         self._file = file
-        self.path = file.path
+        self._steering = steering
+        self._moved = moved
+        self._passed = passed
+        self.path = guide.path if file is None else file.path
+        self.lock = nullcontext() if file is None else file.lock
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        self._file.write(topic, record, payload)
+        self._steering.complete(record)
+        if self._moved is not None:
+            _rename(record, *self._moved)
+        if self._file is not None:
+            self._file.write(topic, record, record.SerializeToString())
         self._guide.write(topic, record, payload)
+        self._steering.passed(record.seq, self._passed)
 
     def attach(self, asset: AssetFile) -> None:
-        self._file.attach(asset)
+        if self._file is not None:
+            self._file.attach(asset)
 
     def flush(self) -> None:
-        self._file.flush()
+        if self._file is not None:
+            self._file.flush()
 
     def close(self) -> None:
         self._guide.close()
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
 
-def main(
-    log: str,
-    plan: str,
-    arguments: Sequence[str],
-    seed: int | None,
-    *,
-    by_program: bool,
-    result: int,
-    output: int,
-    until: int | None,
-    file: str | None,
-    folder: str,
-) -> None:
-    """Run a plan again.
+def _rename(message: Message, old: str, new: str) -> None:
+    """Put another folder's name in place of one in all texts of a message."""
+    for field, value in message.ListFields():
+        if field.cpp_type == field.CPPTYPE_MESSAGE:
+            for part in value if _is_repeated(value) else [value]:
+                _rename(part, old, new)
+        elif field.type == field.TYPE_STRING and _is_repeated(value):
+            value[:] = [text.replace(old, new) for text in value]
+        elif field.type == field.TYPE_STRING and old in value:
+            setattr(message, field.name, value.replace(old, new))
 
-    Args:
+
+def _is_repeated(value: object) -> bool:
+    return hasattr(value, "append")
+
+
+def _make(change: Change) -> None:
+    """Make a change; of the plan's lines none has done it, as call stacks end here."""
+    if change.seed:
+        seed_random_numbers(int(change.seed))
+        seed_order(int(change.seed))
+        return
+    with uninterruptible():
+        parse_setting(change.set, fluent=not change.world).make(change.world)
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a process is to do.
+
+    Attributes:
         log: the recording.
         plan: the plan's file.
         arguments: of the plan.
@@ -102,47 +152,140 @@ def main(
         until: the last step that is compared; None for all.
         file: the fork's recording; None to end when all is compared.
         folder: for the recordings of its projections, where it is only compared.
+        take_answers: whether queries have the recorded answers, and aren't asked.
+        changes: the fields of what is to be changed after its steps.
+        moved: the folder that the plan's recorded source was written to, and the one that it came from.
     """
-    recorded = RecordReader(log)
 
-    def report(equal: int, difference: Difference | None) -> None:
-        found = None if difference is None else asdict(difference)
-        os.write(result, json.dumps({"equal": equal, "difference": found}).encode() + b"\n")
-        if file is None or difference is not None:
+    log: str
+    plan: str
+    arguments: Sequence[str]
+    seed: int | None
+    by_program: bool
+    result: int
+    output: int
+    until: int | None
+    file: str | None
+    folder: str
+    take_answers: bool
+    changes: Sequence[Mapping[str, Any]]
+    moved: tuple[str, str] | None
+
+
+def main(text: str) -> None:
+    """Run a plan again as a request says, given as JSON."""
+    _GuidedRun(Request(**json.loads(text))).run()
+
+
+class _GuidedRun:
+    """A plan that runs again in this process."""
+
+    def __init__(self, request: Request) -> None:
+        self._request = request
+        self._recorded = RecordReader(request.log)
+        self._changes = [Change(**each) for each in request.changes]
+        self._guide = Guide(self._recorded, self._report, request.until, Path(request.folder) / Path(request.log).name)
+        self._answers = Answers(self._guide, taken=request.take_answers, refuse=self._refuse)
+        self._steering = Steering(self._changes, self._answers, _make, self._refuse)
+        self._sent = False
+        self._equal: int | None = None  # number of equal records, when the comparison has ended
+
+    def run(self) -> None:
+        """Run it to its end, unless the process ends before."""
+        request = self._request
+        with answered_by(self._answers):
+            run_plan(
+                request.plan,
+                request.arguments,
+                request.seed,
+                self._recorded,
+                self._sink_of,
+                by_program=request.by_program,
+                file=Path(request.file or os.devnull),
+            )
+        self._guide.close()
+        if self._steering.due:
+            change = self._steering.due[0]
+            self._refuse(BadChange(text_of(change), f"the plan ended before that could be after step {change.step}"))
+
+    def _sink_of(self, run: Run) -> Sink:
+        request, began = self._request, self._recorded[0]
+        if request.moved is not None and isinstance(began, Run):  # else it would be that of no repository
+            run.plan.CopyFrom(began.plan)
+        file = None
+        if request.file is not None:
+            run.origin.recording, run.origin.wall_time_ns = self._recorded.path.name, began.wall_time_ns
+            run.origin.step = len(self._recorded) - 1 if request.until is None else request.until
+            run.origin.changes.extend(self._changes)
+            file = McapSink(Path(request.file), metadata(run))
+        return _Guided(self._guide, file, self._steering, request.moved, self._go_on)
+
+    def _report(self, equal: int, difference: Difference | None) -> None:
+        self._equal = equal
+        if self._request.file is None or difference is not None:
+            self._send(difference=None if difference is None else asdict(difference))
             os._exit(0)
+
+    def _go_on(self) -> None:
+        """Leave the recording, if its last step that is compared has passed, and what follows it is changed."""
+        if self._equal is None or self._sent:
+            return
+        self._send(difference=None)
         for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
             if stream is not None:
                 stream.flush()
-            os.dup2(output, descriptor)  # what the plan prints from here on is new
+            os.dup2(self._request.output, descriptor)  # what the plan prints from here on is new
 
-    guide = Guide(recorded, report, until, Path(folder) / recorded.path.name)
+    def _refuse(self, error: Exception) -> NoReturn:
+        self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))
+        os._exit(0)
 
-    began = recorded[0]
-    process, guided = os.getpid(), False
+    def _send(self, **facts: object) -> None:
+        self._sent = True
+        answer = {"equal": self._equal, "taken": self._answers.taken, **facts}
+        os.write(self._request.result, json.dumps(answer).encode() + b"\n")
 
-    def sink_of(run: Run) -> Guide | _Fork | _Nowhere | None:
+
+def run_plan(
+    plan: str,
+    arguments: Sequence[str],
+    seed: int | None,
+    recorded: RecordReader,
+    sink_of: Callable[[Run], Sink],
+    *,
+    by_program: bool,
+    file: Path = Path(os.devnull),
+) -> None:
+    """Run a plan as a program, whatever it ends with.
+
+    Args:
+        plan: the plan's file.
+        arguments: of the plan.
+        seed: of random numbers; None to leave them as they are.
+        recorded: the recording that it has made.
+        sink_of: gives the sink for that recording, when the plan makes it again.
+        by_program: whether the plan begins the recording itself.
+        file: where it would be recorded.
+    """
+    owner, began, guided = os.getpid(), recorded[0], False
+
+    def redirect(run: Run) -> Sink | None:
         nonlocal guided
-        if run.by_program != by_program or os.getpid() != process:  # a projection makes a recording of its own
+        if run.by_program != by_program or os.getpid() != owner:  # a projection makes a recording of its own
             return None
         if guided or not _is_meant(run, began, plan):
             return _Nowhere()
         guided = True
-        if file is None:
-            return guide
-        run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
-        run.origin.step = len(recorded) - 1 if until is None else until
-        metadata = {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
-        return _Fork(guide, McapSink(Path(file), metadata))
+        return sink_of(run)
 
-    with redirected(sink_of):
+    with redirected(redirect):
         if by_program:
             sys.argv = [plan, *arguments]
             sys.path.insert(0, str(Path(plan).parent.resolve()))
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
                 runpy.run_path(plan, run_name="__main__")
         else:
-            cli.run(Path(plan), Path(file or os.devnull), arguments, seed=seed)
-    guide.close()
+            cli.run(Path(plan), file, arguments, seed=seed)
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from replay.retrace.outside import reads_before
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class Retracing:
         difference: the first one that didn't; None if all did, or those up to where the recording was cut or damaged.
         notes: what else is different from when it was recorded, and may be why.
         seconds: how long it took.
+        taken: number of queries whose answers were taken from the recording, instead of being asked again.
     """
 
     plan: Path
@@ -39,6 +41,7 @@ class Retracing:
     difference: Difference | None
     notes: tuple[str, ...]
     seconds: float
+    taken: int = 0
 
     @property
     def identical(self) -> bool:
@@ -46,7 +49,14 @@ class Retracing:
         return self.difference is None
 
 
-def retrace(log: RecordReader, *, plan: str | Path | None = None, arguments: Sequence[str] | None = None) -> Retracing:
+def retrace(
+    log: RecordReader,
+    *,
+    plan: str | Path | None = None,
+    arguments: Sequence[str] | None = None,
+    answers: Literal["asked", "recorded"] = "asked",
+    recorded_source: bool = False,
+) -> Retracing:
     """Run a recorded plan again in a process of its own, and compare record by record up to the first difference.
 
     The plan acts as it did then: what it does outside of its worlds (files, network) happens again. It has no input,
@@ -56,13 +66,24 @@ def retrace(log: RecordReader, *, plan: str | Path | None = None, arguments: Seq
         log: the recording.
         plan: another file than the recorded one.
         arguments: other arguments than the recorded ones.
+        answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take these from the
+            recording, which is faster: then it is compared what is asked, and when.
+        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
 
     Raises:
-        CantRetrace: the plan isn't there, or the recording doesn't tell how it was run; nothing has run.
+        CantRetrace: the plan isn't there, the recording doesn't tell how it was run, or a window, real time or the
+            system rule out that it does the same; nothing has run.
     """
-    process = PlanProcess(log, plan, arguments)
+    process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
+    return compared(process, len(log), take_answers=answers == "recorded")
+
+
+def compared(process: PlanProcess, steps: int, *, take_answers: bool = False) -> Retracing:
+    """Run a plan again to the first difference from its recording, which has that many steps."""
     notes = tuple(process.notes())
     start = time.perf_counter()
-    outcome = process.run()
+    outcome = process.run(take_answers=take_answers)
     seconds = time.perf_counter() - start
-    return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds)
+    if outcome.difference is not None:
+        notes += tuple(reads_before(outcome.difference))
+    return Retracing(process.program, steps, outcome.equal, outcome.difference, notes, seconds, outcome.taken)

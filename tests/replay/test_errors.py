@@ -11,6 +11,7 @@ import pytest
 from recorder.errors import PortableError, RecordingError
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.restore.question import BadQuestion
+from replay.retrace.changes import BadChange
 from replay.retrace.fork import NotForked
 from replay.retrace.guide import Difference
 from replay.retrace.plan_process import CantRetrace
@@ -30,6 +31,7 @@ ERRORS: tuple[PortableError, ...] = (
     NotRestored(3, "no world is open then"),
     BadQuestion("stable(", "it can't be read"),
     CantRetrace("plan.py: the plan isn't there"),
+    BadChange("stable(milk)=maybe", "its answer is true or false"),
     NotForked(12, Difference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
 )
 

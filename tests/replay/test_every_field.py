@@ -53,6 +53,7 @@ NOT_DETERMINED: Final = {
     r"\w+\.failure\..*": _PLAN,
     r"Keyframe\.world": "a world that was opened unrecorded is announced by its keyframe",
     r"Mutation\.simulate\.settled": "a judgement by the rules of the release, with which nothing changes",
+    r"Mutation\.by_fork": "whoever forked the run",
     r"Mutation\.drags\..*": "a person's hand",
     r"Mutation\.restore\.sim_step": "when the state was saved, which the world's clock doesn't go back to",
     r"Mutation\.restore\.bodies\.orientation": "the engine normalises it, so others may come to the same",

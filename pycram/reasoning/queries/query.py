@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import functools
 import inspect
-from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, TypeVar
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, Protocol, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
@@ -18,7 +20,7 @@ from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping
     from typing import Self
 
     from pycram.reasoning.choosing import Choice
@@ -94,7 +96,8 @@ def _not_negative(name: str, value: object) -> float:
     return checks.in_range(name, value, 0.0)
 
 
-_RECORDED: Final = {"gripper_name": "gripper"}  # what records call arguments whose parameter has another name
+RECORDED_AS: Final = {"gripper_name": "gripper"}
+"""What records call arguments whose parameter has another name."""
 _OBJECTS: Final = ("object", "object1", "object2", "robot")
 _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
     "margin": _not_negative,
@@ -152,16 +155,47 @@ def _check(arguments: dict[str, Any]) -> BulletWorld:
     return world
 
 
+class Oracle(Protocol):
+    """Answers queries of a run that a recording guides; called with their world locked."""
+
+    def __call__(
+        self, question: Question, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
+    ) -> Any:
+        """Return the answer to a question.
+
+        Args:
+            question: what is asked.
+            world: of which world.
+            function: the query.
+            ask: gives its own answer.
+        """
+
+
+_oracle: Oracle | None = None
+
+
+@contextmanager
+def answered_by(oracle: Oracle) -> Iterator[None]:
+    """Have an oracle answer all queries of this process while the block runs."""
+    global _oracle  # noqa: PLW0603  a run is the process's
+    before, _oracle = _oracle, oracle
+    try:
+        yield
+    finally:
+        _oracle = before
+
+
 def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
     """Call a query's function with the world locked against changes, and record the answer."""
     asked = {
-        _RECORDED.get(name, name): value
+        RECORDED_AS.get(name, name): value
         for name, value in arguments.items()
         if name != "world" and (name, value) != ("robot", None)
     }
     question = Question(function.__name__, asked)
     with question.asked(world):
-        answer = function(**arguments)
+        ask = partial(function, **arguments)
+        answer: Answer = ask() if _oracle is None else _oracle(question, world, function, ask)
         question.answer, question.evidence, question.picture = answer, answer.evidence, answer.picture
         question.considered = answer.considered
     return answer

@@ -207,7 +207,9 @@ class Case:
             stack = because.call_stack or stack  # its own line, not that which fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
-        return Change(record.seq, body, joint, how, task, self.line(stack), other, *size, handler=handler)
+        by_fork = isinstance(record, Mutation) and record.by_fork
+        line = self.line(stack)
+        return Change(record.seq, body, joint, how, task, line, other, *size, handler=handler, by_fork=by_fork)
 
     # --- lines of the plan -------------------------------------------------------------------------------------------
 

@@ -46,6 +46,7 @@ class Change:
         mover: what the record's command moved, if that is something else: a body, or ``JOINT of BODY``.
         distance: by how much it changed, m or of a revolute joint rad.
         angle: by how much it turned, rad.
+        by_fork: whether whoever forked the run did it, not the plan.
     """
 
     step: int
@@ -58,6 +59,7 @@ class Change:
     distance: float = 0.0
     angle: float = 0.0
     handler: Task | None = None
+    by_fork: bool = False
 
 
 @dataclass(frozen=True, slots=True)

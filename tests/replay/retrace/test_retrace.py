@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,14 +13,22 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
+from recorder.records import Mutation
 from replay.cli.main import main
+from replay.errors import Damaged
+from replay.retrace.fork import fork
+from replay.retrace.guide import Difference
+from replay.retrace.outside import reads_before
 from replay.retrace.plan_process import CantRetrace
 from replay.retrace.retrace import retrace
 from tests.measures import seeded
+from tests.replay.copies import CHUNK, container_records, zeroed
+from tests.replay.test_verify import rewritten
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from recorder.records import Record
     from replay.retrace.retrace import Retracing
 
 pytestmark = pytest.mark.slow
@@ -179,6 +189,27 @@ def test_what_a_plan_reads_of_the_world_outside_is_told_where_it_matters(
     said = capsys.readouterr().out
     assert f"at {file}:4 where step 3 has move body milk [0.000, 0.000, 1.000]" in said
     assert "move_body.position[2]: recorded 1.0, now 2.0" in said
+    assert "reads.py:4 reads a file: open()" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("from time import time as now; x = now()", "2 reads the clock: now()"),
+        ("import datetime; x = datetime.datetime.now()", "2 reads the clock: datetime.datetime.now()"),
+        ("import urllib.request as web; web.urlopen('x')", "2 reads the network: web.urlopen()"),
+        ("x = Path('x').read_text()", "2 reads a file: Path('x').read_text()"),
+        ("import random; x = random.SystemRandom().random()", "2 reads random numbers without a seed"),
+        ("import numpy as np; x = np.random.default_rng()", "2 reads random numbers without a seed"),
+        ("import numpy as np; x = np.random.default_rng(1)", ""),
+        ("import random, time; x = random.random(); time.sleep(1)", ""),
+    ],
+)
+def test_a_line_that_reads_the_world_outside_is_told_with_the_difference(tmp_path: Path, line: str, said: str) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text(f"import sys\n{line}\nprint(x)\nopen('later')\n")
+    reads = list(reads_before(Difference(3, "it differs", f"{file}:3")))
+    assert [each.startswith(f"plan.py:{said}") for each in reads] == [True] * bool(said)
 
 
 def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> None:
@@ -313,3 +344,57 @@ def test_of_several_recordings_the_others_are_retraced_where_one_cant_be(
     results = json.loads(capsys.readouterr().out)
     assert [result.get("identical") for result in results] == [None, None, True]
     assert "the plan isn't there" in results[0]["error"]
+
+
+def test_what_a_person_or_the_clock_decides_is_refused_before_it_runs(tmp_path: Path) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text(
+        "from pathlib import Path\n"
+        "from pycram.bullet_world import BulletWorld\n"
+        "Path('ran').touch()\n"
+        "with BulletWorld() as world:\n"
+        "    world.set_gravity([0, 0, -1])\n"
+        "    world.set_realtime(True)\n"
+    )
+    log = record(file)
+    windowed = rewritten(log, tmp_path / "windowed.mcap", in_a_window)
+    (tmp_path / "ran").unlink()
+    for path, command, what in ((log, "set_realtime", "runs in real time"), (windowed, "open_world", "has a window")):
+        with replay.open(path) as recording:
+            first = next(each.seq for each in recording.records(Mutation) if each.HasField(command))
+            with pytest.raises(CantRetrace, match=f"from step {first} on world_1 {what}.* A fork before that step"):
+                retrace(recording)
+            with pytest.raises(CantRetrace, match=what):
+                fork(recording, first, tmp_path / "on.mcap")
+    assert not (tmp_path / "ran").exists()
+    with replay.open(log) as recording:
+        assert fork(recording, 2, tmp_path / "on.mcap").succeeded
+
+
+def in_a_window(record: Record) -> Record:
+    if isinstance(record, Mutation) and record.HasField("open_world"):
+        record.open_world.mode = "GUI"
+    return record
+
+
+def test_a_damaged_recording_guides_up_to_the_damage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "plan.py"
+    file.write_text(text())
+    log = record(file)
+    content = log.read_bytes()
+    chunks = [(start, end) for opcode, start, end in container_records(content) if opcode == CHUNK]
+    log.write_bytes(zeroed(content, *chunks[2]))
+    assert main(["retrace", str(log)]) == 3
+    lost = int(re.search(r"made the same first (\d+) records again", capsys.readouterr().out)[1])  # type: ignore[index]
+    assert 0 < lost < 20
+    for step in (lost, lost + 20):
+        with replay.open(log) as recording, pytest.raises(Damaged, match=f"step {lost} is lost; fork before it"):
+            fork(recording, step, tmp_path / "on.mcap")
+    with replay.open(log) as recording:
+        assert fork(recording, lost - 1, tmp_path / "on.mcap").step == lost - 1
+
+
+def test_a_system_without_fork_is_told(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "fork")
+    with pytest.raises(CantRetrace, match=r"it has no os\.fork"):
+        retraced(plan.with_suffix(".mcap"))

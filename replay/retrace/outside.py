@@ -1,0 +1,82 @@
+"""Lines of a plan that read the world outside: clocks, files, the network. No seed knows what they find.
+
+They are found in the source, by the names that Python's own modules and a few others give to such calls; a plan may
+read in other ways as well.
+"""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from replay.explain.plan_source import syntax_nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from replay.retrace.guide import Difference
+
+_MAX_LINES: Final = 3  # that are told
+_CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
+_PROGRAM, _RANDOM, _PERSON = "another program", "random numbers without a seed", "the keyboard"
+
+#: What a call reads, by its name or the beginning of it.
+_READS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("time.time", "time.monotonic", "time.perf_counter", "time.process_time"), _CLOCK),
+    **dict.fromkeys((f"{name}_ns" for name in ("time.time", "time.monotonic", "time.perf_counter")), _CLOCK),
+    **dict.fromkeys(("datetime.datetime.now", "datetime.datetime.utcnow", "datetime.date.today"), _CLOCK),
+    **dict.fromkeys(("time.localtime", "time.strftime"), _CLOCK),
+    **dict.fromkeys(("open", "os.listdir", "os.scandir", "os.stat", "os.path", "numpy.load", "numpy.loadtxt"), _FILE),
+    **dict.fromkeys(("socket", "urllib", "http", "requests", "httpx", "aiohttp"), _NETWORK),
+    **dict.fromkeys(("subprocess", "os.system", "os.popen"), _PROGRAM),
+    **dict.fromkeys(("random.SystemRandom", "os.urandom", "secrets", "uuid.uuid1", "uuid.uuid4"), _RANDOM),
+    "numpy.random.default_rng": _RANDOM,
+    "input": _PERSON,
+}
+_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatever object
+
+
+def reads_before(difference: Difference) -> Iterator[str]:
+    """Yield in words the lines that may be why a record came out differently, nearest first: those that led to it."""
+    told = set()
+    for place in (difference.line, *difference.callers):
+        file, _, number = place.rpartition(":")
+        if not file or file in told:
+            continue
+        told.add(file)
+        reads = [read for read in _reads(Path(file)) if read[0] <= int(number)]
+        for line, call, what in sorted(reads, reverse=True)[:_MAX_LINES]:
+            yield f"{Path(file).name}:{line} reads {what}: {call}()"
+
+
+def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
+    """Yield line, name and kind of a file's calls that read the world outside."""
+    try:
+        nodes = syntax_nodes(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return
+    names = dict(_imported(nodes))
+    for node in nodes:
+        if isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            first, dot, rest = called.partition(".")
+            what = _kind(names.get(first, first) + dot + rest) or _METHODS.get(called.rpartition(".")[2])
+            if what == _RANDOM and "default_rng" in called and (node.args or node.keywords):
+                continue
+            if what is not None:
+                yield node.lineno, called, what
+
+
+def _imported(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[str, str]]:
+    """Yield what a file imports, by the names that it has there."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from ((each.asname, each.name) for each in node.names if each.asname)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield from ((each.asname or each.name, f"{node.module}.{each.name}") for each in node.names)
+
+
+def _kind(name: str) -> str | None:
+    parts = name.split(".")
+    return next((_READS[key] for end in range(len(parts), 0, -1) if (key := ".".join(parts[:end])) in _READS), None)
