@@ -116,6 +116,7 @@ class PlanProcess:
             "plan": str(self.program),
             "arguments": self._arguments,
             "seed": int(began.seed) if began.seed.isdecimal() else None,
+            "order": began.order,
             "by_program": began.by_program,
             "until": until,
             "file": None if file is None else str(file.absolute()),

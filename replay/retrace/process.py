@@ -82,6 +82,7 @@ def main(
     arguments: Sequence[str],
     seed: int | None,
     *,
+    order: str,
     by_program: bool,
     result: int,
     output: int,
@@ -96,6 +97,7 @@ def main(
         plan: the plan's file.
         arguments: of the plan.
         seed: of random numbers; None to leave them as they are.
+        order: of branches, where it isn't drawn from the seed.
         by_program: whether the plan begins the recording itself.
         result: the file descriptor for the result.
         output: the file descriptor for what a fork prints.
@@ -141,7 +143,7 @@ def main(
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
                 runpy.run_path(plan, run_name="__main__")
         else:
-            cli.run(Path(plan), Path(file or os.devnull), arguments, seed=seed)
+            cli.run(Path(plan), Path(file or os.devnull), arguments, seed=seed, order=order)
     guide.close()
 
 
