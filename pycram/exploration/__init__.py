@@ -1,8 +1,9 @@
 """Exploration: a plan runs in many orders of its branches, to find those in which it ends otherwise (races).
 
 Random numbers and the order of sets are the same in all runs, so what differs is due to the order. The first run takes
-the branches as they were added, the orders of the others are drawn by :class:`~pycram.scheduling.order.Pct`. Of each ending that isn't the first run's, what decides is made small
-(:mod:`pycram.exploration.reducing`), run once more, and recorded.
+the branches as they were added, the orders of the others are drawn by :class:`~pycram.scheduling.order.Pct`. Of each
+ending that isn't the first run's, what decides is made small (:mod:`pycram.exploration.reducing`), run once more, and
+recorded.
 """
 
 from __future__ import annotations

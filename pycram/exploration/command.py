@@ -125,7 +125,7 @@ def _lines(result: Exploration, plan: str, command: list[str], rest: list[str], 
             yield from _decisive(found)
         else:
             yield f"{number}: {'in the order in which branches were added' if number == 1 else 'for example'}"
-        yield f"  {shlex.join([*command, "--order", found.order, *rest])}"
+        yield "  " + shlex.join([*command, "--order", found.order, *rest])
         if found.recording is not None:
             name = shlex.quote(_shown(found.recording))
             yield f"  pycram-replay {'info' if found.ending.kind == SUCCEEDED else 'why'} {name}"

@@ -233,7 +233,7 @@ def two_arms_want_one_cup() -> None:
                 robot.attach(cup, link)
 
         par(lambda: take("l_gripper_tool_frame"), lambda: take("r_gripper_tool_frame"))
-        assert [each.link for each in robot.attachments] == ["l_gripper_tool_frame"]
+        assert [each.carrier_link for each in robot.carried] == ["l_gripper_tool_frame"]
 
 
 def the_base_leaves_before_the_arm_is_done() -> None:
@@ -449,22 +449,21 @@ def three_philosophers() -> None:
                 s(eat, forks[number], forks[(number + 1) % 3], cup)
 
 
-def each_waits_for_the_other_to_begin() -> None:
+def a_wake_up_comes_between_look_and_wait() -> None:
     with BulletWorld() as world:
-        left, right = Fluent(False, "left waits"), Fluent(False, "right waits")
+        ready = Fluent(False, "ready")
         cup, bowl = cups(world, 2)
 
-        def after_you(mine: Fluent, yours: Fluent, thing: Object) -> None:
-            polite = not yours.get_value()
-            thing.set_color(RED)
-            if polite and yours.get_value():
-                (yours == False).wait_for()  # noqa: E712  a network
-            mine.set_value(True)
-            thing.set_color(GREEN)
-            (yours == True).wait_for()  # noqa: E712  as above
-            mine.set_value(False)
+        def wait() -> None:
+            if not ready.get_value():
+                cup.set_color(RED)
+                ready.pulsed().wait_for()
 
-        par(lambda: after_you(left, right, cup), lambda: after_you(right, left, bowl))
+        def wake() -> None:
+            bowl.set_color(RED)
+            ready.set_value(True)
+
+        par(wait, wake)
 
 
 # --- rare ones --------------------------------------------------------------------------------------------------------
@@ -527,7 +526,7 @@ def a_step_comes_between_two_steps_of_a_sequence() -> None:
             if lid.get_value() == "off":
                 raise PlanFailure("it spills")
 
-        with par as s:
+        with par:
             with seq as t:
                 t(lift)
                 t(cup.set_color, RED)
@@ -564,7 +563,7 @@ RACES: Final[tuple[Callable[[], None], ...]] = (
     a_cup_is_carried_off_while_it_is_painted,
     knife_and_fork,
     three_philosophers,
-    each_waits_for_the_other_to_begin,
+    a_wake_up_comes_between_look_and_wait,
     a_value_comes_back,
     a_short_window_in_a_long_plan,
     a_step_comes_between_two_steps_of_a_sequence,
