@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import random
+import subprocess
+import sys
 import time
 from functools import partial
 from typing import TYPE_CHECKING
@@ -12,19 +14,17 @@ import pytest
 
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.cli import main
 from pycram.exploration import DEADLOCK, DIED, FAILED, SUCCEEDED, TIME_LIMIT, NotExplorable, explore
 from pycram.failures import BadArgument
 from pycram.language import par
 from pycram.scheduling.cancellation import checkpoint
-from pycram.scheduling.schedule import seed_order
 from recorder.records import Run
 from replay.retrace.retrace import retrace
-from tests.measures import seeded
+from tests.measures import REPO, seeded
 from tests.pycram.exploration import races
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
 
@@ -138,14 +138,7 @@ def test_what_can_t_be_explored_is_said_before() -> None:
             explore(print)
 
 
-@pytest.fixture
-def _unseeded() -> Iterator[None]:
-    yield
-    seed_order(None)
-
-
 @pytest.mark.slow
-@pytest.mark.usefixtures("_unseeded")
 def test_a_recording_of_a_found_order_is_retraced(tmp_path: Path) -> None:
     """Of both kinds of orders: as drawn, and as made small."""
     plan = tmp_path / "plan.py"
@@ -159,7 +152,10 @@ def test_a_recording_of_a_found_order_is_retraced(tmp_path: Path) -> None:
     recorded = []
     for order in ("added", "pct:3:3:12", "added:2-1@1,3-2@2"):
         log = tmp_path / f"{len(recorded)}.mcap"
-        assert main(["run", str(plan), "--seed", "1", "--order", order, "--log", str(log)]) == 0
+        command = [sys.executable, "-m", "pycram", "run", plan, "--seed", "1", "--order", order, "--log", log]
+        subprocess.run(
+            command, check=True, capture_output=True, timeout=100, env=os.environ | {"PYTHONPATH": str(REPO)}
+        )
         with replay.open(log) as recording:
             began = recording[0]
             assert isinstance(began, Run)
