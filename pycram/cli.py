@@ -15,8 +15,9 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import PlanFailure, PycramError
+from pycram.foundation.failures import BadArgument, PlanFailure, PycramError
 from pycram.models import robot_urdfs
+from pycram.scheduling.order import order_of
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
 from recorder import RecordingError, record
 from recorder.packages import NotInstalled, needed, versions
@@ -75,26 +76,61 @@ def _run_command(argv: Sequence[str] | None) -> int:
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
     if not plan.is_file():
         parser.error(f"{plan}: no such plan")
+    _check_together(parser, options)
     if options.command == "demo" and options.robot:
-        if options.name != _WITH_ROBOTS:
-            parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
         arguments = ["--robot", options.robot, *arguments]
-    seed = chosen_seed(options.seed) if options.seed is not None or argv is None else None
+    seeded = options.seed is not None or options.explore is not None or argv is None
+    seed = chosen_seed(options.seed) if seeded else None
     if argv is None and seed is not None:
         restart(seed)
     try:
         log = recording_path(options.log or "{plan}.mcap", plan.stem, seed)
     except ValueError as error:
         parser.error(str(error))
+    if options.explore is not None and seed is not None:
+        return _explore(options, plan, log, arguments, seed)
     return run(
         plan,
         log,
         arguments,
         options.rerun,
         seed=seed,
+        order=options.order,
         local_variables=not options.no_locals,
         overwrite=options.overwrite,
         durable=options.durable,
+    )
+
+
+def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Refuse options that don't go together."""
+    if options.command == "demo" and options.robot and options.name != _WITH_ROBOTS:
+        parser.error(f"--robot goes with the demo {_WITH_ROBOTS}")
+    for name in ("depth", "limit", "json") if options.explore is None else ():
+        if getattr(options, name):
+            parser.error(f"--{name} goes with --explore")
+    if options.explore is not None and (options.rerun or options.order):
+        parser.error("--rerun and --order are for one run; --explore makes many")
+
+
+def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequence[str], seed: int) -> int:
+    from pycram import exploration  # noqa: PLC0415  needs the engine
+    from pycram.exploration import command  # noqa: PLC0415  as above
+
+    def run_once(order: str, file: Path) -> None:
+        run(plan, file, arguments, seed=seed, order=order, local_variables=not options.no_locals, overwrite=True)
+
+    return command.run(
+        run_once,
+        str(plan),
+        arguments,
+        options.explore,
+        seed=seed,
+        depth=options.depth or exploration.DEPTH,
+        limit=options.limit or exploration.LIMIT,
+        file=log,
+        overwrite=options.overwrite,
+        as_json=options.json,
     )
 
 
@@ -144,6 +180,27 @@ def _parser() -> argparse.ArgumentParser:
             help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: drawn; info tells it)",
         )
         recorded.add_argument(
+            "--order",
+            metavar="ORDER",
+            type=_order,
+            default="",
+            help="another order of branches than the seed draws, as --explore tells it",
+        )
+        recorded.add_argument(
+            "--explore",
+            metavar="N",
+            type=_count,
+            help="run it in N orders of its branches, and tell those that end differently, and what decides. "
+            "Exit code 0: all end alike. 1: they don't",
+        )
+        recorded.add_argument(
+            "--depth", metavar="D", type=_count, help="of the races that --explore finds (default: 3)"
+        )
+        recorded.add_argument(
+            "--limit", metavar="SECONDS", type=_seconds, help="that a run of --explore may take (default: 60)"
+        )
+        recorded.add_argument("--json", action="store_true", help="print what --explore finds as JSON")
+        recorded.add_argument(
             "--no-locals", action="store_true", help="leave the plan's local variables out of recorded failures"
         )
         recorded.add_argument(
@@ -180,6 +237,30 @@ def _seed(text: str) -> int:
     return int(text)
 
 
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < threading.TIMEOUT_MAX:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds, more than 0")
+    return value
+
+
+def _order(text: str) -> str:
+    try:
+        order_of(text, None)
+    except BadArgument as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no order: expected {error.expected}") from error
+    return text
+
+
 def _viewer(text: str) -> str:
     try:
         Target.parse(text)
@@ -195,6 +276,7 @@ def run(
     live: str | None = None,
     *,
     seed: int | None = None,
+    order: str = "",
     local_variables: bool = True,
     overwrite: bool = False,
     durable: bool = False,
@@ -207,6 +289,7 @@ def run(
         arguments: Of the plan.
         live: The live viewer; see :func:`recorder.record`.
         seed: Of random numbers; None to leave them as they are.
+        order: Of branches; "" for the one that the seed draws.
         local_variables: Whether failures hold the plan's local variables.
         overwrite: Whether a recording that is there is replaced.
         durable: Whether records survive the loss of power.
@@ -222,7 +305,7 @@ def run(
     try:
         with needed():
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  --version and --help need no executor
-        seed_order(seed)
+        seed_order(seed, order)
         recorded = record(
             file,
             live,
@@ -230,6 +313,7 @@ def run(
             arguments=arguments,
             source=plan,
             seed=seed,
+            order=order,
             output=True,
             locals=local_variables,
             overwrite=overwrite,

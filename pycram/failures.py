@@ -3,6 +3,7 @@
 from pycram.foundation import failures
 from pycram.foundation.failures import *  # noqa: F403  what it exports is listed there
 from pycram.language.failures import BranchesFailed, NotCleanedUp, OutlivesTimeout, RunsEarly
+from pycram.scheduling.order import DeadlockedBranches
 
-__all__ = ["BranchesFailed", "NotCleanedUp", "OutlivesTimeout", "RunsEarly"]
+__all__ = ["BranchesFailed", "DeadlockedBranches", "NotCleanedUp", "OutlivesTimeout", "RunsEarly"]
 __all__ += failures.__all__

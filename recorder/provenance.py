@@ -24,7 +24,7 @@ _TIMEOUT: Final = 2.0  # s for git
 _PACKAGES: Final = ("pycram", "recorder")  # folders that make PyCRAM; reading has no part in a run
 
 
-def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int | None) -> None:
+def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int | None, order: str) -> None:
     """Adds to the record of a run's start what it is given.
 
     Args:
@@ -32,11 +32,13 @@ def describe(run: Run, arguments: Sequence[str], program: Path | None, seed: int
         arguments: of the plan.
         program: the plan's file.
         seed: of random numbers, where it is known.
+        order: of branches, where it isn't drawn from the seed.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     run.directory = _directory()
     if seed is not None:
         run.seed = str(seed)
+    run.order = order
     run.hash_seed = hash_seed()
     if program is not None and program.is_file():
         run.program = escaped(str(program.absolute()))

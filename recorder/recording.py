@@ -66,6 +66,7 @@ def record(
     arguments: Sequence[str] | None = None,
     source: str | Path | None = None,
     seed: int | None = None,
+    order: str = "",
     output: bool = False,
     locals: bool = True,  # noqa: A002  as they are called in Python
     overwrite: bool = False,
@@ -87,6 +88,7 @@ def record(
         arguments: of the plan, for the record; by default the program's.
         source: the plan's file, which is attached; by default the program's, if it has one.
         seed: what random numbers were seeded with, for the record; it seeds nothing.
+        order: of branches, for the record, where it isn't drawn from the seed.
         output: whether lines that are printed or logged are records too.
         locals: whether failures hold the local variables of the plan's functions.
         overwrite: whether a recording that is there is replaced.
@@ -103,7 +105,7 @@ def record(
     program = _program() if source is None else Path(source)
     title = escaped(name or (program.stem if program else "plan"))
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
-    provenance.describe(began, given, program, seed)
+    provenance.describe(began, given, program, seed, order)
     began.by_program = program is not None and _is_program(program)
     began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()

@@ -209,7 +209,8 @@ class Block:
                 branch.span.finish(Cancelled())
             elif self.policy.concurrent:
                 name = f"{self.name}-{self._taken} {branch.name}"
-                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon)
+                site = branch.span.source.line if branch.span.source is not None else ("", 0)
+                self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site)
             else:
                 branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
                 branch.context.run(self._run, branch)

@@ -2,6 +2,7 @@
 
 With a seed, the next one is drawn from all that are ready: another seed takes the plan through another order, the same
 one through the same, in any process and under any load. Without a seed, it is the one that has been ready longest.
+Orders that somebody asks for by name are those of :mod:`pycram.scheduling.order`.
 What a clock or another thread decides comes at a checkpoint that no seed knows; its number is on record.
 
 A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
@@ -26,14 +27,16 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from greenlet import getcurrent, greenlet
 
 from pycram.scheduling.locks import refuse_held
-from recorder.tracing import interrupts, stack_room
+from pycram.scheduling.order import DeadlockedBranches, Standing, order_of
+from recorder.tracing import forking, interrupts, stack_room
 from recorder.tracing.branch_identity import enter_branch, new_branch
-from recorder.tracing.call_stack import plan_frame
+from recorder.tracing.call_stack import call_site, plan_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -41,20 +44,28 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Self
 
+    from pycram.scheduling.order import Order, Ranked
+    from recorder.tracing.call_stack import CallSite
+
 #: Python doesn't wake a thread for a signal that arrives just before it goes to sleep: seconds until that is noticed.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
 class Waiter:
-    """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends."""
+    """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends.
 
-    __slots__ = ("_greenlet", "_scheduler", "_sources")
+    Attributes:
+        branch: That branch; None outside of all.
+    """
+
+    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch")
 
     def __init__(self, sources: Collection[Condition] = ()) -> None:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
+        self.branch = self._scheduler.running
 
     def wake(self) -> None:
         """Schedule it to check its predicate again; from any thread."""
@@ -63,6 +74,10 @@ class Waiter:
     def resume(self) -> None:
         """Switch to the waiting code; for the scheduler's loop."""
         self._greenlet.switch()
+
+    def standing(self) -> Standing:
+        """Where the plan waits."""
+        return _standing(self.branch, self._greenlet)
 
     def sleep(self, deadline: float | None = None) -> None:
         """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic()."""
@@ -76,6 +91,8 @@ class Waiter:
     def __exit__(self, *_: object) -> None:
         for source in self._sources:
             source.waiters.pop(self, None)
+        if self._scheduler.order is not None:
+            self._scheduler.forget(self)
 
 
 @dataclass(slots=True, eq=False)
@@ -87,8 +104,19 @@ class _Branch:
     context: Context
     action: Callable[[], None]
     failed: Callable[[BaseException], None]
+    site: CallSite
+    ranked: Ranked | None = None
     _greenlet: greenlet | None = None
     _started: bool = False  # whether its greenlet will also end it
+
+    @property
+    def branch(self) -> _Branch:
+        """Itself, as a wait has its branch."""
+        return self
+
+    def standing(self) -> Standing:
+        """Where it waits; before its start where it was added."""
+        return _standing(self, self._greenlet)
 
     @property
     def ended(self) -> bool:
@@ -117,8 +145,22 @@ class _Branch:
 Ready: TypeAlias = "Waiter | _Branch"
 
 
-def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None) -> Ready:
-    """Remove and return what runs next: drawn, or ready longest. Nothing else decides the order of a plan."""
+def _standing(branch: _Branch | None, suspended: greenlet | None) -> Standing:
+    frame = plan_frame(suspended.gr_frame)[0] if suspended is not None else None
+    site = (frame.f_code.co_filename, frame.f_lineno) if frame is not None else branch.site if branch else ("", 0)
+    return Standing(threading.current_thread().name if branch is None else branch.name, *site)
+
+
+def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
+    """Remove and return what runs next: by an order, drawn, or ready longest. Nothing else decides that of a plan."""
+    if order is not None:
+        candidates: dict[Ranked, Ready] = {}
+        for each in ready:
+            branch = each.branch
+            candidates.setdefault(order.outside if branch is None or branch.ranked is None else branch.ranked, each)
+        chosen = candidates[order.choose(candidates)] if len(candidates) > 1 else next(iter(ready))
+        del ready[chosen]
+        return chosen
     if dice is None or len(ready) == 1:
         return ready.popitem(last=False)[0]
     drawn = next(islice(ready, int(dice.random() * len(ready)), None))
@@ -127,17 +169,23 @@ def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None) -> Rea
 
 
 _seed: int | None = None
+_order = ""
 
 
-def seed_order(seed: int | None) -> None:
+def seed_order(seed: int | None, order: str = "") -> None:
     """Draw the order of this thread's branches from a seed from now on, and that of threads that begin later.
 
     Args:
         seed: The seed; None for the order in which branches became ready.
+        order: Another order, as :mod:`pycram.scheduling.order` has it as text.
+
+    Raises:
+        BadArgument: It is no order.
     """
-    global _seed  # noqa: PLW0603  of the run, which is the process's
-    _seed = seed
-    scheduler().draw_from(seed)
+    global _seed, _order  # of the run, which is the process's
+    order_of(order, seed)
+    _seed, _order = seed, order
+    scheduler().draw_from(seed, order)
 
 
 class Condition:
@@ -163,13 +211,18 @@ class Scheduler:
         branches: Those that haven't ended, in the order in which they were added.
         joining: Whether the code outside of all branches, interrupted by Ctrl-C, waits for their ends.
         checkpoints: How many there were in this thread, where branches stop that are cancelled.
+        running: The branch that runs; None while the code outside of all does.
+        order: The order that was asked for; None for the ordinary one.
     """
+
+    order: Order | None
 
     def __init__(self) -> None:
         self.branches: dict[_Branch, None] = {}
         self.joining = False
         self.checkpoints = 0
-        self.draw_from(_seed)
+        self.running: _Branch | None = None
+        self.draw_from(_seed, _order)
         self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self._deadlines: dict[Waiter, float] = {}
@@ -178,17 +231,26 @@ class Scheduler:
         self._loop: greenlet | None = None
         self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
 
-    def draw_from(self, seed: int | None) -> None:
-        """Draw the order from a seed from now on; None for the order in which branches became ready."""
+    def draw_from(self, seed: int | None, order: str = "") -> None:
+        """Take the order from a seed, or one that is asked for; None for the order in which branches became ready."""
         self._dice = None if seed is None else random.Random(f"order {seed}")  # not that of the plan's own
+        self.order = order_of(order, seed)
 
     def continue_order(self, other: Scheduler) -> None:
-        """Draw what another scheduler would draw next."""
+        """Draw what another scheduler would draw next, in a process that has no use for that one any more."""
         self.checkpoints = other.checkpoints
         self._dice = copy(other._dice)
+        self.order = other.order
+        if self.order is not None and other.running is not None and other.running.ranked is not None:
+            self.order.outside = other.running.ranked
 
     def begin(
-        self, name: str, context: Context, action: Callable[[], None], failed: Callable[[BaseException], None]
+        self,
+        name: str,
+        context: Context,
+        action: Callable[[], None],
+        failed: Callable[[BaseException], None],
+        site: CallSite = ("", 0),
     ) -> None:
         """Schedule a new branch, or raise; from any thread.
 
@@ -197,8 +259,11 @@ class Scheduler:
             context: The context that it runs in, this very one.
             action: Runs the branch. An error of it ends the loop; it has none of its own.
             failed: Called with that error first.
+            site: The plan's line that adds it.
         """
-        branch = _Branch(self, name, context, action, failed)
+        branch = _Branch(self, name, context, action, failed, site)
+        if self.order is not None:
+            branch.ranked = self.order.begin(self._ranked(self.order))
         try:
             self.branches[branch] = None
             self.add(branch)
@@ -211,6 +276,10 @@ class Scheduler:
         """Append to what is ready, unless it is; from any thread."""
         self._ready[ready] = None
         self.ring()
+
+    def forget(self, ended: Waiter) -> None:
+        """Take a wait that has ended from what is ready; else its branch would have a turn for nothing."""
+        self._ready.pop(ended, None)
 
     def ring(self) -> None:
         """Wake the thread if it sleeps; from any thread, and from signal handlers."""
@@ -229,10 +298,15 @@ class Scheduler:
                 waiter = Waiter()
                 waiter.wake()
                 waiter.sleep()
+                return
+        if self.order is not None:  # in the order of another run it might have been a turn
+            self._ranked(self.order).stops += 1
 
     def park(self, waiter: Waiter, deadline: float | None) -> None:
         """Run others until the waiter is woken; see :meth:`Waiter.sleep`."""
         refuse_held()
+        if self.order is not None:
+            self._ranked(self.order).stops += 1
         outside = self._is_outside()
         try:
             if deadline is not None:
@@ -258,6 +332,12 @@ class Scheduler:
         if self._loop is not None:
             getcurrent().parent = self._loop
         self.branches.pop(branch, None)
+        if self.order is not None and branch.ranked is not None:
+            self.order.end(branch.ranked)
+
+    def _ranked(self, order: Order) -> Ranked:
+        """Return what runs, as the order knows it."""
+        return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
 
     def _is_outside(self) -> bool:
         """Whether the running code is outside of all branches."""
@@ -269,18 +349,23 @@ class Scheduler:
             while self.branches:
                 self._wake_overdue()
                 first, self._first = self._first, None
+                chosen: Ready
                 if first is not None and first in self._ready:
                     self._ready.pop(first)
-                    first.resume()
+                    chosen = first
                 elif self._ready:
-                    schedule(self._ready, self._dice).resume()
+                    chosen = schedule(self._ready, self._dice, self.order)
                 else:
                     self._sleep()
+                    continue
+                self.running = chosen.branch
+                chosen.resume()
         except BaseException:
             self._resume_all()
             raise
         finally:
             self._loop = None
+            self.running = None
 
     def _resume_all(self) -> None:
         """Schedule all branches: the one that was to run next, or that was being woken, may have been lost."""
@@ -300,9 +385,19 @@ class Scheduler:
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
         first = min(self._deadlines.values(), default=math.inf)
+        if self.order is not None and first == math.inf and self._bell.locked() and not forking.others():
+            self._tell_deadlock(self.order)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
             if first <= time.monotonic():  # else Python has called the handlers of signals
                 break
+
+    def _tell_deadlock(self, order: Order) -> None:
+        """Raise DeadlockedBranches, once: the cleaning up after it may wait again."""
+        if not order.deadlocked:
+            order.deadlocked = True
+            standing = [branch.standing() for branch in list(self.branches)]
+            standing = standing or [Standing(threading.current_thread().name, *call_site())]
+            raise DeadlockedBranches({each.branch: f"{Path(each.file).name}:{each.line}" for each in standing})
 
     def _wake_overdue(self) -> None:
         if self._deadlines:

@@ -97,7 +97,8 @@ def _seed(start: Run | None) -> str:
     if start is None or not start.hash_seed:
         return ""
     seed = start.seed or "none is known"
-    return seed if seed == start.hash_seed else f"{seed}; order of sets: {start.hash_seed}"
+    sets = "" if seed == start.hash_seed else f"; order of sets: {start.hash_seed}"
+    return f"{seed}{sets}{start.order and f'; order of branches: {start.order}'}"
 
 
 def _revision(start: Run | None) -> str:

@@ -39,7 +39,7 @@ _INCIDENTAL: Final = (
 
 #: Fields of a run's start that may differ where the same happens: the runs may be those of two versions of a plan.
 _GIVEN: Final = (
-    "name", "arguments", "directory", "seed", "hash_seed", "plan", "pycram", "host", "cpu", "program",
+    "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
     "by_program", "number", "origin",
 )  # fmt: skip
 #: In the text of a Python object that has none of its own; another one in each process.

@@ -146,6 +146,7 @@ class Request:
         plan: the plan's file.
         arguments: of the plan.
         seed: of random numbers; None to leave them as they are.
+        order: of branches, where it isn't drawn from the seed.
         by_program: whether the plan begins the recording itself.
         result: the file descriptor for the result.
         output: the file descriptor for what a fork prints.
@@ -285,7 +286,7 @@ def run_plan(
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
                 runpy.run_path(plan, run_name="__main__")
         else:
-            cli.run(Path(plan), file, arguments, seed=seed)
+            cli.run(Path(plan), file, arguments, seed=seed, order=getattr(began, "order", ""))
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:
