@@ -82,8 +82,9 @@ class Corners:
         sides: tuple[list[Array], list[Array]] = ([], [])
         for finger in fingers:
             corners = self.of([finger], positions, base, offset)
-            if len(corners):
-                sides[float(corners[:, 1].mean()) < 0.0].append(corners)
+            if len(corners):  # a jaw that stands still may be part of a palm: its tip is on one side
+                tip = corners[corners[:, 0] >= corners[:, 0].max() - _PADS]
+                sides[float(tip[:, 1].mean()) < 0.0].append(corners)
         if not all(sides):
             return None
         left, right = (np.vstack(side) for side in sides)
