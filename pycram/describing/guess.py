@@ -120,8 +120,9 @@ def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
     for opened in _openings(closed, widest):
         here = [corners.of([link], opened, palm, IDENTITY).mean(axis=0) for link in links]
         axes = _axes(corners, palm, there, here)
-        between = np.mean(there, axis=0), axes
-        hand = _fitted(tree, corners, palm, between, links, (closed, opened)) if axes is not None else None
+        if axes is None:
+            return None
+        hand = _fitted(tree, corners, palm, (np.mean(there, axis=0), axes), links, (closed, opened))
         if hand is not None:
             return hand
     return None
