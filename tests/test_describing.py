@@ -239,7 +239,51 @@ def test_hands_that_are_not_understood_are_left_out(describe: Callable[..., Ende
         "left": None,
         "right": None,
     }
-    assert "# no gripper: 3 joints hang on it, not understood" in ended.stdout
+    assert "# no gripper: 2 joints hang on it, not understood" in ended.stdout
     (tmp_path / "mine.toml").write_text(ended.stdout)
     checked = describe("--check", "mine.toml", urdf)
     assert checked.returncode == 0, checked.stdout  # also that parked arms don't meet
+
+
+@pytest.mark.slow
+def test_a_hand_with_one_jaw_that_turns_is_described(describe: Callable[..., Ended], tmp_path: Path) -> None:
+    """SO-101: its jaw turns towards one that is part of the hand, by up to 110 degrees."""
+    urdf = urdf_of("so101.urdf")
+    ended = describe(urdf)
+    assert ended.returncode == 0, ended.stderr
+    (arm,) = RobotDescription.parse(ended.stdout).arms.values()
+    assert arm.gripper.fingers == ("moving_jaw_so101_v1_link", "gripper_link")
+    assert arm.gripper.joints == ("gripper",)
+    assert 0.02 < arm.gripper.aperture < 0.06
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", urdf)
+    assert checked.returncode == 0, checked.stdout
+
+
+@pytest.mark.slow
+def test_heads_and_fingers_that_curl_are_no_arms_and_no_grippers(describe: Callable[..., Ended]) -> None:
+    """Romeo: four joints turn its head; its fingers have three joints each."""
+    ended = describe(urdf_of("romeo.urdf"))
+    assert ended.returncode == 0, ended.stderr
+    arms = RobotDescription.parse(ended.stdout).arms
+    assert {name: arm.joints[0] for name, arm in arms.items()} == {"left": "LShoulderPitch", "right": "RShoulderPitch"}
+    assert all(arm.hand is None for arm in arms.values())
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_base_that_floats_is_no_arm(describe: Callable[..., Ended], tmp_path: Path, kind: str) -> None:
+    links = "".join(f'<link name="link {i}"/>' for i in range(4))
+    joints = "".join(
+        f'<joint name="turn {i}" type="revolute"><origin xyz="0 0 0.2"/><axis xyz="0 {i % 2} {1 - i % 2}"/>'
+        f'<parent link="{f"link {i - 1}" if i else "base"}"/><child link="link {i}"/>'
+        '<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>'
+        for i in range(4)
+    )
+    free = f'<joint name="free" type="{kind}"><parent link="world"/><child link="base"/><axis xyz="0 0 1"/></joint>'
+    text = ONE_ARM.format(links=links, joints=joints).replace(">", f'><link name="world"/>{free}', 1)
+    (tmp_path / "mine.urdf").write_text(text)
+    ended = describe("mine.urdf")
+    assert ended.returncode == 0, ended.stderr
+    described = RobotDescription.parse(ended.stdout)
+    assert [arm.joints for arm in described.arms.values()] == [("turn 0", "turn 1", "turn 2", "turn 3")]
+    assert described.drives

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from recorder.geometry.urdf import Urdf
 
 _ARM: Final = 4  # joints one after the other that make an arm
+_SEVERAL: Final = 2  # fingers
+_HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
 _FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
@@ -25,6 +27,7 @@ _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
 _NO_NAME: Final = re.compile(r"[^A-Za-z0-9]+")
 _UPRIGHT: Final = 0.9  # of an axis along the vertical
+_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # a planar or floating joint's parts (models/canonical.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +58,26 @@ class Tree:
         self._above: dict[str, Joint | None] = {}
         for link in urdf.links[1:]:  # parents come before their children
             joint = urdf.parent_joint(link)
-            if joint is None or not joint.movable:
+            if joint is None or not self._moves(joint):
                 continue
-            above = self._movable_above(joint.parent)
+            above = self.moved_by(joint.parent)
             self._above[joint.name] = above
             self._next[joint.name] = []
             if not _WHEEL.search(joint.name):
                 self._next[above.name if above else ""].append(joint)
 
-    def _movable_above(self, link: str) -> Joint | None:
+    def _moves(self, joint: Joint) -> bool:
+        """Whether a joint moves one part of a robot against another, and isn't of those by which all of it moves."""
+        return joint.movable and not self._is_free(joint)
+
+    def _is_free(self, joint: Joint) -> bool:
+        part = _FREE.fullmatch(joint.name)
+        return part is not None and all(f"{part[1]}_{axis}_link" in self.urdf.links for axis in "xy")
+
+    def moved_by(self, link: str) -> Joint | None:
+        """Return the joint that moves a link, the nearest; None if none does."""
         joint = self.urdf.parent_joint(link)
-        while joint is not None and not joint.movable:
+        while joint is not None and not self._moves(joint):
             joint = self.urdf.parent_joint(joint.parent)
         return joint
 
@@ -94,7 +106,7 @@ class Tree:
             text = " ".join(joint.name for joint in run)
             while run and run[0].type == "prismatic" and self._upright(run[0]):
                 run.pop(0)  # a torso
-            if len(run) >= _ARM and not _LEG.search(text) and not _branches(below):
+            if len(run) >= _ARM and not _LEG.search(text) and not _HEAD.search(text) and not _branches(below):
                 found.append((run, below))
             else:
                 pending += self._next[last.name]
@@ -102,9 +114,10 @@ class Tree:
         return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
 
     def _begins_hand(self, joint: Joint, leading: set[str]) -> bool:
-        """Whether the joint next to one is a finger's."""
+        """Whether the joint next to one is a finger's: a joint named so on which several fingers hang is a wrist's."""
         (after,) = self._next[joint.name]
-        named = _FINGER.search(after.name) or _FINGER_LINK.search(after.child)
+        wrist = len(self._next[after.name]) >= _SEVERAL
+        named = _FINGER_LINK.search(after.child) or (not wrist and _FINGER.search(after.name))
         return after.name in leading or after.name in self.urdf.mimics or bool(named)
 
     def _upright(self, joint: Joint) -> bool:
@@ -131,15 +144,18 @@ class Tree:
         """Return the joints that turn a camera: "pan" and "tilt", as far as there are any."""
         of_arms = {joint.name for arm in arms for joint in (*arm.joints, *arm.fingers)}
         found: dict[str, str] = {}
-        joint = self._movable_above(camera) if camera else None
+        joint = self.moved_by(camera) if camera else None
         while joint is not None and joint.type != "prismatic" and joint.name not in of_arms and len(found) < 2:
             found.setdefault("pan" if self._upright(joint) else "tilt", joint.name)
             joint = self._above[joint.name]
         return found
 
     def drives(self) -> bool:
-        """Whether there are wheels, or a footprint as bases have that drive."""
-        return "footprint" in self.urdf.root or any(_WHEEL.search(name) for name in self.urdf.joints)
+        """Whether there are wheels, a footprint as bases have that drive, or a planar or floating joint."""
+        joints = self.urdf.joints.values()
+        return "footprint" in self.urdf.root or any(
+            joint.movable and (_WHEEL.search(joint.name) or self._is_free(joint)) for joint in joints
+        )
 
 
 def _branches(below: list[Joint]) -> bool:
@@ -156,9 +172,10 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
         return [_NO_NAME.sub("-", robot).strip("-") or "arm"]
     names = []
     for number, run in enumerate(runs, 1):
-        text = "_".join(run).lower()
+        text = "_".join(run)  # as "l_elbow_joint", "LElbowYaw" or "left_elbow"
         left, right = (
-            bool(re.search(rf"(^|_){side}(_|$)|{word}", text)) for side, word in (("l", "left"), ("r", "right"))
+            bool(re.search(rf"(?:^|_){side}(?:_|$)|(?:^|_){side.upper()}(?=[A-Z])|(?i:{word})", text))
+            for side, word in (("l", "left"), ("r", "right"))
         )
         names.append("left" if left and not right else "right" if right and not left else f"arm{number}")
     return names if len(set(names)) == len(names) else [f"arm{number}" for number in range(1, len(runs) + 1)]

@@ -18,7 +18,7 @@ from recorder import geometry
 from recorder.geometry import IDENTITY
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -37,6 +37,8 @@ _PALM_CLEARANCE: Final = 0.003  # m that an object keeps from the palm
 _PADDING: Final = 1e-3  # m by which the engine makes shapes thicker
 _STRAIGHT: Final = math.cos(math.radians(10))  # of an axis that is taken to be one of the link's
 _SIDES: Final = 2
+_PHALANGES: Final = 2  # joints of a finger that closes as one; those with more curl
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # of the way to the limits, as which fingers may be open
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,22 +108,79 @@ def guess(model: Model) -> Guess:
 def _hand(tree: Tree, arm: ArmChain, corners: Corners) -> HandGuess | None:
     """Return the gripper of an arm; None if it has none that closes from two sides."""
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
-    if len(tips) < _SIDES:
+    if any(len(moving) > _PHALANGES for _, moving in tips):
         return None
+    if len(tips) < _SIDES:
+        return _one_jaw(tree, corners, tips[0][0], tips[0][1][0]) if tips and len(tips[0][1]) == 1 else None
     joints = list({joint.name: joint for _, moving in tips for joint in moving}.values())
     palm = joints[0].parent
     links = [link for link, _ in tips]
-    closed, opened = _ends(tree, corners, palm, tips)
-    there, here = ([corners.of([link], end, palm, IDENTITY).mean(axis=0) for link in links] for end in (closed, opened))
-    axes = _axes(corners, palm, there, here)
+    closed, widest = _ends(tree, corners, palm, tips)
+    there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
+    for opened in _openings(closed, widest):
+        here = [corners.of([link], opened, palm, IDENTITY).mean(axis=0) for link in links]
+        axes = _axes(corners, palm, there, here)
+        if axes is None:
+            return None
+        hand = _fitted(tree, corners, palm, (np.mean(there, axis=0), axes), links, (closed, opened))
+        if hand is not None:
+            return hand
+    return None
+
+
+def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
+    """Yield values of open joints, the widest first: fingers that turn far don't close along one way from there."""
+    for share in _SHARES:
+        yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
+
+
+def _one_jaw(tree: Tree, corners: Corners, jaw: str, joint: Joint) -> HandGuess | None:
+    """Return a gripper of which one jaw turns or slides towards another that stands still; None if it doesn't."""
+    palm = joint.parent
+    still = [link for link in tree.urdf.links if link in corners and tree.moved_by(link) is tree.moved_by(palm)]
+    if not still:
+        return None
+    hinge, axis = np.array(joint.origin[0]), np.array(geometry.rotate(joint.origin[1], joint.axis))
+    others = {link: corners.of([link], {}, palm, IDENTITY) for link in still}
+    ends = []
+    for value in limits(joint):
+        points = corners.of([jaw], {joint.name: value}, palm, IDENTITY)
+        tip = points[np.linalg.norm(points - hinge, axis=1).argmax()]
+        gaps = {link: np.linalg.norm(other - tip, axis=1).min() for link, other in others.items()}
+        ends.append((min(gaps.values()), value, tip, min(gaps, key=gaps.__getitem__)))
+    (_, closed, tip, anvil), (_, opened, *_) = sorted(ends, key=lambda end: end[0])
+    if joint.type == "prismatic":
+        out, apart = tip - np.vstack(list(others.values())).mean(axis=0), axis
+    else:
+        out, apart = tip - hinge, np.cross(axis, tip - hinge)
+    axes = _frame(out, apart)
     if axes is None:
         return None
-    middle = np.mean(there, axis=0)
-    frame: Pose = ((float(middle[0]), float(middle[1]), float(middle[2])), axes)
-    shut, wide = (corners.jaws(links, positions, palm, frame) for positions in (closed, opened))
-    if shut is None or wide is None or wide.gap <= shut.gap:
+    facing = others[anvil][np.linalg.norm(others[anvil] - tip, axis=1).argmin()]
+    frame = (tip + facing) / 2, axes
+    shut = {joint.name: closed}
+    hands = (
+        _fitted(tree, corners, palm, frame, [jaw, anvil], (shut, opening))
+        for opening in _openings(shut, {joint.name: opened})
+    )
+    return next((hand for hand in hands if hand is not None), None)
+
+
+def _fitted(
+    tree: Tree,
+    corners: Corners,
+    palm: str,
+    between: tuple[Array, Quaternion],
+    links: Sequence[str],
+    ends: tuple[Mapping[str, float], Mapping[str, float]],
+) -> HandGuess | None:
+    """Return the gripper that closes around a place between its fingers, in the palm; None if it doesn't."""
+    (x, y, z), axes = between
+    frame: Pose = ((float(x), float(y), float(z)), axes)
+    shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
+    if shut is None or wide is None or wide.gap <= max(shut.gap, 0.0):
         return None
-    hand = _measured(corners, palm, frame, links, shut, (closed, opened), (shut.gap, wide.gap))
+    hand = _measured(corners, palm, frame, links, shut, ends, (shut.gap, wide.gap))
     return hand if hand.fingers and not any(_gripper(hand).wrong_ways(tree.urdf, palm, hand.offset)) else None
 
 
@@ -212,10 +271,15 @@ def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence
     out = np.mean([*closed, *opened], axis=0)
     body = corners.of([palm], {}, palm, IDENTITY)
     out -= body.mean(axis=0) if len(body) else 0.0
+    return _frame(out, apart)
+
+
+def _frame(out: Array, apart: Array) -> Quaternion | None:
+    """Return the orientation of a frame whose x points out of a hand, with y where its fingers part; None without."""
     if np.linalg.norm(apart) < _PADDING:
         return None
     y = _straightened(apart / np.linalg.norm(apart))
-    out -= (out @ y) * y
+    out = out - (out @ y) * y
     if np.linalg.norm(out) < _PADDING:
         return None
     x = _straightened(out / np.linalg.norm(out))

@@ -79,12 +79,15 @@ class Corners:
 
     def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
         """Return where fingers are in a frame; None if they aren't on two sides of it. Arguments as for :meth:`of`."""
-        sides: tuple[list[Array], list[Array]] = ([], [])
-        for finger in fingers:
-            corners = self.of([finger], positions, base, offset)
-            if len(corners):
-                sides[float(corners[:, 1].mean()) < 0.0].append(corners)
-        if not all(sides):
+        found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
+        tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
+        for seen in (found, tips):  # a jaw that stands still may be part of a palm: its tip is on one side
+            sides: tuple[list[Array], list[Array]] = ([], [])
+            for corners, part in zip(found, seen, strict=True):
+                sides[float(part[:, 1].mean()) < 0.0].append(corners)
+            if all(sides):
+                break
+        else:
             return None
         left, right = (np.vstack(side) for side in sides)
         every = np.vstack([left, right])

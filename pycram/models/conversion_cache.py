@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram.models.files import read_bytes
+from pycram.models.texture import warn_of_missing
 from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ _WORTH: Final = 50_000  # bytes from which on a binary STL takes longer to conve
 _LARGEST: Final = 1_000_000_000  # bytes of all entries; those that weren't used for longest go
 _CODE: Final = ("links.py", "mesh.py", "parts.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
-_IMAGE: Final = re.compile(rb"<init_from>\s*([^<]*?)\s*</init_from>")
+_IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
 _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)
 _MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECASE)
 
@@ -51,6 +52,9 @@ def get(
         AssetError: It can't be read or, of ``convert``, converted.
     """
     content = read_bytes(file)
+    for name in _textures(file, content):
+        if not (file.parent / os.fsdecode(name)).is_file():
+            warn_of_missing(file, os.fsdecode(name))
     needs_library = beside is not None or file.suffix.lower() != ".stl"
     where = cache_folder() if needs_library or len(content) >= _WORTH else None
     if where is None:
@@ -90,16 +94,24 @@ def _version(library: str) -> str:
 
 def _beside(file: Path, content: bytes) -> Iterator[bytes]:
     """Yield the contents of materials and textures that a mesh names, empty where there are none."""
-    names = []
-    if file.suffix.lower() == ".dae":
-        names = [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
-    elif file.suffix.lower() == ".obj":
-        for library in _MATERIALS.findall(content):
-            materials = _content(file.parent / os.fsdecode(library))
-            yield materials
-            names += _MAP.findall(materials)
-    for name in names:
+    yield from _materials(file, content)
+    for name in _textures(file, content):
         yield _content(file.parent / os.fsdecode(name))
+
+
+def _materials(file: Path, content: bytes) -> list[bytes]:
+    """Return the contents of the materials that an OBJ names."""
+    libraries = _MATERIALS.findall(content) if file.suffix.lower() == ".obj" else []
+    return [_content(file.parent / os.fsdecode(library)) for library in libraries]
+
+
+def _textures(file: Path, content: bytes) -> list[bytes]:
+    """Return the file names of the textures that a mesh names."""
+    if file.suffix.lower() == ".dae":
+        if b"<texture" not in content:  # pictures that no effect uses
+            return []
+        return [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
+    return [name for materials in _materials(file, content) for name in _MAP.findall(materials)]
 
 
 def _content(file: Path) -> bytes:

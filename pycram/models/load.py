@@ -8,7 +8,6 @@ The same store can be built again from a recording's attachments on another mach
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -27,6 +26,7 @@ from pycram.models import (
     textured_shapes,
 )
 from pycram.models.files import read_bytes
+from pycram.models.texture import warn_of_missing
 from pycram.physics.loading import NOW, Loading
 from recorder.records.asset import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
@@ -142,8 +142,10 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
     meshes, textures = _file_names(source, content)
     found = {name: packages_of.find_mesh(source, name, packages) for name in meshes}
     for name in textures:
-        with suppress(AssetError):  # many published models lack theirs
+        try:
             found[name] = packages_of.find_mesh(source, name, packages)
+        except AssetError:
+            warn_of_missing(source, name)
     versions = tuple(
         (name, _FileVersion(file, of.st_mtime_ns, of.st_size)) for name, file in found.items() if (of := file.stat())
     )
@@ -155,9 +157,10 @@ def _file_names(source: Path, content: bytes) -> tuple[tuple[str, ...], tuple[st
     """Check a URDF's links and return the file names of its meshes, and those of its textures."""
     root = canonical_urdf.read(source, content)
     meshes, textures = (
-        tuple(dict.fromkeys(element.get("filename", "") for element in root.iter(tag))) for tag in ("mesh", "texture")
+        dict.fromkeys(element.get("filename", "") for element in root.iter(tag)) for tag in ("mesh", "texture")
     )
-    return meshes, textures
+    textures.pop("", None)  # some exporters write one without a name
+    return tuple(meshes), tuple(textures)
 
 
 class _FileVersion(NamedTuple):

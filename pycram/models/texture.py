@@ -5,15 +5,19 @@ A texture is reduced to a palette, and triangles on which it changes are divided
 
 from __future__ import annotations
 
+import warnings
+from functools import cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from pycram.models.lazy_module import LazyModule
 from recorder.packages import needed
+from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
     from PIL import Image
@@ -27,6 +31,17 @@ _COLORS: Final = 8  # of a palette; each is a shape of its own
 _SPOT: Final = 1 / 48  # of the texture's width that a triangle may span
 _MAX_TRIANGLES: Final = 20_000
 _MAX_SIDE: Final = 256  # pixels to which larger images are reduced
+
+
+class MissingTexture(UserWarning):
+    """A model names a texture that isn't there: what it should cover is shown in its material's colour, or in grey."""
+
+
+@cache
+def warn_of_missing(file: Path, name: str) -> None:
+    """Warn once in a process that a file names a texture that isn't there; many published models do."""
+    text = f"{file}: its texture {name} doesn't exist; what it should cover is shown without"
+    warnings.warn_explicit(text, MissingTexture, *call_site())
 
 
 def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, tuple[float, float, float, float]]]:

@@ -38,7 +38,6 @@ with needed(), silenced(1, 2):  # it prints its build time
 
 # Groups of the collision filter, bits of a mask. PyBullet lets a pair collide if either mask has the other's group, so
 # both have to leave it out.
-_NEXT_TO_NOTHING: Final = 1e-9  # m
 _DYNAMIC_GROUP: Final = 1
 _STATIC_GROUP: Final = 2
 _HELD_GROUP: Final = 32
@@ -51,6 +50,7 @@ _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "pri
 
 #: Forces (N, Nm) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
 _HOLD_FORCE: Final = {"revolute": 500.0, "prismatic": 1e4}
+_NEXT_TO_NOTHING: Final = 1e-9  # m
 _GAIN: Final = 0.1  # of motors that aren't a robot's: PyBullet's own
 
 
@@ -398,10 +398,10 @@ class Engine:
         client = self._client
         if link_b is None:
             return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client))
+        if a is b:  # boxes of one body have no contacts at 0 exactly, however deep
+            distance = max(distance, _NEXT_TO_NOTHING)
         pair = a.links[link], b.links[link_b]
         points = bullet.getClosestPoints(a.id, b.id, distance, *pair, physicsClientId=client)
-        if not points and a is b and not distance:  # boxes of one body have no contacts at 0 exactly, however deep
-            points = bullet.getClosestPoints(a.id, b.id, _NEXT_TO_NOTHING, *pair, physicsClientId=client)
         return [ClosestPoint(link, link_b, *p[6:10]) for p in points or ()]
 
     def contacts(self, body: Body) -> list[Contact]:

@@ -19,6 +19,7 @@ import pytest
 import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
+from pycram.world import settling
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
 from recorder.tracing import journal
 from tests.benchmarks.timing import goal, ratio, seconds
@@ -62,6 +63,27 @@ def test_demo_costs_less_than_1000_steps_and_recording_little(tmp_path: Path) ->
     print(f"one full-scene step: {min(steps) * 1e3:.2f} ms; the plan costs {min(plans) / min(steps):.0f} steps")
     goal("the plan, in steps", min(plans) / min(steps), 1000)
     goal("the plan recorded, of that without", cost, RECORDING)
+
+
+def test_what_settling_costs_after_placing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Apart from the plan's other costs: `place` waits until all is at rest, which takes as many steps as it takes."""
+    settled: list[tuple[float, int]] = []
+    settle = settling.settle
+
+    def timed(world: BulletWorld, steps: int) -> object:
+        found: list[object] = []
+        before = world.sim_step
+        took = seconds(lambda: found.append(settle(world, steps)))
+        settled.append((took, world.sim_step - before))
+        return found[0]
+
+    demo_seconds(None)
+    monkeypatch.setattr(settling, "settle", timed)
+    plan, step = demo_seconds(None)
+    assert len(settled) >= 4, "each of the four objects was placed"
+    took, steps = (sum(column) for column in zip(*settled, strict=True))
+    print(f"\nplace's settling: {took:.3f} s of the plan's {plan:.3f}, {steps} steps in {len(settled)} places")
+    goal("settling, in the steps that it simulates", took / (steps * step), 2)
 
 
 def test_recorder_throughput(tmp_path: Path) -> None:

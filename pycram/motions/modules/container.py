@@ -43,13 +43,13 @@ class Accessing(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         container, joint, link = solution["part-of"], solution["drawer-joint"], solution["drawer-handle"]
         with robot.world.lock:
-            held = self.held(robot, arm)
-            if held is not None:
-                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}", handle=link, arm=arm.name)
             start = container.get_joint_position(joint)
             container.check_link(link)
             if link not in carried.moved_links(container.urdf, [joint]):
                 raise BadArgument("drawer-handle", link, f"a link that {joint} moves")
+            held = self.held(robot, arm)
+            if held is not None:
+                raise AccessFailed(joint, f"the {arm.name} gripper holds {held.name}", handle=link, arm=arm.name)
             handle = Handle(container, joint, link)
             upper = container.joint_limits(joint)[1]
             end = handle.closed + solution["distance"]

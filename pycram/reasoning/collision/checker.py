@@ -245,8 +245,15 @@ class CollisionChecker:
         return found
 
     def _least(self, pair: Pair) -> float:
-        """Return the overlap in m from which on two links collide."""
-        return _SELF_DEPTH if pair[0] is pair[2] else DEPTH
+        """Return the overlap in m from which on two links collide: more for the robot's own, and for what one carries.
+
+        A hand brings what it holds to the trunk and the shoulder that it hangs on, whose hulls are wide.
+        """
+        mover, _, body, other = pair
+        if body is not self.robot:
+            return DEPTH
+        carries = mover is not self.robot and self._links.hangs_on(self._link_of[mover], other)
+        return _SELF_DEPTH if mover is body or carries else DEPTH
 
     def _named(self, pair: Pair, depth: float) -> CollisionPair:
         """Return a pair of links by their names."""

@@ -86,11 +86,10 @@ class MovingLinks:
         self.drivers = self._all_drivers[moving]
         names, own_links = np.array(links), np.arange(len(links)) < len(boxes.links)
         own = _own_joints(robot.urdf, links, joints)
-        every = _own_joints(robot.urdf, links, robot.urdf.movable)
+        self._own = every = _own_joints(robot.urdf, links, robot.urdf.movable)
+        self._numbers = {link: number for number, link in enumerate(links)}
         still = np.where(moving, 0, every.T)  # another arm's, say
         apart = moving[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
-        # the trunk is a hull, to which hands bring what they carry: what is held meets what other joints move
-        apart &= (own_links & own_links[:, None]) | ((every > 0) & (every.T > 0))
         for link, other in robot.description.may_touch if robot.description else ():
             pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
             apart &= ~(pair | pair.T)
@@ -99,8 +98,7 @@ class MovingLinks:
     def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[Owner, Owner]]:
         """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
 
-        What a link holds is as far from others as the link is, and meets only what hangs on other joints than the link:
-        other arms. Where one of the two is held, it comes first.
+        What a link holds is as far from others as the link is. Where one of the two is held, it comes first.
 
         Args:
             transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
@@ -110,6 +108,10 @@ class MovingLinks:
         found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
         pairs = [(self._all_owners[a[pair]], self._all_owners[b[pair]]) for pair in found]
         return dict.fromkeys((a, b) if b[0] == self._robot else (b, a) for a, b in pairs)
+
+    def hangs_on(self, link: str, other: str) -> bool:
+        """Return whether one link hangs on all joints of another, as on a trunk; each is solid or holds something."""
+        return not self._own[self._numbers[other], self._numbers[link]]
 
 
 def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:

@@ -34,7 +34,8 @@ _CLOSING_HALVINGS: Final = 5  # of such a step: 0.4 mm of the PR2's aperture
 _MANY: Final = 3  # fingers from which on each closes until it touches; two jaws are one mechanism
 _ALONE: Final = 64  # of the way between open and closed, by which each of them goes on
 _REACH: Final = 0.005  # m to the other finger: hand and object give way by half of that
-_ACROSS: Final = 0.5  # of a unit normal along the way of the fingers
+_ACROSS: Final = 0.5  # of a unit normal along the way of two jaws
+_AROUND: Final = 0.4  # of fingers around a centre: two of three meet a carton's edges at 60 degrees to y
 _NEAR: Final = 0.25  # m from the tool frame: fingers don't get farther
 
 
@@ -180,11 +181,12 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
         engine.pose_joints(hand, coupled(robot, positions))
         position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
         across = geometry.rotate(turn, (0.0, 1.0, 0.0))
+        least = _AROUND if len(parts) >= _MANY else _ACROSS
         sides = set()
         for finger in gripper.fingers:
             for touch in engine.link_closest_points(hand, finger, target, _REACH):
                 along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
-                sides |= {math.copysign(1.0, along)} if abs(along) > _ACROSS else set()
+                sides |= {math.copysign(1.0, along)} if abs(along) > least else set()
         others = [other for other in robot.world.objects if other not in (robot, body) and _is_near(other, position)]
         depths = _depths(engine, hand, gripper, {other: clone.body(other.name) for other in others})
     finally:

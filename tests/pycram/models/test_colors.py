@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +12,9 @@ from PIL import Image
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.models import load
+from pycram.models.texture import MissingTexture
 from pycram.models.visual import pieces_of, shapes_of
 from recorder.geometry.shapes import read_shapes
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RED, BLUE, YELLOW = (0.8, 0.1, 0.1), (0.1, 0.2, 0.9), (0.9, 0.9, 0.1)
 
@@ -111,11 +109,26 @@ def test_textures_are_seen(tmp_path: Path) -> None:
     assert len({tuple(color) for color in found[1].tolist()}) <= 8  # each is a shape in viewers
 
 
-def test_a_texture_that_isn_t_there_is_grey(tmp_path: Path) -> None:
+def test_a_texture_that_isn_t_there_is_grey_and_warned_of_once(tmp_path: Path) -> None:
     dae(tmp_path, TEXTURE, plain(BLUE))
-    found = seen(tmp_path, "square.dae")
+    with pytest.warns(MissingTexture, match=r"square\.dae: its texture picture\.png doesn't exist") as warned:
+        found = seen(tmp_path, "square.dae")
+    assert [Path(each.filename).name for each in warned] == [Path(__file__).name]
+    seen(tmp_path, "square.dae")  # again: a second warning would be an error here
     assert color_at(found, 0.5, 0.1) == pytest.approx([0.8, 0.8, 0.8])
     assert color_at(found, 0.5, 0.9) == pytest.approx(BLUE, abs=1e-5)
+
+
+def test_a_urdf_s_texture_that_isn_t_there_is_warned_of(tmp_path: Path) -> None:
+    (tmp_path / "thing.urdf").write_text(
+        '<robot name="thing"><link name="a"><visual><geometry><box size="1 1 1"/></geometry><material name="m">'
+        '<color rgba="0 0 1 1"/><texture filename="package://things/label.png"/></material></visual>'
+        '<visual><geometry><box size="1 1 1"/></geometry><material name="n"><texture filename=""/></material></visual>'
+        "</link></robot>"
+    )
+    with pytest.warns(MissingTexture, match=r"thing\.urdf: its texture package://things/label\.png doesn't exist"):
+        model = load.load(tmp_path / "thing.urdf")
+    assert {0.0, 1.0} <= set(shapes_of(model.path).colors[0][0].tolist())
 
 
 def halves(folder: Path, upper: tuple[float, ...] = RED) -> str:
@@ -171,7 +184,9 @@ def test_a_urdf_s_texture_covers_meshes_that_have_no_material(tmp_path: Path) ->
     halves(tmp_path, YELLOW)
     assert color_at(seen(tmp_path, "square.obj", material), 0.5, 0.9) == pytest.approx(YELLOW, abs=0.05), "as it is now"
     (tmp_path / "label.png").unlink()
-    assert color_at(seen(tmp_path, "square.obj", material), 0.5, 0.9) == pytest.approx((0.0, 1.0, 0.0))
+    with pytest.warns(MissingTexture, match=r"thing\.urdf: its texture label\.png"):
+        found = seen(tmp_path, "square.obj", material)
+    assert color_at(found, 0.5, 0.9) == pytest.approx((0.0, 1.0, 0.0))
 
 
 def test_collada_units_are_scaled_to_metres(tmp_path: Path) -> None:

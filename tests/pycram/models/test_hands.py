@@ -32,7 +32,7 @@ def test_such_a_hand_takes_things_and_puts_them_down(
     Object("floor", "environment", "plane.urdf")
     urdf, text = hands.write(tmp_path, jaws)
     world.robot = made = Object("gantry", "robot", urdf, description=RobotDescription.parse(text))
-    for number, kind in enumerate(("cup", "bottle")):
+    for number, kind in enumerate(("cup", "bottle", "milk")):
         thing = Object(kind, kind, f"{kind}.stl", [0.4, 0.3 * number, HEIGHTS[kind] + 0.001])
         world.simulate(0.3)
         perform(type="pick-up", object=thing)

@@ -13,7 +13,15 @@ import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import MotionDesignator
-from pycram.failures import AccessFailed, HandleBlocked, HandleUnreachable, PlanFailure, Unreachable
+from pycram.failures import (
+    AccessFailed,
+    BadArgument,
+    HandleBlocked,
+    HandleUnreachable,
+    PlanFailure,
+    UnknownName,
+    Unreachable,
+)
 from pycram.models.load import resources
 from pycram.process_module import ProcessModule
 from pycram.world.snapshot import restore_snapshot, take_snapshot
@@ -257,3 +265,21 @@ def test_what_the_other_hand_holds_is_in_a_drawers_way(scene: BulletWorld) -> No
     milk.set_position([x, y - 2.0, z])
     access(scene, joint, handle, "left", 0.3)
     assert kitchen.get_joint_position(joint) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("joint", "handle", "error"),
+    [
+        ("sink_area_left_uper_drawer_main_joint", "sink_area_left_upper_drawer_handle", UnknownName),
+        ("sink_area_left_upper_drawer_main_joint", "sink_area_left_uper_drawer_handle", UnknownName),
+        ("sink_area_left_upper_drawer_main_joint", "iai_fridge_door_handle", BadArgument),
+    ],
+)
+def test_a_wrong_name_is_told_before_a_full_hand(
+    scene: BulletWorld, joint: str, handle: str, error: type[Exception]
+) -> None:
+    scene.robot.attach(scene.get_object("milk"), "l_gripper_tool_frame")
+    with pytest.raises(error):
+        access(scene, joint, handle, "left", 0.3)
+    with pytest.raises(AccessFailed, match="the left gripper holds milk"):
+        access(scene, "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle", "left", 0.3)

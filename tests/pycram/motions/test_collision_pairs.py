@@ -135,3 +135,21 @@ def test_what_a_hand_holds_meets_the_other_hand(scene: BulletWorld) -> None:
     assert robot.get_joint_positions() == before
     perform(type="move-arm-joints", left_arm="park")
     perform(type="move-tcp", target=[1.15, 0.65, 1.1], orientation=forward, arm="right")
+
+
+def test_what_a_hand_holds_meets_the_robots_own_trunk(scene: BulletWorld, sink: MemorySink) -> None:
+    robot, milk = scene.robot, scene.get_object("milk")
+    inside = [-0.61, 1.04, 0.78, -0.77, 2.52, -1.57, 3.1]
+    perform(type="pick-up", object=milk, arm="left")
+    before = robot.get_joint_positions()
+    words = r"left arm can't take that posture: milk in the left gripper would touch base_link of pr2"
+    with pytest.raises(PostureInCollision, match=words) as raised:
+        perform(type="move-arm-joints", left_arm=inside)
+    assert [(pair.mover, pair.body, pair.body_link) for pair in raised.value.pairs] == [("milk", "pr2", "base_link")]
+    assert raised.value.pairs[0].depth > 0.03
+    assert recorded_pairs(sink) == [pair.__record__() for pair in raised.value.pairs]
+    assert robot.get_joint_positions() == before
+    perform(type="move-arm-joints", left_arm="park")
+    robot.detach(milk)
+    milk.set_position([1.3, 1, 3])
+    perform(type="move-arm-joints", left_arm=inside)  # the empty hand may
