@@ -10,7 +10,7 @@ import tempfile
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import versions
 from recorder.provenance import pycram_revision
@@ -20,7 +20,7 @@ from replay.errors import ReplayError
 from replay.retrace.guide import Difference
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from replay.file.record_reader import RecordReader
 
@@ -110,24 +110,9 @@ class PlanProcess:
         Raises:
             CantRetrace: the process has ended before it came to a result.
         """
-        began = self._began
-        request = {
-            "log": str(self._log.path.resolve()),
-            "plan": str(self.program),
-            "arguments": self._arguments,
-            "seed": int(began.seed) if began.seed.isdecimal() else None,
-            "by_program": began.by_program,
-            "until": until,
-            "file": None if file is None else str(file.absolute()),
-        }
-        environment = dict(os.environ)
-        if began.hash_seed.isdecimal():
-            environment["PYTHONHASHSEED"] = began.hash_seed
-        else:
-            environment.pop("PYTHONHASHSEED", None)
         reading, writing = os.pipe()
         output = os.dup(_STDERR)
-        command = [sys.executable, "-P", "-m", "replay.retrace"]
+        request = {"until": until, "file": None if file is None else str(file.absolute())}
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,
@@ -135,15 +120,7 @@ class PlanProcess:
         ):
             request |= {"result": writing, "output": output, "folder": folder}
             try:
-                process = subprocess.Popen(  # noqa: S603  no text of users is a command
-                    [*command, json.dumps(request)],
-                    cwd=self._folder,
-                    env=environment,
-                    stdin=subprocess.DEVNULL,
-                    stdout=subprocess.DEVNULL,
-                    stderr=errors,
-                    pass_fds=[writing, output],
-                )
+                process = self.start("replay.retrace", request, errors, (writing, output))
             finally:
                 os.close(writing)
                 os.close(output)
@@ -162,6 +139,40 @@ class PlanProcess:
         answer: Mapping[str, Any] = json.loads(line)
         found = answer["difference"]
         return Outcome(answer["equal"], None if found is None else Difference(**found), code)
+
+    def start(
+        self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        """Start a module as a process in which the plan can do the same again; it has no input, and shows nothing.
+
+        Args:
+            module: its name.
+            request: arguments of its main function, beside the log, the plan, its arguments and seed.
+            errors: for what is written to stderr.
+            descriptors: open files that it gets.
+        """
+        began = self._began
+        given = {
+            "log": str(self._log.path.resolve()),
+            "plan": str(self.program),
+            "arguments": self._arguments,
+            "seed": int(began.seed) if began.seed.isdecimal() else None,
+            "by_program": began.by_program,
+        }
+        environment = dict(os.environ)
+        if began.hash_seed.isdecimal():
+            environment["PYTHONHASHSEED"] = began.hash_seed
+        else:
+            environment.pop("PYTHONHASHSEED", None)
+        return subprocess.Popen(  # noqa: S603  no text of users is a command
+            [sys.executable, "-P", "-m", module, json.dumps({**given, **request})],
+            cwd=self._folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=errors,
+            pass_fds=descriptors,
+        )
 
 
 def _program(log: RecordReader, began: Run, plan: str | Path | None) -> Path:

@@ -20,14 +20,16 @@ from pycram import cli
 from recorder.mcap.sink import McapSink
 from recorder.recording import redirected
 from recorder.records import escaped
+from recorder.tracing.process_identity import process
 from replay.file.record_reader import RecordReader
 from replay.retrace.guide import Guide
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from recorder.records import Record, Run
     from recorder.records.asset import AssetFile
+    from recorder.tracing.journal import Sink
     from replay.retrace.guide import Difference
 
 _STDOUT, _STDERR = 1, 2
@@ -116,17 +118,9 @@ def main(
             os.dup2(output, descriptor)  # what the plan prints from here on is new
 
     guide = Guide(recorded, report, until, Path(folder) / recorded.path.name)
-
     began = recorded[0]
-    process, guided = os.getpid(), False
 
-    def sink_of(run: Run) -> Guide | _Fork | _Nowhere | None:
-        nonlocal guided
-        if run.by_program != by_program or os.getpid() != process:  # a projection makes a recording of its own
-            return None
-        if guided or not _is_meant(run, began, plan):
-            return _Nowhere()
-        guided = True
+    def sink_of(run: Run) -> Guide | _Fork:
         if file is None:
             return guide
         run.origin.recording, run.origin.wall_time_ns = recorded.path.name, began.wall_time_ns
@@ -134,15 +128,50 @@ def main(
         metadata = {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
         return _Fork(guide, McapSink(Path(file), metadata))
 
-    with redirected(sink_of):
+    run_plan(plan, arguments, seed, recorded, sink_of, by_program=by_program, file=Path(file or os.devnull))
+    guide.close()
+
+
+def run_plan(
+    plan: str,
+    arguments: Sequence[str],
+    seed: int | None,
+    recorded: RecordReader,
+    sink_of: Callable[[Run], Sink],
+    *,
+    by_program: bool,
+    file: Path = Path(os.devnull),
+) -> None:
+    """Run a plan as a program, whatever it ends with.
+
+    Args:
+        plan: the plan's file.
+        arguments: of the plan.
+        seed: of random numbers; None to leave them as they are.
+        recorded: the recording that it has made.
+        sink_of: gives the sink for the recording that is meant, of those that the plan makes.
+        by_program: whether the plan begins the recording itself.
+        file: where it would be recorded.
+    """
+    owner, guided = process(), False
+
+    def redirect(run: Run) -> Sink | None:
+        nonlocal guided
+        if run.by_program != by_program or process() != owner:  # a projection makes a recording of its own
+            return None
+        if guided or not _is_meant(run, recorded[0], plan):
+            return _Nowhere()
+        guided = True
+        return sink_of(run)
+
+    with redirected(redirect):
         if by_program:
             sys.argv = [plan, *arguments]
             sys.path.insert(0, str(Path(plan).parent.resolve()))
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
                 runpy.run_path(plan, run_name="__main__")
         else:
-            cli.run(Path(plan), Path(file or os.devnull), arguments, seed=seed)
-    guide.close()
+            cli.run(Path(plan), file, arguments, seed=seed)
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:
