@@ -28,8 +28,8 @@ from recorder.tracing.branch_identity import current_name
 from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_at, interrupted_by, terminable
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
-from recorder.tracing.process_identity import process
 from recorder.tracing.output import recorded_output
+from recorder.tracing.process_identity import process
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:

@@ -260,7 +260,7 @@ class Scheduler:
         self.branches.pop(branch, None)
 
     def suspended(self) -> Iterator[tuple[FrameType, Context]]:
-        """Yield the innermost frame and the context of the code that waits for its turn: branches, and outside of all."""
+        """Yield innermost frames and contexts of the code that waits for its turn: branches, and outside of all."""
         waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
         if self._loop is not None:
             waiting.append(self._loop.parent)

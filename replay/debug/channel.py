@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import select
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 if TYPE_CHECKING:
@@ -26,10 +27,8 @@ class Channel:
 
     def send(self, message: Message) -> None:
         """Send a message; to one who is gone, nothing."""
-        try:
+        with suppress(BrokenPipeError, ConnectionResetError):  # the next receive() tells
             self._socket.sendall(json.dumps(message).encode() + b"\n")
-        except (BrokenPipeError, ConnectionResetError):
-            pass  # the next receive() tells
 
     def receive(self) -> Message | None:
         """Wait for a message; None if the other end is gone."""

@@ -73,7 +73,7 @@ def _traceback(trace: TracebackType | None) -> Iterator[PlanFrame]:
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[tuple[str, str]]:
-    """Return the names and values of a frame's variables, or only of its arguments; of a module, not its definitions."""
+    """Return the names and values of a frame's variables, or only of its arguments; of modules no definitions."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)

@@ -345,12 +345,16 @@ class GuidedPlan:
         _received(copy.parent.channel)
 
     def _end_all(self) -> None:
-        """End the first process, and with it all."""
-        if self._root is not None:
+        """End all processes, each before its parent, which waits for its end: none becomes a zombie."""
+        ended = [*self._waiting, *([self._now] if self._now is not None and self._now not in self._waiting else [])]
+        for each in reversed(ended):  # children come after their parents
+            if each.parent is not None:
+                self._end(each)
+            else:
+                each.channel.close()
+        if self._root is not None:  # it ends what is left, too
             self._root.kill()
             self._root.wait()
-        for each in self._waiting:
-            each.channel.close()
         self._root, self._now = None, None
         self._waiting.clear()
 

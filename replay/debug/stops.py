@@ -160,7 +160,7 @@ class StoppingSink:
             self._guide.close()
             self._end()
 
-    def _report(self, equal: int, difference: Difference | None) -> None:  # noqa: ARG002  as guides report
+    def _report(self, equal: int, difference: Difference | None) -> None:
         self._difference = difference
         if difference is None and equal <= self._step + 1:
             self._over = True  # what comes now isn't in the recording, which was cut
@@ -188,7 +188,9 @@ class StoppingSink:
             for number, (before, value) in enumerate(zip(self._values, values, strict=True))
             if before is not None and value is not None and before != value
         ]
-        self._values = [value if value is not None else before for before, value in zip(self._values, values, strict=True)]
+        self._values = [
+            value if value is not None else before for before, value in zip(self._values, values, strict=True)
+        ]
         self._course.changes += changes
         return bool(changes)
 
