@@ -20,6 +20,7 @@ from replay.state.json_data import kind_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from recorder.records import Record
     from replay.debug.session import Halt, Session
 
 _MAIN_THREAD: Final = "MainThread"
@@ -119,10 +120,7 @@ class Prompt(LinePrompt):
         if self._stack:
             self._tell_frame()
         if step == len(self._log) - 1:
-            ended = isinstance(record, Run) and record.phase == Run.FINISHED
-            how = "was cut here" if not ended else "ends here"
-            failed = f"; the plan failed: {format_failure(record.failure)}" if ended and not record.succeeded else ""
-            print(f"the recording {how}{failed}")
+            print(visible(f"the recording {_ending(record)}"))
 
     def _tell_frame(self, number: int | None = None) -> None:
         at = self._frame if number is None else number
@@ -439,6 +437,12 @@ def _add_verb(name: str) -> None:
 
 for _name in _VERBS:
     _add_verb(_name)
+
+
+def _ending(last: Record) -> str:
+    if not isinstance(last, Run) or last.phase != Run.FINISHED:
+        return "was cut here"
+    return "ends here" if last.succeeded else f"ends here; the plan failed: {format_failure(last.failure)}"
 
 
 def _beginning(text: str, names: Iterable[str]) -> list[str]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import socket
-import subprocess
 import tempfile
-from contextlib import ExitStack
+import threading
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -22,6 +23,7 @@ from replay.errors import Damaged, ReplayError
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:
+    import subprocess
     from collections.abc import Collection, Iterator, Sequence
     from typing import Self
 
@@ -129,6 +131,8 @@ class GuidedPlan:
         self._spacing = self._part() if checkpoints and hasattr(os, "fork") else None
         self._waiting: list[_Copy] = []
         self._now: _Copy | None = None
+        self._ending = False
+        self._interrupts = 0  # by Ctrl-C, since the plan was asked for something
         self._open = ExitStack()
         self._root: subprocess.Popen[bytes] | None = None
         with ExitStack() as undoing:
@@ -192,10 +196,11 @@ class GuidedPlan:
         halves = list(_halving(origin.step, step)) if origin is not None and step < self.step else []
         before = self.step
         try:
-            arrival = self._start() if origin is None else None
-            origin = origin or self._now
-            if origin is not None and (arrival is None or arrival.step < step or watched):
-                arrival = self._sent(origin, step, halves, watched, through=through)
+            with self._noting_interrupts():
+                arrival = self._start() if origin is None else None
+                origin = origin or self._now
+                if origin is not None and (arrival is None or arrival.step < step or watched):
+                    arrival = self._sent(origin, step, halves, watched, through=through)
         except _EndedByInterrupt:
             if before >= 0:
                 self.go(before)
@@ -213,24 +218,38 @@ class GuidedPlan:
         """
         if self._now is None:
             raise PlanEnded(self.step, self._printed())
-        channel = self._now.channel
-        channel.send({"do": what, **arguments})
-        interrupted = False
-        while True:
-            try:
-                answer = _received(channel)
-            except KeyboardInterrupt:
-                interrupted = True
-                channel.send({"do": "interrupt"})
-                continue
-            if interrupted:
-                raise KeyboardInterrupt
-            if answer is None:
-                self._lost(self._now)
-            elif "error" in answer:
-                raise ReplayError(answer["error"])
-            else:
-                return answer["answer"]
+        now, told = self._now, False
+        with self._noting_interrupts():
+            now.channel.send({"do": what, **arguments})
+            while not (now.channel.has_read or select.select([now.channel], (), (), _POLL)[0]):
+                if self._interrupts and not told:
+                    told = True
+                    now.channel.send({"do": "interrupt"})
+            answer = _received(now.channel)
+        if answer is None:
+            self._lost(now)
+        if told or "interrupted" in answer:
+            raise KeyboardInterrupt
+        if "error" in answer:
+            raise ReplayError(answer["error"])
+        return answer["answer"]
+
+    @contextmanager
+    def _noting_interrupts(self) -> Iterator[None]:
+        """Note Ctrl-C while the block runs, where else it would be raised between a message and its answer."""
+        self._interrupts = 0
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+
+        def note(_: int, __: object) -> None:
+            self._interrupts += 1
+
+        before = signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     def _start(self) -> Arrival:
         """Run the plan from its start to its first record."""
@@ -268,30 +287,32 @@ class GuidedPlan:
 
     def _arrived(self, running: _Copy | None) -> Arrival:
         """Wait until the process that runs, or the one that comes next, has stopped."""
-        interrupted = False
+        told = False
         while True:
-            try:
-                sources = [self._listener, *([running.channel] if running is not None else [])]
-                read = running is not None and running.channel.has_read
-                ready = sources[1:] if read else select.select(sources, (), (), _POLL)[0]
-                if self._listener in ready:
-                    running = self._next(running)
-                elif ready and running is not None:
-                    message = _received(running.channel)
-                    if message is None:
-                        self._lost(running)
-                    elif "parked" in message:
-                        self._parked(running, message)
-                        running = None
-                    else:
-                        return self._stopped(running, message)
-                elif not ready and self._root is not None and self._root.poll() is not None:
+            sources: list[socket.socket | Channel] = [
+                self._listener,
+                *([running.channel] if running is not None else []),
+            ]
+            read = running is not None and running.channel.has_read
+            ready = sources[1:] if read else select.select(sources, (), (), _POLL)[0]
+            if self._listener in ready:
+                running = self._next(running)
+            elif ready and running is not None:
+                message = _received(running.channel)
+                if message is None:
                     self._lost(running)
-            except KeyboardInterrupt:
-                if interrupted or running is None:
-                    self._end(running)
-                    raise _EndedByInterrupt from None
-                interrupted = True
+                elif "parked" in message:
+                    self._parked(running, message)
+                    running = None
+                else:
+                    return self._stopped(running, message)
+            elif not ready and self._root is not None and self._root.poll() is not None:
+                self._lost(running)
+            if self._interrupts > 1:
+                self._end(running)
+                raise _EndedByInterrupt
+            if self._interrupts and running is not None and not told:
+                told = True
                 running.channel.send({"do": "interrupt"})
 
     def _next(self, running: _Copy | None) -> _Copy:
@@ -342,10 +363,12 @@ class GuidedPlan:
             return
         copy.channel.close()
         copy.parent.channel.send({"do": "end", "pid": copy.pid})
-        _received(copy.parent.channel)
+        if _received(copy.parent.channel) is None and not self._ending:  # somebody else has ended the parent
+            self._end_all()
 
     def _end_all(self) -> None:
         """End all processes, each before its parent, which waits for its end: none becomes a zombie."""
+        self._ending = True
         ended = [*self._waiting, *([self._now] if self._now is not None and self._now not in self._waiting else [])]
         for each in reversed(ended):  # children come after their parents
             if each.parent is not None:
@@ -355,7 +378,7 @@ class GuidedPlan:
         if self._root is not None:  # it ends what is left, too
             self._root.kill()
             self._root.wait()
-        self._root, self._now = None, None
+        self._root, self._now, self._ending = None, None, False
         self._waiting.clear()
 
     def _drop_superfluous(self) -> None:

@@ -1,7 +1,7 @@
 """Expressions about recorded states, as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``, and their changes.
 
-Names are bodies (``robot`` is the plan's robot) and arms; a body has ``x``, ``y``, ``z``, ``position``, ``orientation``,
-``velocity``, ``carrier``, and its joints. States are those of the world that is opened last.
+Names are bodies (``robot`` is the plan's robot) and arms; a body has ``x``, ``y``, ``z``, ``position``,
+``orientation``, ``velocity``, ``carrier``, and its joints. States are those of the world that is opened last.
 """
 
 from __future__ import annotations
@@ -123,7 +123,8 @@ class _Names(dict[str, Any]):
         robot = self._world.bodies.get(str(self._world.facts.get("robot", "")))
         if robot is None or not robot.loaded.robot_description:
             return {}
-        return description_of(robot.loaded.robot_description).arms
+        description = description_of(robot.loaded.robot_description)
+        return {} if description is None else description.arms
 
     def _holding(self, arm: str | None = None) -> str | None:
         """Return what the robot holds, as the fluent ``holding`` tells it."""

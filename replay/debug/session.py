@@ -127,7 +127,8 @@ class Session:
             raise NoFurther(self.step, "the recording begins here")
         enabled = [each for each in self.breakpoints if each.enabled]
         hits = [step for each in enabled if (step := last_before(each.steps, self.step)) is not None]
-        goal, changes = max([target, *hits]), {}
+        goal = max([target, *hits])
+        changes: dict[int, tuple[str, str]] = {}
         watched = self._on_plan(enabled)
         if watched:
             goal, changes = self._last_change(watched, goal, self.step)
@@ -140,7 +141,8 @@ class Session:
             NoFurther: it didn't before this step.
         """
         watch = self._watch(expression, frame)
-        step, changes = last_before(watch.steps, self.step), {}
+        step = last_before(watch.steps, self.step)
+        changes: dict[int, tuple[str, str]] = {}
         if watch.watched is not None:
             step, changes = self._last_change([watch.watched], -1, origin := self.step)
             if step < 0:

@@ -139,7 +139,7 @@ class StoppingSink:
         self._guide.write(topic, record, payload)
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
             self._parents[record.task] = record.parent
-        self._failing = "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure")  # type: ignore[arg-type]
+        self._failing = "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure")
         if self._difference is not None:
             self._end()
         elif not self._over:
@@ -291,10 +291,9 @@ class StoppingSink:
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
         while not child.ended:
-            ready = select.select([child, self._channel], (), ())[0]
-            if self._channel in ready:
+            sources: list[Child | Channel] = [child, self._channel]
+            if self._channel in select.select(sources, (), ())[0]:
                 child.kill()
-                self._channel.receive()
                 return {"interrupted": True}
             child.read()
         answer: Message = json.loads(child.received or json.dumps({"error": _NOT_COPIED}))

@@ -59,8 +59,9 @@ class Timeline:
                 task_stacks[record.task] = stack
             self._stacks[record.seq] = stack
             before = latest.get(record.thread, ())
+            again = bool(own) and not isinstance(record, Output)  # what a line prints comes with its other records
             for depth, site in enumerate(stack):
-                if before[: depth + 1] != stack[: depth + 1] or (own and depth == len(stack) - 1):
+                if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
                     hits = self._lines[site]
                     if hits[-1:] != [record.seq]:
                         hits.append(record.seq)
@@ -81,7 +82,7 @@ class Timeline:
             self._note_hindrance(record)
         if isinstance(record, Event):
             self.events[record.name].append(record.seq)
-        if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):  # type: ignore[arg-type]
+        if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):
             self.failures.append(record.seq)
 
     def _note_hindrance(self, record: Mutation | Keyframe) -> None:
