@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.debug.stops import Watched
     from replay.file.record_reader import RecordReader
 
-_PARTS: Final = 24  # of a run, with a checkpoint at the beginning of each
+_PARTS: Final = 40  # of a run, with a checkpoint at the beginning of each
 _SHORTEST: Final = 0.05  # s of a part
 _MOST: Final = 64  # copies that wait
 _FINEST: Final = 4  # steps from a checkpoint to where one goes back to
@@ -175,7 +175,7 @@ class GuidedPlan:
 
         Args:
             step: the step.
-            watched: expressions; the plan stops before where one of their values changes.
+            watched: expressions; the plan goes on from where it is, and stops where one of their values changes.
             through: whether it doesn't: the changes are only noted, up to the step.
 
         Raises:
@@ -183,9 +183,12 @@ class GuidedPlan:
             Interrupted: by Ctrl-C, twice, as it came to no step; it is where it was before.
         """
         now = self._now
+        if now is None and watched:
+            self.go(self.step)
+            now = self._now
         if now is not None and not now.parted and now.step == step and not watched:
             return Arrival(step)
-        copies = [*self._waiting, *([now] if now is not None and not now.parted else [])]
+        copies = [now] if watched and now is not None else self._usable()
         origin = max((each for each in copies if each.step <= step), key=lambda each: each.step, default=None)
         if now is not None and now is not origin and now not in self._waiting:
             self._end(now)
@@ -250,6 +253,11 @@ class GuidedPlan:
             yield
         finally:
             signal.signal(signal.SIGINT, before)
+
+    def _usable(self) -> list[_Copy]:
+        """Return the processes that can go on from their steps as recorded."""
+        now = self._now
+        return [*self._waiting, *([now] if now is not None and not now.parted and now not in self._waiting else [])]
 
     def _start(self) -> Arrival:
         """Run the plan from its start to its first record."""

@@ -131,7 +131,8 @@ class Session:
         changes: dict[int, tuple[str, str]] = {}
         watched = self._on_plan(enabled)
         if watched:
-            goal, changes = self._last_change(watched, goal, self.step)
+            changed, changes = self._last_change(watched, goal - 1, self.step)
+            goal = max(goal, changed)
         return self._halted(self.plan.go(goal), enabled, changes)
 
     def back_to_change(self, expression: str, frame: int) -> Halt:

@@ -200,6 +200,18 @@ def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug:
     assert last > up[2]
 
 
+def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:
+    with replay.open(plan_log) as log, GuidedPlan(log) as plan:
+        session = Session(log, plan)
+        up = moves(log, "milk")
+        for step in range(len(log) - 1, up[0] - 1, -1):
+            session.go(step)
+        assert len(plan.checkpoints) > 2
+        session.set_watch("lifted", 0)
+        assert [session.forward().arrival.step for _ in up[1:]] == up[1:]
+        assert [session.back().arrival.step for _ in up[1:]] == [up[1], 0]
+
+
 def test_what_an_expression_changes_is_undone(plan_log: Path, debug: Debug) -> None:
     with replay.open(plan_log) as log:
         step, last = moves(log, "milk")[0], len(log) - 1
