@@ -1,10 +1,8 @@
-"""The process in which a debugged plan runs: ``python -P -m replay.debug.process JSON``, from :mod:`.guided_plan`."""
+"""The process in which a debugged plan runs: ``python -P -m replay.debug JSON``, from :mod:`.copies`."""
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -54,7 +52,3 @@ def main(
     run_plan(plan, arguments, seed, recorded, lambda _: sink, by_program=by_program)
     sink.close()
     os._exit(0)
-
-
-if __name__ == "__main__":
-    main(**json.loads(sys.argv[1]))

@@ -213,7 +213,7 @@ class StoppingSink:
         if obstacle():
             return
         if not self._went_on_in_child():
-            self._channel.send({"parked": self._step})
+            self._channel.send({"step": self._step, "reason": "waits"})
             self._serve()
 
     def _went_on_in_child(self) -> bool:
@@ -232,7 +232,7 @@ class StoppingSink:
         connected = socket.socket(socket.AF_UNIX)
         connected.connect(self._address)
         channel = Channel(connected)
-        channel.send({"hello": os.getpid(), "parent": parent, "step": self._step})
+        channel.send({"pid": os.getpid(), "parent": parent, "step": self._step})
         return channel
 
     # --- stopped ----------------------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ class StoppingSink:
         can_wait = reason != "parted" and self._spacing is not None and not obstacle()
         self._channel.send(
             {
-                "stopped": self._step,
+                "step": self._step,
                 "reason": reason,
                 "difference": found,
                 "changes": self._course.changes,

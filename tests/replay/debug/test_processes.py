@@ -14,7 +14,8 @@ import psutil
 import pytest
 
 import replay
-from replay.debug.guided_plan import GuidedPlan, PlanEnded
+from replay.debug.copies import PlanEnded
+from replay.debug.guided_plan import GuidedPlan
 from replay.debug.standing_clock import StandingClock
 from tests.replay.retrace.test_retrace import record
 
