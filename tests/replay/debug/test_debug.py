@@ -39,7 +39,7 @@ def at(text: str) -> int:
 def test_frames_and_variables_are_those_of_the_plan_at_the_step(plan_log: Path, debug: Debug) -> None:
     with replay.open(plan_log) as log:
         second = moves(log, "milk")[1]
-    _, where, local, args, summed, listed, up, outer, whatis, wrong = debug(
+    _, where, local, args, summed, listed, up, outer, whatis, wrong, number, quote = debug(
         plan_log,
         "where",
         "locals",
@@ -50,6 +50,8 @@ def test_frames_and_variables_are_those_of_the_plan_at_the_step(plan_log: Path, 
         "p lifted",
         "whatis milk",
         "down 2",
+        "up there",
+        "state 'milk",
         step=str(second),
     )
     called, move = line("total = lift(milk, [0.5, 0.7, 0.9])"), line("body.set_position([0, 0, height])")
@@ -73,6 +75,8 @@ def test_frames_and_variables_are_those_of_the_plan_at_the_step(plan_log: Path, 
     assert outer == "*** NameError: name 'lifted' is not defined\n"
     assert whatis == "<class 'pycram.world.object.Object'>\n"
     assert wrong == "*** Newest frame\n"
+    assert number == "*** there: expected a number of frames\n"
+    assert quote == "*** 'milk: No closing quotation\n"
 
 
 def test_a_branch_has_the_frames_of_the_code_that_waits_for_it(plan_log: Path, debug: Debug) -> None:
