@@ -126,6 +126,7 @@ class GuidedPlan:
         Raises:
             PlanEnded: its process has ended before; it is at no step then.
             Interrupted: by Ctrl-C, twice, as it came to no step; it is where it was before.
+            ReplayError: it is another plan, whose first record differs.
         """
         copies = self._copies
         if copies.now is None and watched:
@@ -145,7 +146,7 @@ class GuidedPlan:
             if origin is None:
                 message = copies.start()
                 origin = copies.now
-            if origin is not None and (origin.step < step or watched):
+            if origin is not None and not origin.parted and (origin.step < step or watched):
                 expressions = [[each.expression, each.file, each.first] for each in watched]
                 message = copies.go_on(
                     origin,
@@ -165,8 +166,10 @@ class GuidedPlan:
         return arrival
 
     def _arrived(self, message: Message) -> Arrival:
-        self.step = message["step"]
         found = message["difference"]
+        if message["step"] < 0 and found is not None:
+            raise ReplayError(f"this isn't the plan of the recording: {found['text']}")
+        self.step = message["step"]
         if found is not None:
             self.last, self.parted = found["step"] - 1, found["text"]
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])

@@ -281,5 +281,11 @@ def test_what_can_t_be_is_told_before_it_is_tried(
     copy.write_bytes(plan_log.read_bytes())
     assert main(["debug", str(copy), "--plan", str(tmp_path / "none.py")]) == 2
     assert "the plan isn't there" in capsys.readouterr().err
+    program = tmp_path / "program.py"
+    program.write_text(f'import recorder\nwith recorder.record("{tmp_path / "program.mcap"}"):\n    print(1)\n')
+    subprocess.run([sys.executable, program], check=True, capture_output=True, timeout=60)
+    program.write_text("print(1)\n")
+    assert main(["debug", str(tmp_path / "program.mcap")]) == 2
+    assert "this isn't the plan of the recording: the plan ended where step 0 has" in capsys.readouterr().err
     assert main(["debug", str(copy), "4711"]) == 2
     assert "there is no step 4711" in capsys.readouterr().err
