@@ -8,6 +8,7 @@ import os
 import runpy
 import shlex
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -99,6 +100,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
         local_variables=not options.no_locals,
         overwrite=options.overwrite,
         durable=options.durable,
+        debug=options.debug_on_failure,
     )
 
 
@@ -210,6 +212,11 @@ def _parser() -> argparse.ArgumentParser:
             help="show it live: --rerun opens a viewer, --rerun=connect or =connect:URL uses a running one, "
             "--rerun=serve serves a page for the browser",
         )
+        recorded.add_argument(
+            "--debug-on-failure",
+            action="store_true",
+            help="when the plan fails, open the debugger at the failure: its frames, and the way back from there",
+        )
     describe = commands.add_parser(
         "describe",
         help="describe a robot",
@@ -280,6 +287,7 @@ def run(
     local_variables: bool = True,
     overwrite: bool = False,
     durable: bool = False,
+    debug: bool = False,
 ) -> int:
     """Run a plan as a main program, record it, and return the exit code, as :func:`main` does.
 
@@ -293,6 +301,7 @@ def run(
         local_variables: Whether failures hold the plan's local variables.
         overwrite: Whether a recording that is there is replaced.
         durable: Whether records survive the loss of power.
+        debug: Whether the debugger opens where the plan has failed.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(plan), *arguments]
@@ -333,6 +342,8 @@ def run(
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
         if live == Kind.SERVE.value and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
+        if debug and code == _FAILED:
+            _debug(recording.path)
     return code
 
 
@@ -377,6 +388,11 @@ def _keep_page(recording: Recording) -> None:
     print("pycram: the page stays until Ctrl-C", file=sys.stderr)
     with contextlib.suppress(KeyboardInterrupt):
         recording.viewer.wait()
+
+
+def _debug(log: Path) -> None:
+    """Open the debugger, which runs the plan again to its failure: it is above all that runs plans."""
+    subprocess.run([sys.executable, "-P", "-m", "replay", "debug", str(log)], check=False)  # noqa: S603  ours
 
 
 def _wait_for_threads() -> None:

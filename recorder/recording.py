@@ -29,6 +29,7 @@ from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted
 from recorder.tracing.journal import Journal
 from recorder.tracing.local_variables import failure_with_frames
 from recorder.tracing.output import recorded_output
+from recorder.tracing.process_identity import process
 from recorder.viewer.live_sink import RerunSink
 
 if TYPE_CHECKING:
@@ -121,13 +122,13 @@ def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: 
     """Opens a recording, and closes it however the block ends."""
     recording = opened()
     log = recording.journal
-    owner = os.getpid()
+    owner = process()
     try:
         with _recording_uncaught(log, title), recorded_output(log) if output else nullcontext():
             yield recording
     except BaseException as error:
         try:
-            if os.getpid() == owner:
+            if process() == owner:
                 _finish(log, title, start, error)
         except OSError as failed:
             failed.__context__, error.__context__ = error.__context__, failed
@@ -135,7 +136,7 @@ def _closed(opened: Callable[[], Recording], title: str, start: int, *, output: 
                 print(f"recorder: {failed}", file=sys.stderr)
         raise
     else:
-        if os.getpid() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
+        if process() == owner:  # a forked child that leaves the block has nothing to close: the file is its parent's
             _finish(log, title, start, None)
 
 
@@ -285,8 +286,11 @@ def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:
     """Keeps forked children from writing into this file."""
     sink_reference = (lambda: None) if sink is None else weakref.ref(sink)
     log_reference = weakref.ref(log)
+    owner = process()
 
     def forget() -> None:
+        if process() == owner:
+            return
         sink, log = sink_reference(), log_reference()
         if sink is not None:
             sink.abandon()

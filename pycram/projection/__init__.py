@@ -246,19 +246,27 @@ def _time_left(running: dict[int, tuple[_Projection, ExitStack]], limit: float |
 
 def _refuse_impossible() -> None:
     refuse_held()
+    cause = obstacle()
+    if cause:
+        raise NotProjectable(cause)
+
+
+def obstacle() -> str:
+    """Return why this process can't be copied at this moment, and what to do; "" if it can."""
     if not hasattr(os, "fork"):
-        raise NotProjectable("this system can't copy a process (os.fork)")
+        return "this system can't copy a process (os.fork)"
     for world in open_worlds():
         if world.mode == "GUI":
-            raise NotProjectable(f"{world.name} has a window, which a copy can't have; open it with BulletWorld()")
+            return f"{world.name} has a window, which a copy can't have; open it with BulletWorld()"
         if world.realtime:
-            raise NotProjectable(f"{world.name} runs in real time; call set_realtime(False) before")
+            return f"{world.name} runs in real time; call set_realtime(False) before"
     threads = [thread.name for thread in forking.others()]
     if threads:
-        raise NotProjectable(
+        return (
             f"the copy would lack the thread{'s' if threads[1:] else ''} {', '.join(threads)}; branches of `with par` "
             "are copied, in_thread(...) has to end before"
         )
+    return ""
 
 
 _MOST: Final = 10**12  # bytes

@@ -88,7 +88,7 @@ def wait(children: Sequence[Child], timeout: float | None) -> None:
 def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
     """Be the child: nothing of the parent's is written to, closed or cleaned up."""
     try:
-        _die_with(parent)
+        die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
         nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
@@ -111,10 +111,10 @@ def _leave(writing: int, parent: int) -> None:
     """Be a process that a child's action has forked: it has no part in the answer, and ends with the child."""
     if os.getppid() == parent:  # its own children inherit what it has
         os.close(writing)
-        _die_with(parent)
+        die_with(parent)
 
 
-def _die_with(parent: int) -> None:
+def die_with(parent: int) -> None:
     """Have the kernel end this process with its parent."""
     with contextlib.suppress(OSError, AttributeError):  # only Linux has it
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -39,7 +39,7 @@ from recorder.tracing.branch_identity import enter_branch, new_branch
 from recorder.tracing.call_stack import call_site, plan_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
+    from collections.abc import Callable, Collection, Iterator
     from contextvars import Context
     from types import FrameType
     from typing import Self
@@ -338,6 +338,15 @@ class Scheduler:
     def _ranked(self, order: Order) -> Ranked:
         """Return what runs, as the order knows it."""
         return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
+
+    def suspended(self) -> Iterator[tuple[FrameType, Context]]:
+        """Yield innermost frames and contexts of the code that waits for its turn: branches, and outside of all."""
+        waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
+        if self._loop is not None:
+            waiting.append(self._loop.parent)
+        for each in waiting:
+            if each is not None and each.gr_frame is not None and each.gr_context is not None:
+                yield each.gr_frame, each.gr_context
 
     def _is_outside(self) -> bool:
         """Whether the running code is outside of all branches."""

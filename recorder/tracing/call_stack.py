@@ -20,6 +20,7 @@ from recorder.tracing import journal
 from recorder.tracing.branch_identity import current_ident
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from types import CodeType, FrameType
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line of it, from 1
@@ -173,6 +174,13 @@ def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | N
             break
         frame = frame.f_back
     return None, foreign
+
+
+def plan_frames(frame: FrameType | None) -> Iterator[FrameType]:
+    """The plan's frames from this one on outwards."""
+    while (frame := plan_frame(frame)[0]) is not None:
+        yield frame
+        frame = frame.f_back
 
 
 def is_plan(frame: FrameType) -> bool:

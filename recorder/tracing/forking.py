@@ -7,12 +7,16 @@ the parent's recordings, which the child leaves alone. So it is enough that none
 from __future__ import annotations
 
 import os
+import random
 import threading
 import warnings
 import weakref
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from recorder.tracing import journal
+from recorder.tracing import journal, process_identity
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
@@ -32,9 +36,25 @@ def others() -> list[threading.Thread]:
 
 def fork() -> int:
     """Fork while our threads are parked; returns 0 in the child, where no journal is open any more."""
-    with journal.still(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
-        child = os.fork()
+    child = _fork(os.fork)
     if not child:
         journal.forget_all()
     return child
+
+
+def fork_continuation() -> int:
+    """Fork a child that goes on as this process, with its open journals, while this one waits; returns 0 in the child.
+
+    Sinks of such journals have no thread and no file that both would write to.
+    """
+    dice = random.getstate()  # which Python seeds again in a child
+    child = _fork(process_identity.fork_continuation)
+    if not child:
+        random.setstate(dice)
+    return child
+
+
+def _fork(fork: Callable[[], int]) -> int:
+    with journal.still(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12's, of threads: ours are parked
+        return fork()

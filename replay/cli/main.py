@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from types import ModuleType
 
+    from replay.recording import Recording
+
 #: A verb's module is imported when it is called: some need libraries that others don't.
 VERBS: Final = {
     "info": "what ran, when, for how long, and how it ended",
@@ -41,6 +43,7 @@ VERBS: Final = {
     "verify": "whether a recording is consistent, and its changes, made again, have the recorded effects",
     "retrace": "whether the plan, run again, does the same; else the first difference",
     "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
+    "debug": "a prompt at a step, in the plan's frame: its variables, forwards and back",
     "resume": "a plan whose process was killed goes on where it was",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",
@@ -82,6 +85,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
+
+
+def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
+    """Run a verb on a recording that is open.
+
+    Raises:
+        SystemExit: The arguments were wrong, which is printed.
+        ReplayError: As the verb raises it.
+    """
+    module = _module(verb)
+    module.run(log, _parser([verb], module).parse_args([verb, str(log.path), *arguments]))
 
 
 def _own_error(error: Exception) -> str:

@@ -24,6 +24,11 @@ def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="run the source that is attached to the recording (default: the files on the disk)",
     )
+    add_arguments(parser)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the plan's arguments."""
     parser.add_argument(
         "--arguments", nargs=argparse.REMAINDER, help="all that follow are the plan's (default: the recorded ones)"
     )

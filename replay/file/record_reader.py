@@ -91,6 +91,14 @@ class RecordReader:
         """Close the file."""
         self._index.close()
 
+    def after_fork(self) -> None:
+        """Go on reading, in a forked child, from a file position of its own: the parent's would move."""
+        descriptor = self._file.fileno()
+        own = os.open(self.path, os.O_RDONLY)
+        os.lseek(own, os.lseek(descriptor, 0, os.SEEK_CUR), os.SEEK_SET)
+        os.dup2(own, descriptor, inheritable=False)
+        os.close(own)
+
     # --- the run and the file ---------------------------------------------------------------------------------------
 
     @property

@@ -26,6 +26,7 @@ from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Run, escaped, format_error
+from recorder.tracing.process_identity import process
 from replay.file.record_reader import RecordReader
 from replay.retrace.answers import Answers
 from replay.retrace.changes import BadChange, parse_setting, text_of
@@ -268,11 +269,11 @@ def run_plan(
         by_program: whether the plan begins the recording itself.
         file: where it would be recorded.
     """
-    owner, began, guided = os.getpid(), recorded[0], False
+    owner, began, guided = process(), recorded[0], False
 
     def redirect(run: Run) -> Sink | None:
         nonlocal guided
-        if run.by_program != by_program or os.getpid() != owner:  # a projection makes a recording of its own
+        if run.by_program != by_program or process() != owner:  # a projection makes a recording of its own
             return None
         if guided or not _is_meant(run, began, plan):
             return _Nowhere()

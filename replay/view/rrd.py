@@ -30,7 +30,7 @@ from replay.errors import ReplayError
 from replay.view.translation import front_world, translate
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from replay.file.record_reader import RecordReader
 
@@ -176,6 +176,24 @@ def _go_to(client: ViewerClient, step: int) -> None:
             pause.wait(_POLL_PERIOD)
         else:
             return
+
+
+def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
+    """Opens a recording at a step as :func:`show` does; returns the viewer's address, and what has it go to a step.
+
+    Of a viewer that was closed since nothing more is heard.
+
+    Raises:
+        ReplayError: no viewer answers there, or none can be started.
+    """
+    viewer = show(cached(log, step), step, url)
+    client = ViewerClient.connect(viewer)
+
+    def go(to: int) -> None:
+        with contextlib.suppress(RuntimeError, OSError):
+            client.set_time("step", sequence=to, play_state="paused")
+
+    return viewer, go
 
 
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:

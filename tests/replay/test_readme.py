@@ -15,8 +15,8 @@ README = Path(__file__).parents[2] / "README.md"
 def test_the_readme_s_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())
     shown = blocks(README.read_text().partition("## 4. A plan failed. What now?")[2].partition("\n## ")[0])
-    verbs = [block.commands[-1].split()[1] for block in shown]
-    assert verbs == ["why", "render", "blame", "ask", "restore", "ask", "fork"]
+    verbs = [block.commands[-1].partition("pycram-replay")[2].split()[0] for block in shown]
+    assert verbs == ["why", "render", "blame", "ask", "restore", "ask", "fork", "debug"]
     for commands, lines in shown:
         output = {without_numbers(line) for line in printed(commands, tmp_path)}
         for line in lines:

@@ -1,0 +1,178 @@
+"""Expressions about recorded states, as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``, and their changes.
+
+Names are bodies (``robot`` is the plan's robot) and arms; a body has ``x``, ``y``, ``z``, ``position``,
+``orientation``, ``velocity``, ``carrier``, and its joints. States are those of the world that is opened last.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from recorder.records import Keyframe, Mutation
+from replay.errors import ReplayError
+from replay.restore.recorded_world import description_of
+from replay.state.fold import apply, state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from types import CodeType
+
+    from replay.file.record_reader import RecordReader
+    from replay.state.fold import WorldBuilder
+
+_ROUNDING: Final = 1e-6  # m or rad: smaller changes of a number are none, as for blame
+_FUNCTIONS: Final[Mapping[str, object]] = {
+    each.__name__: each for each in (abs, all, any, len, max, min, round, sorted, sum, math.sqrt, math.degrees)
+}
+
+
+class NoQuantity(ReplayError):
+    """An expression that recorded states don't answer: it has other names, say.
+
+    Attributes:
+        expression: the expression.
+    """
+
+    def __init__(self, expression: str, cause: str) -> None:
+        super().__init__(f"{expression}: {cause}")
+        self.expression = expression
+
+
+class Change(NamedTuple):
+    """A step at which an expression got another value."""
+
+    step: int
+    before: object
+    after: object
+
+
+def changes(log: RecordReader, expression: str) -> list[Change]:
+    """Return the steps of a recording at which an expression's value changed.
+
+    Values from before an object is loaded, and after it is removed, are None.
+
+    Raises:
+        NoQuantity: it has no value at any step.
+    """
+    try:
+        code = compile(expression, "<watch>", "eval")
+    except (SyntaxError, ValueError) as error:
+        raise NoQuantity(expression, f"it can't be read: {error}") from None
+    worlds: dict[str, WorldBuilder] = {}
+    found: list[Change] = []
+    latest: object = None
+    known, cause = False, "the recording has no state"
+    for record in log.records((Mutation, Keyframe)):
+        apply(worlds, record)
+        try:
+            value = _value(code, worlds)
+        except Exception as error:  # noqa: BLE001  whatever the user's expression raises
+            cause = str(error)
+            value = None
+        else:
+            known = True
+        if _differ(latest, value):
+            found.append(Change(record.seq, latest, value))
+            latest = value
+    if not known:
+        raise NoQuantity(expression, cause)
+    return found
+
+
+def _value(code: CodeType, worlds: Mapping[str, WorldBuilder]) -> object:
+    opened = [world for world in worlds.values() if world.facts.get("open", True)]
+    if not opened:
+        raise LookupError("no world is open")
+    return _plain(eval(code, {"__builtins__": {}}, _Names(opened[-1])))  # noqa: S307  the user's own
+
+
+def _plain(value: object) -> object:
+    return (value.position, value.orientation) if isinstance(value, _Body) else value
+
+
+def _differ(before: object, after: object) -> bool:
+    if isinstance(before, float) and isinstance(after, float):
+        return abs(before - after) > _ROUNDING
+    if isinstance(before, tuple) and isinstance(after, tuple) and len(before) == len(after):
+        return any(map(_differ, before, after))
+    return before != after
+
+
+class _Names(dict[str, Any]):
+    """What names in an expression mean in a world."""
+
+    def __init__(self, world: WorldBuilder) -> None:
+        super().__init__(_FUNCTIONS)
+        self._world = world
+        self |= {"holding": self._holding, "distance": _distance}
+
+    def __missing__(self, name: str) -> object:
+        for body in self._world.bodies:
+            if name in (body, re.sub(r"\W", "_", body)):
+                return _Body(self._world, body)
+        robot = str(self._world.facts.get("robot", ""))
+        if name == "robot" and robot in self._world.bodies:
+            return _Body(self._world, robot)
+        if name in self._arms():
+            return name
+        raise NameError(f"no object is called {name}")
+
+    def _arms(self) -> Mapping[str, Any]:
+        robot = self._world.bodies.get(str(self._world.facts.get("robot", "")))
+        if robot is None or not robot.loaded.robot_description:
+            return {}
+        description = description_of(robot.loaded.robot_description)
+        return {} if description is None else description.arms
+
+    def _holding(self, arm: str | None = None) -> str | None:
+        """Return what the robot holds, as the fluent ``holding`` tells it."""
+        robot = self._world.facts.get("robot", "")
+        links = None
+        if arm is not None:
+            described = self._arms()[arm]
+            links = set(described.links()) - {described.base_link}
+        for held in self._world.attachments.values():
+            if held.carrier == robot and (links is None or held.carrier_link in links):
+                return held.body
+        return None
+
+
+class _Body:
+    """A body of a world, with its quantities as attributes."""
+
+    def __init__(self, world: WorldBuilder, name: str) -> None:
+        self._world = world
+        self._name = name
+        body = world.bodies[name]
+        self.position, self.orientation, self.velocity = body.position, body.orientation, body.velocity
+        self.x, self.y, self.z = body.position
+
+    @property
+    def carrier(self) -> str | None:
+        """What carries it."""
+        held = (each.carrier for each in self._world.attachments.values() if each.body == self._name)
+        return next(held, None)
+
+    def __getattr__(self, joint: str) -> float:
+        joints = self._world.bodies[self._name].joints
+        if joint not in joints:
+            raise AttributeError(f"{self._name} has no {joint}")
+        return joints[joint]
+
+
+def _distance(one: _Body, other: _Body) -> float:
+    """Return the distance of two bodies' base links, m."""
+    return math.dist(one.position, other.position)
+
+
+def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
+    """Yield the names that an expression may have at a step, for completion."""
+    state = state_at(log, step)
+    yield from (f"{each}(" for each in ("holding", "distance"))
+    for world in state.worlds.values():
+        for body in world.bodies.values():
+            yield body.name
+            yield from (f"{body.name}.{part}" for part in ("x", "y", "z", "position", "orientation", "carrier"))
+            yield from (f"{body.name}.{joint}" for joint in body.joints)
