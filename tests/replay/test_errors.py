@@ -9,6 +9,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from recorder.errors import PortableError, RecordingError
+from replay.debug.breakpoints import NoSuchPlace
+from replay.debug.copies import PlanEnded
+from replay.debug.guided_plan import Interrupted
+from replay.debug.quantities import NoQuantity
+from replay.debug.session import NoFurther
 from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
 from replay.restore.question import BadQuestion
 from replay.retrace.changes import BadChange
@@ -33,6 +38,11 @@ ERRORS: tuple[PortableError, ...] = (
     CantRetrace("plan.py: the plan isn't there"),
     BadChange("stable(milk)=maybe", "its answer is true or false"),
     NotForked(12, Difference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
+    NoSuchPlace("pick", "no step, and no task is called so"),
+    PlanEnded("Killed"),
+    Interrupted(12),
+    NoQuantity("milc.z", "no body is called so"),
+    NoFurther(0, "the recording begins here"),
 )
 
 

@@ -102,5 +102,6 @@ def test_ctrl_c_leaves_no_file_behind(tmp_path: Path, until: Callable[..., None]
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert (out, err) == ("", "")
+    said = [line for line in err.splitlines() if "re_sdk" not in line]  # but for a rare warning of the library's own
+    assert (out, said) == ("", [])
     assert not list(tmp_path.iterdir())

@@ -190,7 +190,6 @@ def test_lanes_show_how_tasks_ended(tmp_path: Path) -> None:
 PLAN = """\
 from pycram.bullet_world import BulletWorld, Object
 from recorder.tracing.span import Span
-from recorder.viewer import query_page
 
 def shove(cup):
     cup.set_position([1, 0, 1])

@@ -23,10 +23,11 @@ _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")  # also behind the h
 #: PyCRAM's usage errors: the plan's line made a mistake, in a motion too.
 USAGE_ERRORS: Final = frozenset(
     (
-        "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock", "DesignatorError",
-        "DisplayError", "JointLimitError", "LockHeld", "Misnested", "NoDescription", "NoProcessModule", "NoResult",
-        "NoWorld", "NotProjectable", "NotSettable", "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly",
-        "ResourceError", "RunsEarly", "UnknownName", "UsageError", "WorldClosed",
+        "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
+        "DeadlockedBranches", "DesignatorError", "DisplayError", "JointLimitError", "LockHeld", "Misnested",
+        "NoDescription", "NoProcessModule", "NoResult", "NoWorld", "NotExplorable", "NotProjectable", "NotSettable",
+        "NotTrueOrFalse", "ObjectsChanged", "OutlivesTimeout", "ReadOnly", "ResourceError", "RunsEarly", "UnknownName",
+        "UsageError", "WorldClosed",
     )
 )  # fmt: skip
 _INTERRUPTS: Final = ("KeyboardInterrupt", "TimedOut", "Cancelled")

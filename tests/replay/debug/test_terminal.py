@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
-_TIMEOUT = 120.0  # s
+_TIMEOUT, _AGAIN = 120.0, 5.0  # s
 _COLOURS = re.compile(r"\x1b\[[\d;?]*[a-zA-Z]")
 
 
@@ -35,9 +35,24 @@ class Terminal:
         os.write(self._screen, text.encode())
         return self.shown()
 
+    def interrupt(self, typed: str) -> str:
+        """Types something, presses Ctrl-C when it is on the screen, and gives what is shown up to the next prompt.
+
+        Again, if nothing comes of it: Python misses what is pressed while it handles a key, until the next one.
+        """
+        os.write(self._screen, typed.encode())
+        self._read(lambda read: typed.strip() in read)
+        while True:
+            os.write(self._screen, b"\x03")
+            if select.select([self._screen], (), (), _AGAIN)[0]:
+                return self.shown()
+
     def shown(self) -> str:
+        return self._read(lambda read: read.endswith("(debug) "))
+
+    def _read(self, is_all: Callable[[str], bool]) -> str:
         read = ""
-        while not _COLOURS.sub("", read).endswith("(debug) "):
+        while not is_all(_COLOURS.sub("", read)):
             assert select.select([self._screen], (), (), _TIMEOUT)[0], read
             read += os.read(self._screen, 4096).decode()
         self.raw += read
@@ -76,13 +91,13 @@ def test_a_person_finds_out_why_the_demo_failed(terminal: Terminal, tmp_path: Pa
     assert "step 158 of" in terminal.type("rc\n")
     assert "step 120 of" in terminal.type("\n"), "an empty line does the same again"
     assert "1.72" in terminal.type("p milk.get_posi\t()[0]\n")
-    assert "--KeyboardInterrupt--" in terminal.type("p wro\x03")
-    assert "--KeyboardInterrupt--" in terminal.type("p [0 for _ in iter(int, 1)]\n\x03")
+    assert "--KeyboardInterrupt--" in terminal.interrupt("p wro")
+    assert "--KeyboardInterrupt--" in terminal.interrupt("p [0 for _ in iter(int, 1)]\n")
     assert "attempt['place'] = [0.65, 0.6, 0]" in terminal.type("u\n") + terminal.type(
         "print(f\"attempt['place'] = {attempt['place']}\")\n"
     )
     assert "step " in terminal.type("g 0\n")
-    terminal.type("c\n\x03")  # it comes to the breakpoint, or is interrupted before
+    terminal.interrupt("c\n")  # it comes to the breakpoint, or is interrupted before
     assert re.search(r"step \d+ of", terminal.type("s\n"))
     assert terminal.end() == 0
     again = Terminal(failed_log, tmp_path / "cache")

@@ -27,11 +27,16 @@ def bits(record: Record) -> bytes:
             copy.ClearField(clock)
     if isinstance(copy, Run):
         copy.ClearField("origin")
-    if isinstance(copy, Task) and copy.kind == "projection" and copy.result_json:
-        outcome = json.loads(copy.result_json)
-        del outcome["recording"]  # named after the fork's
-        copy.result_json = json.dumps(outcome)
+    if isinstance(copy, Task) and "recording" in copy.result_json:
+        copy.result_json = json.dumps(without_recordings(json.loads(copy.result_json)))
     return copy.SerializeToString(deterministic=True)
+
+
+def without_recordings(result: object) -> object:
+    """A task's result without the files of projections' recordings, which are named after the fork's."""
+    if isinstance(result, dict):
+        return {name: without_recordings(part) for name, part in result.items() if name != "recording"}
+    return [without_recordings(part) for part in result] if isinstance(result, list) else result
 
 
 def assert_same_bits(first: Path, second: Path) -> None:
