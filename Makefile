@@ -13,7 +13,7 @@ export PYTHONDONTWRITEBYTECODE :=
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
 
-test: .venv/ready-dev  ## all tests, and a slice of each long measure: some 6 minutes on two cores
+test: .venv/ready-dev  ## all tests, and a slice of each long measure: some 9 minutes on two cores
 	$(BIN)/pytest -n auto --dist worksteal -m "not long"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
