@@ -19,6 +19,7 @@ from pycram.failures import BadArgument
 from pycram.fluent import Fluent
 from pycram.language import par
 from pycram.scheduling.cancellation import checkpoint
+from recorder.errors import RecordingError
 from recorder.records import Run
 from replay.retrace.retrace import retrace
 from tests.measures import REPO, seeded
@@ -152,6 +153,11 @@ def test_addresses_of_objects_and_lone_surrogates_are_no_differences() -> None:
         result = explore(partial(plan, fails), 8)
         assert result.alike
         assert result.found[0].ending.kind == kind
+
+
+def test_a_folder_that_isn_t_there_is_said_before(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="make the folder first"):
+        explore(os.abort, 1, folder=tmp_path / "found")
 
 
 def test_what_can_t_be_explored_is_said_before() -> None:
