@@ -113,6 +113,8 @@ def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace
             parser.error(f"--{name} goes with --explore")
     if options.explore is not None and (options.rerun or options.order):
         parser.error("--rerun and --order are for one run; --explore makes many")
+    if options.explore is not None and options.debug_on_failure:
+        parser.error("--debug-on-failure is for one run; --explore tells the --order of those that fail")
 
 
 def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequence[str], seed: int) -> int:

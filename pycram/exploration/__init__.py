@@ -25,6 +25,7 @@ from pycram.scheduling.order import ADDED, Made, text_of
 from pycram.scheduling.schedule import seed_order
 from pycram.seeding import seed_random_numbers
 from pycram.world.current import open_worlds
+from recorder.errors import RecordingError
 from recorder.mcap.output_file import free_path
 from recorder.recording import record
 from recorder.tracing import forking
@@ -123,6 +124,7 @@ def explore(
         NotExplorable: A world has a window or runs in real time, threads of the plan's own run, or nothing can fork.
         BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
+        RecordingError: There is no such folder.
     """
     refuse_held()
     if not callable(action):
@@ -169,6 +171,8 @@ def explore_runs(
     if checks.number("limit", limit) <= 0:
         raise BadArgument("limit", limit, "seconds, more than 0")
     _refuse_impossible()
+    if file is not None and not file.parent.is_dir():  # else it would come out when all has run
+        raise RecordingError(file, "No such file or directory", "make the folder first")
     several = Runs(run, limit)
     result = Exploration(0, 0, [])
     attempts: dict[int, Attempt] = {}

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.exploration import NotExplorable, explore_runs
 from pycram.exploration.ending import SUCCEEDED
+from recorder.errors import RecordingError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -63,7 +64,7 @@ def run(
 
     try:
         result = explore_runs(runner, count, depth=depth, limit=limit, file=file, overwrite=overwrite, progress=show)
-    except NotExplorable as error:
+    except (NotExplorable, RecordingError) as error:
         print(f"pycram: {error}", file=sys.stderr)
         return _WRONG_USAGE
     command = ["pycram", "run", "--seed", str(seed)]

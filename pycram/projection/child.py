@@ -92,9 +92,10 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
         nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
+        errors = open(os.devnull, "w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115, PTH123  as Python's
         for descriptor in range(3):  # also what native code and handlers of logging print
             os.dup2(nothing.fileno(), descriptor)
-        sys.stdin = sys.stdout = sys.stderr = nothing
+        sys.stdin, sys.stdout, sys.stderr = nothing, nothing, errors
         os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
         begin_alone()
         nothing_open()

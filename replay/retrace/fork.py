@@ -127,7 +127,7 @@ def fork(
         controlled = None if controlling is None else controlling.result()
     with RecordReader(file) as forked:
         end = forked[-1]
-        notes += tuple(_unasked(forked, changes))
+        notes += tuple(_unasked(forked))
         return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
 
 
@@ -153,14 +153,14 @@ def _unchanged(log: RecordReader, arguments: Sequence[str] | None, *, recorded_s
     return PlanProcess(log, None, arguments if lacking else None, recorded_source=recorded_source)
 
 
-def _unasked(forked: RecordReader, changes: Sequence[Change]) -> Iterator[str]:
-    """Yield in words which answers nobody has asked for."""
+def _unasked(forked: RecordReader) -> Iterator[str]:
+    """Yield in words that answers, of this fork or of those before it, weren't asked for."""
     given = sum(record.by_fork for record in forked.records(Query))
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
     if given < len(wanted):
-        asked = ", ".join(change.answer for change in changes if change.answer)
-        yield f"{len(wanted) - given} of the given answers weren't asked for after step {changes[-1].step}: {asked}"
+        listed = ", ".join(f"{change.answer} after step {change.step}" for change in wanted)
+        yield f"{len(wanted) - given} of the {len(wanted)} given answers weren't asked for: {listed}"
 
 
 def resume(

@@ -63,7 +63,8 @@ class RecordedSource:
 
     def write(self, folder: Path) -> Path:
         """Write it into a folder, links to everything else beside it, and return the plan's file there."""
-        target = folder / (self.program.parent.name or "plan")
+        name = self.program.parent.name
+        target = folder / (name if name not in ("", "..") else "plan")  # it was run as ../plan.py
         _lay(self.files, self.program.parent, target)
         return target / self.program.name
 

@@ -90,6 +90,7 @@ def test_machines_get_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     [
         (["--explore", "0"], "no whole number from 1"),
         (["--explore", "5", "--order", "added"], "--explore makes many"),
+        (["--explore", "5", "--debug-on-failure"], "--debug-on-failure is for one run"),
         (["--explore", "5", "--limit", "0"], "no time in seconds"),
         (["--json"], "--json goes with --explore"),
         (["--order", "first"], "'first' is no order: expected"),

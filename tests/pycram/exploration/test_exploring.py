@@ -16,8 +16,10 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.exploration import DEADLOCK, DIED, FAILED, SUCCEEDED, TIME_LIMIT, NotExplorable, explore
 from pycram.failures import BadArgument
+from pycram.fluent import Fluent
 from pycram.language import par
 from pycram.scheduling.cancellation import checkpoint
+from recorder.errors import RecordingError
 from recorder.records import Run
 from replay.retrace.retrace import retrace
 from tests.measures import REPO, seeded
@@ -125,6 +127,37 @@ def test_a_run_that_hangs_or_dies_is_an_ending() -> None:
     assert (late.ending.kind, late.ending.failure) == (TIME_LIMIT, "it still ran after 0.5 s")
     (dead,) = explore(os.abort, 1).found
     assert (dead.ending.kind, dead.ending.failure) == (DIED, "its process was ended by SIGABRT")
+
+
+@pytest.mark.slow
+def test_a_plan_that_interrupts_itself_has_failed() -> None:
+    def plan() -> None:
+        raise KeyboardInterrupt
+
+    (found,) = explore(plan, 1).found
+    assert (found.ending.kind, found.ending.failure) == (FAILED, "KeyboardInterrupt")
+
+
+@pytest.mark.slow
+def test_addresses_of_objects_and_lone_surrogates_are_no_differences() -> None:
+    def plan(fails: bool) -> None:
+        painted, ran = Fluent(None, "painted"), []
+        par(partial(ran.append, 1), partial(ran.append, 2))
+        kept = [object() for _ in range(1000 * ran[0])]
+        painted.set_value(kept[-1])
+        print("\ud800", file=sys.stderr)
+        if fails:
+            raise ValueError(str(kept[-1]))
+
+    for fails, kind in ((False, SUCCEEDED), (True, FAILED)):
+        result = explore(partial(plan, fails), 8)
+        assert result.alike
+        assert result.found[0].ending.kind == kind
+
+
+def test_a_folder_that_isn_t_there_is_said_before(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="make the folder first"):
+        explore(os.abort, 1, folder=tmp_path / "found")
 
 
 def test_what_can_t_be_explored_is_said_before() -> None:

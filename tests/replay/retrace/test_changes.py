@@ -143,7 +143,7 @@ def test_an_answer_is_given_to_the_next_query_that_fits(
     file = tmp_path / "answers.mcap"
     given = ("contact(milk, object2=cup)=true", "stable(...)=false", "occluding(milk, ...)=[cup]", "visible(cup)=true")
     result = forked(log, file, answers=given)
-    assert result.notes[-1].startswith("1 of the given answers weren't asked for")
+    assert result.notes[-1].startswith("1 of the 4 given answers weren't asked for: ")
     with replay.open(file) as other:
         assert "[True, True, False]" in printed(other)  # the next one, not those after it
         assert "blocking False True" in printed(other)
@@ -155,6 +155,8 @@ def test_an_answer_is_given_to_the_next_query_that_fits(
             ("occluding", '[{"object":"floor","world":"kitchen"}]'),
         ]
         assert made[1].evidence  # of the query's own answer
+        again = fork(other, here(log), tmp_path / "again.mcap")
+        assert again.notes[-1] == result.notes[-1]  # a fork of that fork, which changes nothing more
     assert_runs_again(file)
     assert main(["log", str(file)]) == 0
     assert "stable(object=milk): no, by the fork; else yes" in capsys.readouterr().out

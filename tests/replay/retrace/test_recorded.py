@@ -126,3 +126,11 @@ def test_the_recorded_source_runs_where_the_files_are_others_now(
     (folder / "numbers_of.py").write_text("height = 2\n")  # which isn't in a call stack, so it isn't attached
     assert main(["retrace", str(log), "--recorded-source"]) == 1
     assert f"{steps}:3" in capsys.readouterr().out
+
+
+def test_the_recorded_source_of_a_plan_that_was_run_from_a_folder_below_it(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    (tmp_path / "plan.py").write_text("print(1)\n")
+    with replay.open(record(tmp_path / "below" / ".." / "plan.py")) as recording:
+        assert recording[0].program.endswith("/../plan.py")  # type: ignore[union-attr]
+        assert retrace(recording, recorded_source=True).identical
