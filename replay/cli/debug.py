@@ -45,9 +45,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")
         for note in plan.notes:
             print_message(f"note: {note}")
-        hindrance = session.timeline.hindrance
-        if hindrance:
-            print_message(f"going back runs the plan again from its start: {hindrance}")
         if step > plan.last:
             print_message(f"the plan comes to step {plan.last}: {plan.parted}")
         prompt = Prompt(session)

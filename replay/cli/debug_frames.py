@@ -204,8 +204,14 @@ class FramesPrompt(LinePrompt):
         else:
             print(visible(answer["value"]))
 
-    def do_shell(self, _: str) -> None:
-        """! STATEMENT: can't be executed: the plan is guided by its recording, from which it would part."""
+    def do_shell(self, text: str) -> None:
+        """! EXPR: its value, also where it begins as a command does; a statement can't be executed.
+
+        The plan is guided by its recording, from which it would part.
+        """
+        if text and not _is_statement(text):
+            self._evaluate(text, pretty=False)
+            return
         self.print_error(
             "a statement can't be executed: the plan is guided by its recording, from which it would part; "
             "fork NAME --plan FILE goes on from here with an edited plan"

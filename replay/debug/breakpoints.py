@@ -117,6 +117,9 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
     if not files:
         known = ", ".join(sorted({name_of(file) for file in timeline.files})) or "none"
         raise NoSuchPlace(f"{name}:{line}", f"no line of such a file led to a record; the plan's files are {known}")
+    if len(files) > 1:
+        known = ", ".join(sorted(files))
+        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files are called so: {known}")
     at, steps = timeline.line(files[0], line)
     if not at:
         raise NoSuchPlace(f"{name}:{line}", "neither it nor a later line of that file led to a record")

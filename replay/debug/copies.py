@@ -118,6 +118,7 @@ class Copies:
             "folder": self._folder,
             "until": 0,
             "spacing": self._spacing,
+            "changes": list(self._process.recorded_changes()),
         }
         self.runs += 1
         with self._noting_interrupts():

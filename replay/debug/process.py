@@ -7,13 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.projection.child import die_with
+from pycram.reasoning.queries.query import answered_by
+from recorder.records import Change
 from replay.debug.standing_clock import StandingClock
 from replay.debug.stops import Course, StoppingSink
 from replay.file.record_reader import RecordReader
 from replay.retrace.process import run_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from typing import Any
 
 
 def main(
@@ -28,6 +31,7 @@ def main(
     folder: str,
     until: int,
     spacing: float | None,
+    changes: Sequence[Mapping[str, Any]],
 ) -> None:
     """Run a plan up to a step.
 
@@ -42,13 +46,16 @@ def main(
         folder: for the recordings of its projections.
         until: the first step at which it stops.
         spacing: seconds of processor time between checkpoints; None for no checkpoints.
+        changes: the fields of what was changed after its steps, where the recorded run is a fork.
     """
     os.setsid()  # Ctrl-C at the prompt isn't the plan's
     die_with(parent)
     clock = StandingClock()
     clock.install()
     recorded = RecordReader(log)
-    sink = StoppingSink(recorded, address, Path(folder) / recorded.path.name, clock, Course(until), spacing)
-    run_plan(plan, arguments, seed, recorded, lambda _: sink, by_program=by_program)
+    changed = [Change(**each) for each in changes]
+    sink = StoppingSink(recorded, address, Path(folder) / recorded.path.name, clock, Course(until), spacing, changed)
+    with answered_by(sink.answers):
+        run_plan(plan, arguments, seed, recorded, lambda _: sink, by_program=by_program)
     sink.close()
     os._exit(0)

@@ -23,14 +23,18 @@ from recorder.records import Task
 from recorder.tracing import forking, journal
 from replay.debug import frames
 from replay.debug.channel import Channel
+from replay.retrace.answers import Answers
 from replay.retrace.guide import Guide
+from replay.retrace.process import make_change
+from replay.retrace.steering import Steering
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
     from types import FrameType
+    from typing import NoReturn
 
-    from recorder.records import Record
+    from recorder.records import Change, Record
     from recorder.records.asset import AssetFile
     from replay.debug.channel import Message
     from replay.debug.standing_clock import StandingClock
@@ -38,6 +42,12 @@ if TYPE_CHECKING:
     from replay.retrace.guide import Difference
 
 _NOT_COPIED: Final = "that can't be looked at in this thread of the plan's own"
+
+
+def _refuse(error: Exception) -> NoReturn:
+    sys.stderr.write(f"a change of the fork can't be made again: {error}\n")
+    sys.stderr.flush()
+    os._exit(1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +111,11 @@ class StoppingSink:
         clock: stands still while the plan is stopped.
         course: how far it goes at first.
         spacing: seconds of processor time between checkpoints; None for no checkpoints.
+        changes: what was changed after its steps, where the recorded run is a fork.
 
     Attributes:
         path: as given.
+        answers: those that the fork was given.
     """
 
     def __init__(
@@ -114,6 +126,7 @@ class StoppingSink:
         clock: StandingClock,
         course: Course,
         spacing: float | None,
+        changes: Sequence[Change] = (),
     ) -> None:
         self.path = path
         self._recorded = recorded
@@ -122,6 +135,8 @@ class StoppingSink:
         self._course = course
         self._spacing = spacing
         self._guide = Guide(recorded, self._report, None, path)
+        self.answers = Answers(self._guide, taken=False, refuse=_refuse)
+        self._steering = Steering(changes, self.answers, make_change, _refuse)
         self._difference: Difference | None = None
         self._over = False
         self._last_checkpoint = -float("inf")
@@ -136,6 +151,7 @@ class StoppingSink:
         """Compare a record, and stop if it is where to."""
         if self._over:
             return
+        self._steering.complete(record)
         self._guide.write(topic, record, payload)
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
             self._parents[record.task] = record.parent
@@ -147,6 +163,7 @@ class StoppingSink:
             self._frame = sys._getframe(1)  # noqa: SLF001  inspect.currentframe() gives no other
             self._pass()
             self._frame = None
+            self._steering.passed(record.seq, lambda: None)
 
     def attach(self, asset: AssetFile) -> None:
         """Ignore a file, as the guide does."""
@@ -224,6 +241,8 @@ class StoppingSink:
         die_with(parent)
         self._channel.close()
         self._recorded.after_fork()
+        self.answers.after_fork()
+        self._steering.after_fork()
         self._channel = self._connected(parent)
         self._last_checkpoint = time.process_time()
         return True

@@ -10,7 +10,7 @@ from bisect import bisect_left, bisect_right
 from collections import defaultdict
 from typing import TYPE_CHECKING, TypeAlias
 
-from recorder.records import Envelope, Event, Keyframe, Mutation, Output, Run, Task
+from recorder.records import Envelope, Event, Keyframe, Output, Run, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -33,7 +33,6 @@ class Timeline:
         kinds: kinds of tasks, by the same.
         failures: steps at which something failed.
         events: steps of events, by their names.
-        hindrance: why copies of the plan can't wait at steps, and what that means; "" if nothing in it says so.
     """
 
     def __init__(self, log: RecordReader) -> None:
@@ -42,7 +41,6 @@ class Timeline:
         self.kinds: dict[int, str] = {}
         self.failures: list[int] = []
         self.events: dict[str, list[int]] = defaultdict(list)
-        self.hindrance = ""
         self._levels = [0] * self.steps
         self._parents: dict[int, int] = {}
         self._names: dict[int, tuple[str, ...]] = {0: ()}
@@ -78,19 +76,10 @@ class Timeline:
                 self.kinds[record.seq] = record.kind
             elif record.phase != Task.ASKED:
                 self._ends[record.task] = record.seq
-        if isinstance(record, Mutation | Keyframe):
-            self._note_hindrance(record)
         if isinstance(record, Event):
             self.events[record.name].append(record.seq)
         if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):
             self.failures.append(record.seq)
-
-    def _note_hindrance(self, record: Mutation | Keyframe) -> None:
-        opened = record if isinstance(record, Keyframe) else record.open_world
-        if opened.mode == "GUI":
-            self.hindrance = f"{record.world} has a window, which a copy can't have"
-        elif isinstance(record, Mutation) and record.set_realtime.enabled:
-            self.hindrance = f"{record.world} runs in real time, which isn't the same twice"
 
     # --- where commands lead ----------------------------------------------------------------------------------------
 

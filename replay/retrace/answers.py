@@ -95,6 +95,10 @@ class Answers:
                     self._refuse(error)
         return own
 
+    def after_fork(self) -> None:
+        """Go on in a copy of the process."""
+        self._process = os.getpid()
+
     def complete(self, record: Query) -> None:
         """Complete the record of a query that wasn't asked, or whose answer was given."""
         told = self._told.pop(threading.get_ident(), None)

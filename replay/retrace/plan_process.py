@@ -147,7 +147,7 @@ class PlanProcess:
             "until": self._until,
             "file": None if file is None else str(file.absolute()),
             "take_answers": take_answers,
-            "changes": [_fields(change) for change in (*self._recorded_changes(changed=bool(changes)), *changes)],
+            "changes": [*self.recorded_changes(changed=bool(changes)), *map(_fields, changes)],
             "moved": None,
         }
         with (
@@ -218,11 +218,11 @@ class PlanProcess:
             pass_fds=descriptors,
         )
 
-    def _recorded_changes(self, *, changed: bool) -> Iterator[Change]:
+    def recorded_changes(self, *, changed: bool = False) -> Iterator[dict[str, object]]:
         """Yield what the recorded run is changed by, where it is a fork; of a changed one up to the last step only."""
         for change in self._began.origin.changes:
             if not (changed or self._edited) or self._until is None or change.step <= self._until:
-                yield change
+                yield _fields(change)
 
 
 def _fields(change: Change) -> dict[str, object]:

@@ -128,7 +128,7 @@ def _is_repeated(value: object) -> bool:
     return hasattr(value, "append")
 
 
-def _make(change: Change) -> None:
+def make_change(change: Change) -> None:
     """Make a change; of the plan's lines none has done it, as call stacks end here."""
     if change.seed:
         seed_random_numbers(int(change.seed))
@@ -188,7 +188,7 @@ class _GuidedRun:
         self._changes = [Change(**each) for each in request.changes]
         self._guide = Guide(self._recorded, self._report, request.until, Path(request.folder) / Path(request.log).name)
         self._answers = Answers(self._guide, taken=request.take_answers, refuse=self._refuse)
-        self._steering = Steering(self._changes, self._answers, _make, self._refuse)
+        self._steering = Steering(self._changes, self._answers, make_change, self._refuse)
         self._sent = False
         self._equal: int | None = None  # number of equal records, when the comparison has ended
 

@@ -56,6 +56,10 @@ class Steering:
         self._done: Callable[[], None] | None = None
         self.due: list[Change] = []
 
+    def after_fork(self) -> None:
+        """Go on in a copy of the process."""
+        self._process = os.getpid()
+
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Take note that a step's record is made; ``done`` is called when nothing is due any more."""
         for change in self._changes:

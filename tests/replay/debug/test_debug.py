@@ -15,6 +15,7 @@ from replay.cli.main import main
 from replay.debug.guided_plan import GuidedPlan
 from replay.debug.session import Session
 from tests.replay.debug.plans import TEXT, line
+from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -219,14 +220,15 @@ def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:
 def test_what_an_expression_changes_is_undone(plan_log: Path, debug: Debug) -> None:
     with replay.open(plan_log) as log:
         step, last = moves(log, "milk")[0], len(log) - 1
-    _, moved, position, statement, assigned, on = debug(
+    _, moved, position, statement, assigned, value, on = debug(
         plan_log, "body.set_position([9, 9, 9]) or heights.clear()", "p body.get_position()[0], heights",
-        "!heights = []", "heights = []", "c", step=str(step),
+        "!heights = []", "heights = []", "!list(heights)", "c", step=str(step),
     )  # fmt: skip
     assert moved == "None\n"
     assert position == "(0.0, [0.5, 0.7, 0.9])\n"
     assert statement == assigned
     assert "can't be executed" in statement
+    assert value == "[0.5, 0.7, 0.9]\n"
     assert at(on) == last
 
 
@@ -260,6 +262,44 @@ def test_the_recording_answers_at_the_step_and_a_fork_goes_on(plan_log: Path, tm
     with replay.open(plan_log) as log, replay.open(tmp_path / "on.mcap") as fork:
         assert len(fork) == len(log)
         assert fork[0].origin.step == step
+
+
+@pytest.mark.parametrize("checkpoints", [True, False])
+def test_a_fork_is_debugged_with_its_changes(
+    plan_log: Path, tmp_path: Path, debug: Debug, *, checkpoints: bool
+) -> None:
+    with replay.open(plan_log) as log:
+        step = moves(log, "milk")[1]
+    forked = tmp_path / "forked.mcap"
+    given = ["--set", "milk.position=2,2,2", "--set", "level=9", "--answer", "contact(...)=true", "--seed", "7"]
+    assert main(["fork", str(plan_log), "--at", str(step), *given, "-o", str(forked)]) == 1  # as the plan
+    with replay.open(forked) as log:
+        last = len(log) - 1
+        assert log[step + 1].by_fork
+    _, end, back, on, again = debug(
+        forked, f"g {last}", f"g {step}", "s", f"g {last}", options=() if checkpoints else ("--no-checkpoints",)
+    )
+    assert [at(each) for each in (end, back, on, again)] == [last, step, step + 1, last]
+    assert "by the fork" in on
+
+
+def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_path: Path, debug: Debug) -> None:
+    for folder, lines in (("one", ""), ("two", "\n")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "lifting.py").write_text(f"{lines}def lift(body):\n    body.set_position([0, 0, 1])\n")
+    plan = tmp_path / "plan.py"
+    plan.write_text(
+        "import one.lifting, two.lifting\n"
+        "from pycram.bullet_world import BulletWorld, Object\n"
+        "world = BulletWorld()\n"
+        "milk = Object('milk', 'milk', 'milk.stl')\n"
+        "one.lifting.lift(milk)\n"
+        "two.lifting.lift(milk)\n"
+    )
+    _, either, first, second = debug(record(plan), "b lifting.py:2", "b one/lifting.py:2", "b two/lifting.py:3")
+    assert either.startswith("*** lifting.py:2: several of the plan's files are called so: ")
+    assert first == "Breakpoint 1: lifting.py:2: step 3\n"
+    assert second == "Breakpoint 2: lifting.py:3: step 4\n"
 
 
 def test_a_failed_run_is_debugged_at_once(tmp_path: Path) -> None:
