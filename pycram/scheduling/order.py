@@ -139,7 +139,7 @@ class Pct:
 
     def __init__(self, seed: int | None, number: int, depth: int, steps: int) -> None:
         self._dice = random.Random(f"pct {seed} {number}")
-        self._changes = {self._dice.randint(1, steps): priority for priority in range(depth - 1)}
+        self._changes = {self._dice.randint(1, steps): priority for priority in range(min(depth - 1, steps))}
         self._depth = depth
         self._turns = 0
         self._lowest = 0
