@@ -272,12 +272,86 @@ class SetRobot(_message.Message):
     def __init__(self, body: _Optional[str] = ...) -> None: ...
 
 class Simulate(_message.Message):
-    __slots__ = ("steps", "settled")
+    __slots__ = ("steps", "settled", "driven")
     STEPS_FIELD_NUMBER: _ClassVar[int]
     SETTLED_FIELD_NUMBER: _ClassVar[int]
+    DRIVEN_FIELD_NUMBER: _ClassVar[int]
     steps: int
     settled: bool
-    def __init__(self, steps: _Optional[int] = ..., settled: bool = ...) -> None: ...
+    driven: _containers.RepeatedCompositeFieldContainer[Driven]
+    def __init__(self, steps: _Optional[int] = ..., settled: bool = ..., driven: _Optional[_Iterable[_Union[Driven, _Mapping]]] = ...) -> None: ...
+
+class Trajectory(_message.Message):
+    __slots__ = ("joints", "times", "positions", "velocities")
+    JOINTS_FIELD_NUMBER: _ClassVar[int]
+    TIMES_FIELD_NUMBER: _ClassVar[int]
+    POSITIONS_FIELD_NUMBER: _ClassVar[int]
+    VELOCITIES_FIELD_NUMBER: _ClassVar[int]
+    joints: _containers.RepeatedScalarFieldContainer[str]
+    times: _containers.RepeatedScalarFieldContainer[float]
+    positions: _containers.RepeatedScalarFieldContainer[float]
+    velocities: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, joints: _Optional[_Iterable[str]] = ..., times: _Optional[_Iterable[float]] = ..., positions: _Optional[_Iterable[float]] = ..., velocities: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class PathSearch(_message.Message):
+    __slots__ = ("planner", "seed", "attempts", "checks", "max_checks", "way_points")
+    PLANNER_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    ATTEMPTS_FIELD_NUMBER: _ClassVar[int]
+    CHECKS_FIELD_NUMBER: _ClassVar[int]
+    MAX_CHECKS_FIELD_NUMBER: _ClassVar[int]
+    WAY_POINTS_FIELD_NUMBER: _ClassVar[int]
+    planner: str
+    seed: int
+    attempts: int
+    checks: int
+    max_checks: int
+    way_points: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, planner: _Optional[str] = ..., seed: _Optional[int] = ..., attempts: _Optional[int] = ..., checks: _Optional[int] = ..., max_checks: _Optional[int] = ..., way_points: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class BeginTrajectory(_message.Message):
+    __slots__ = ("body", "number", "trajectory", "search")
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
+    SEARCH_FIELD_NUMBER: _ClassVar[int]
+    body: str
+    number: int
+    trajectory: Trajectory
+    search: PathSearch
+    def __init__(self, body: _Optional[str] = ..., number: _Optional[int] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., search: _Optional[_Union[PathSearch, _Mapping]] = ...) -> None: ...
+
+class StopTrajectory(_message.Message):
+    __slots__ = ("number",)
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    def __init__(self, number: _Optional[int] = ...) -> None: ...
+
+class Driven(_message.Message):
+    __slots__ = ("number", "body", "time", "error", "joint", "ended")
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    JOINT_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    number: int
+    body: str
+    time: float
+    error: float
+    joint: str
+    ended: bool
+    def __init__(self, number: _Optional[int] = ..., body: _Optional[str] = ..., time: _Optional[float] = ..., error: _Optional[float] = ..., joint: _Optional[str] = ..., ended: bool = ...) -> None: ...
+
+class Following(_message.Message):
+    __slots__ = ("begin", "began", "stopped")
+    BEGIN_FIELD_NUMBER: _ClassVar[int]
+    BEGAN_FIELD_NUMBER: _ClassVar[int]
+    STOPPED_FIELD_NUMBER: _ClassVar[int]
+    begin: BeginTrajectory
+    began: int
+    stopped: int
+    def __init__(self, begin: _Optional[_Union[BeginTrajectory, _Mapping]] = ..., began: _Optional[int] = ..., stopped: _Optional[int] = ...) -> None: ...
 
 class Reset(_message.Message):
     __slots__ = ()
@@ -348,7 +422,7 @@ class Effect(_message.Message):
     def __init__(self, bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., removed: _Optional[_Iterable[str]] = ..., attached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., detached: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., samples: _Optional[_Iterable[_Union[Sample, _Mapping]]] = ...) -> None: ...
 
 class Mutation(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "restore", "effect", "source_file", "source_line", "callers", "drags", "by_fork")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "open_world", "close_world", "load_body", "remove_body", "move_body", "move_joints", "attach_body", "detach_body", "set_gravity", "set_realtime", "set_color", "set_robot", "simulate", "reset", "restore", "begin_trajectory", "stop_trajectory", "effect", "source_file", "source_line", "callers", "drags", "by_fork")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -372,6 +446,8 @@ class Mutation(_message.Message):
     SIMULATE_FIELD_NUMBER: _ClassVar[int]
     RESET_FIELD_NUMBER: _ClassVar[int]
     RESTORE_FIELD_NUMBER: _ClassVar[int]
+    BEGIN_TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
+    STOP_TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
     EFFECT_FIELD_NUMBER: _ClassVar[int]
     SOURCE_FILE_FIELD_NUMBER: _ClassVar[int]
     SOURCE_LINE_FIELD_NUMBER: _ClassVar[int]
@@ -401,16 +477,18 @@ class Mutation(_message.Message):
     simulate: Simulate
     reset: Reset
     restore: Restore
+    begin_trajectory: BeginTrajectory
+    stop_trajectory: StopTrajectory
     effect: Effect
     source_file: str
     source_line: int
     callers: _containers.RepeatedCompositeFieldContainer[SourceLine]
     drags: _containers.RepeatedCompositeFieldContainer[Drag]
     by_fork: bool
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ..., by_fork: bool = ...) -> None: ...
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., open_world: _Optional[_Union[OpenWorld, _Mapping]] = ..., close_world: _Optional[_Union[CloseWorld, _Mapping]] = ..., load_body: _Optional[_Union[LoadBody, _Mapping]] = ..., remove_body: _Optional[_Union[RemoveBody, _Mapping]] = ..., move_body: _Optional[_Union[MoveBody, _Mapping]] = ..., move_joints: _Optional[_Union[MoveJoints, _Mapping]] = ..., attach_body: _Optional[_Union[AttachBody, _Mapping]] = ..., detach_body: _Optional[_Union[DetachBody, _Mapping]] = ..., set_gravity: _Optional[_Union[SetGravity, _Mapping]] = ..., set_realtime: _Optional[_Union[SetRealtime, _Mapping]] = ..., set_color: _Optional[_Union[SetColor, _Mapping]] = ..., set_robot: _Optional[_Union[SetRobot, _Mapping]] = ..., simulate: _Optional[_Union[Simulate, _Mapping]] = ..., reset: _Optional[_Union[Reset, _Mapping]] = ..., restore: _Optional[_Union[Restore, _Mapping]] = ..., begin_trajectory: _Optional[_Union[BeginTrajectory, _Mapping]] = ..., stop_trajectory: _Optional[_Union[StopTrajectory, _Mapping]] = ..., effect: _Optional[_Union[Effect, _Mapping]] = ..., source_file: _Optional[str] = ..., source_line: _Optional[int] = ..., callers: _Optional[_Iterable[_Union[SourceLine, _Mapping]]] = ..., drags: _Optional[_Iterable[_Union[Drag, _Mapping]]] = ..., by_fork: bool = ...) -> None: ...
 
 class Keyframe(_message.Message):
-    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot")
+    __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "mode", "gravity", "realtime", "loaded", "bodies", "attachments", "robot", "following")
     SEQ_FIELD_NUMBER: _ClassVar[int]
     WALL_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     SIM_STEP_FIELD_NUMBER: _ClassVar[int]
@@ -426,6 +504,7 @@ class Keyframe(_message.Message):
     BODIES_FIELD_NUMBER: _ClassVar[int]
     ATTACHMENTS_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
+    FOLLOWING_FIELD_NUMBER: _ClassVar[int]
     seq: int
     wall_time_ns: int
     sim_step: int
@@ -441,7 +520,8 @@ class Keyframe(_message.Message):
     bodies: _containers.RepeatedCompositeFieldContainer[BodyState]
     attachments: _containers.RepeatedCompositeFieldContainer[Attachment]
     robot: str
-    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ...) -> None: ...
+    following: _containers.RepeatedCompositeFieldContainer[Following]
+    def __init__(self, seq: _Optional[int] = ..., wall_time_ns: _Optional[int] = ..., sim_step: _Optional[int] = ..., world: _Optional[str] = ..., task: _Optional[int] = ..., thread: _Optional[str] = ..., cause: _Optional[int] = ..., monotonic_ns: _Optional[int] = ..., mode: _Optional[str] = ..., gravity: _Optional[_Iterable[float]] = ..., realtime: bool = ..., loaded: _Optional[_Iterable[_Union[LoadBody, _Mapping]]] = ..., bodies: _Optional[_Iterable[_Union[BodyState, _Mapping]]] = ..., attachments: _Optional[_Iterable[_Union[Attachment, _Mapping]]] = ..., robot: _Optional[str] = ..., following: _Optional[_Iterable[_Union[Following, _Mapping]]] = ...) -> None: ...
 
 class Task(_message.Message):
     __slots__ = ("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "cause", "monotonic_ns", "phase", "status", "parent", "kind", "name", "parameters", "solution", "result_json", "failure", "duration_ns", "source_file", "source_line", "attempt", "callers", "decision", "began_ns", "checkpoint")

@@ -1,0 +1,106 @@
+"""Trajectories: where joints of a body, or its base, are to be at each moment of a motion.
+
+Between its times a trajectory is cubic (Hermite), so positions and velocities are continuous. It is evaluated in plain
+floats, operation by operation, so that a recorded one gives the same targets to the last bit wherever it is followed
+again.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from pycram.foundation.failures import BadArgument
+from recorder import records
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_COORDINATES = ("x", "y", "yaw")
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """A timed motion of some joints of a body, or of its base.
+
+    Attributes:
+        joints: names of the joints; none for the base, whose coordinates are x and y in m and yaw in rad, world frame.
+        times: n times in s since it began: from 0, strictly increasing; n is at least 1.
+        positions: n rows of positions in rad or m, one a coordinate.
+        velocities: n rows of velocities in rad/s or m/s.
+
+    Raises:
+        BadArgument: The numbers aren't finite, or don't fit each other.
+    """
+
+    joints: tuple[str, ...]
+    times: tuple[float, ...]
+    positions: tuple[tuple[float, ...], ...]
+    velocities: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        width = len(self.coordinates)
+        if not self.times or self.times[0] != 0 or any(b <= a for a, b in pairwise(self.times)):
+            raise BadArgument("times", self.times, "times in s from 0 on, strictly increasing")
+        for name, rows in (("positions", self.positions), ("velocities", self.velocities)):
+            if len(rows) != len(self.times) or any(len(row) != width for row in rows):
+                raise BadArgument(name, rows, f"{len(self.times)} rows of {width} numbers")
+            if not all(isfinite(number) for row in rows for number in row):
+                raise BadArgument(name, rows, "finite numbers")
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the columns: joints, or x, y and yaw of the base."""
+        return self.joints or _COORDINATES
+
+    @property
+    def duration(self) -> float:
+        """How long it takes, in s."""
+        return self.times[-1]
+
+    def at(self, time: float) -> tuple[Sequence[float], Sequence[float]]:
+        """Return positions and velocities at a time in s; before its begin and after its end it stands."""
+        if time <= 0 or time >= self.duration:
+            return self.positions[0 if time <= 0 else -1], (0.0,) * len(self.coordinates)
+        after = bisect_right(self.times, time)
+        start, end = self.times[after - 1], self.times[after]
+        span = end - start
+        s = (time - start) / span
+        rows = zip(
+            self.positions[after - 1], self.positions[after], self.velocities[after - 1], self.velocities[after],
+            strict=True,
+        )  # fmt: skip
+        positions, velocities = [], []
+        for p, q, v, w in rows:
+            a, b = p - q, span * (v + w)
+            cubic, square = 2 * a + b, -3 * a - span * (2 * v + w)
+            positions.append(((cubic * s + square) * s + span * v) * s + p)
+            velocities.append(((3 * cubic * s + 2 * square) * s + span * v) / span)
+        return positions, velocities
+
+    def record(self) -> records.Trajectory:
+        """Return it as records have it."""
+        return records.Trajectory(
+            joints=self.joints,
+            times=self.times,
+            positions=[number for row in self.positions for number in row],
+            velocities=[number for row in self.velocities for number in row],
+        )
+
+    @classmethod
+    def of_record(cls, record: records.Trajectory) -> Trajectory:
+        """Return the trajectory of a record.
+
+        Raises:
+            BadArgument: Its numbers don't fit each other.
+        """
+        joints = tuple(record.joints)
+        width = len(joints or _COORDINATES)
+
+        def rows(numbers: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+            return tuple(tuple(numbers[start : start + width]) for start in range(0, len(numbers), width))
+
+        return cls(joints, tuple(record.times), rows(record.positions), rows(record.velocities))
