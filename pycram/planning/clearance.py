@@ -38,9 +38,7 @@ class Clearance:
         blocking: how often which two links were in the way, and how deep they overlapped at most, m.
     """
 
-    def __init__(
-        self, checker: CollisionChecker, predict: Callable[[Array], list[Candidate]], start: Array
-    ) -> None:
+    def __init__(self, checker: CollisionChecker, predict: Callable[[Array], list[Candidate]], start: Array) -> None:
         self._checker = checker
         self._predict = predict
         self._allowed: dict[Pair, float] = {}
@@ -85,7 +83,7 @@ class Clearance:
         """Yield configurations (n, d) in which something is touched, the first pair that was found, and how deep."""
         for number, (candidate, own) in enumerate(zip(*self._candidates(rows), strict=True)):
             pairs: Sequence[Pair] = (*self._checker.pairs(candidate), *own)
-            if self._last in pairs:  # what was in the way mostly is so again
+            if self._last is not None and self._last in pairs:  # what was in the way mostly is so again
                 pairs = (self._last, *pairs)
             for pair in pairs:
                 depth = self._checker.depth(candidate, pair)

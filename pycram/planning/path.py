@@ -14,8 +14,6 @@ from pycram.reasoning.rejections import Touching, Unreached
 from pycram.scheduling.schedule import run_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from pycram.planning.clearance import Clearance
@@ -116,9 +114,7 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     pairs = clearance.worst(_MAX_PAIRS)
     distance = float(distances.min())
     choice.reject(RRT_CONNECT, Unreached(clearance.checks, distance, pairs))
-    raise NoPath(
-        query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs
-    )
+    raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
 
 
 def _searched(query: Query, clearance: Clearance, attempt: int, share: float) -> tuple[Array | None, Array]:

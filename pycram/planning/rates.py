@@ -56,7 +56,7 @@ def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) 
 
 
 def base_rates(robot: Object) -> Rates:
-    """Return the limits of a base's x, y and heading: of its speed in eight directions, so as not to exceed it in any."""
+    """Return the limits of a base's x, y and heading: its speed is limited in eight directions, and so in all."""
     limits = robot.description.limits if robot.description else _DEFAULTS
     half = math.sqrt(0.5)
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [half, half, 0.0], [half, -half, 0.0], [0.0, 0.0, 1.0]])

@@ -108,8 +108,6 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
         if found is not None:
             break
     else:
-        if len(path) == 2:  # noqa: PLR2004
-            raise AssertionError("a straight line can be timed")
         return stopping(path, rates)
     times = np.linspace(0.0, found.duration, max(2, math.ceil(found.duration * _RATE) + 1))
     back = np.linalg.pinv(rates.directions).T

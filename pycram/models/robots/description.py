@@ -26,7 +26,16 @@ if TYPE_CHECKING:
 
     from recorder.geometry.urdf import Urdf
 
-__all__ = ["Arm", "CameraDescription", "Gripper", "Head", "MotionLimits", "RobotDescription", "Torso", "find_description"]
+__all__ = [
+    "Arm",
+    "CameraDescription",
+    "Gripper",
+    "Head",
+    "MotionLimits",
+    "RobotDescription",
+    "Torso",
+    "find_description",
+]
 
 
 @dataclass(frozen=True, slots=True)
