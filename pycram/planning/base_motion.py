@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _COORDINATES: Final = ("x", "y", "yaw")
 _ROOM: Final = 3.0  # m around start and goal that a path may go
 _TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
-_STEP: Final = 0.04  # m between poses that are checked while a path is searched
+_STEP: Final = 0.06  # m between poses that are checked while a path is searched
 
 
 def base_motion(

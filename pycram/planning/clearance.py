@@ -7,6 +7,7 @@ fingers; but it must not get deeper there, nor touch anything else.
 from __future__ import annotations
 
 from collections import Counter
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 _DEEPER: Final = 1e-3  # m that a touch may get deeper than it is at the start
 _BATCH: Final = 64  # configurations whose boxes are compared at once
+_FIRST_BATCH: Final = 16  # of those that are spread over an edge: most edges that aren't free show it there
 
 
 class Clearance:
@@ -54,11 +56,11 @@ class Clearance:
 
     def free(self, rows: Array) -> bool:
         """Return whether nothing is touched in configurations (n, d); those in the middle are looked at first."""
-        for begin in range(0, len(rows), _BATCH):
-            part = rows[begin : begin + _BATCH]
-            if any(True for _ in self._touched(part[_spread(len(part))])):
-                return False
-        return True
+        if not len(rows):
+            return True
+        spread = rows[_spread(len(rows))]
+        starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
+        return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
     def first_touch(self, rows: Array) -> tuple[int, CollisionPair] | None:
         """Return the number of the first configuration (n, d) in which something is touched, and what; None if none."""

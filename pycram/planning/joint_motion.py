@@ -145,6 +145,8 @@ class _Moved:
         self._endless = np.array([not math.isfinite(joint.lower) for joint in self._joints], dtype=bool)
         self.start = np.array([now[name] for name in self.searched])
         self.goal = nearest_turns(self.start, np.array([wanted[name] for name in self.searched]), self._endless)
+        if not moving:
+            self.goal = self.start
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property

@@ -126,6 +126,7 @@ def _searched(query: Query, clearance: Clearance, attempt: int, share: float) ->
         query.goal,
         clearance,
         step=query.space.step * share,
+        fine=query.space.step * _FINE,
         seed=query.drawn_seed(attempt),
         max_checks=MAX_CHECKS,
     )

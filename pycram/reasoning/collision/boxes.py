@@ -159,12 +159,10 @@ def overlapping_pairs(
         Indices of postures and of the pairs that overlap in them, in order.
     """
     sizes = _world_extents(axes, half_extents)
-    lows, highs = centers - sizes, centers + sizes
     close = np.ones((len(centers), len(a)), dtype=bool)
-    for axis in range(3):  # take() is several times faster than an index
-        low, high = lows[:, :, axis], highs[:, :, axis]
-        close &= low.take(a, axis=1) <= high.take(b, axis=1)
-        close &= low.take(b, axis=1) <= high.take(a, axis=1)
+    for axis in range(3):
+        center, size = centers[:, :, axis], sizes[:, :, axis]
+        close &= np.abs(center.take(a, axis=1) - center.take(b, axis=1)) <= size.take(a, axis=1) + size.take(b, axis=1)
     posture, pair = np.nonzero(close)
     if not len(pair):
         return posture, pair

@@ -161,8 +161,11 @@ class CollisionChecker:
 
     def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
         """Return (n, 4, 4) how the robot moves from where it stands to poses of its base."""
-        here = geometry.invert(self._links.base_pose)
-        return np.array([geometry.pose_matrix(geometry.multiply(base, here)) for base in bases])
+        placed = np.zeros((len(bases), 4, 4))
+        placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
+        placed[:, :3, 3] = [position for position, _ in bases]
+        placed[:, 3, 3] = 1.0
+        return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
     def _overlapping(
         self,
