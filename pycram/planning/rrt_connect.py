@@ -58,7 +58,7 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
 
 
 class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
-    """Lets single configurations pass: OMPL asks before it asks for an edge from there, which is checked with both ends."""
+    """Lets single configurations pass: OMPL asks for an edge from each as well, which is checked with both ends."""
 
     def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
         return True

@@ -73,6 +73,10 @@ class Boxes:
         links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
         return Boxes(links, self.centers[which], self.axes[which], self.half_extents[which])
 
+    def widened(self, margin: float) -> Boxes:
+        """Return them wider by a margin in m to each side."""
+        return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
+
     def moved(self, transforms: Array) -> tuple[Array, Array]:
         """Return centers (n, k, 3), m, and axes (n, k, 3, 3) of the boxes moved by transforms (n, k, 4, 4)."""
         turns = transforms[..., :3, :3]
