@@ -41,15 +41,16 @@ class MoveJoints(SimulatedModule):
                 raise BadArgument(f"{name}-arm", wanted, f"{len(arm.joints)} joint values")
             else:
                 positions |= dict(zip(arm.joints, wanted, strict=True))
-        with robot.world.lock:
-            with choosing("posture", robot.world, **moved) as choice:
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("posture", robot.world, **moved) as choice:
                 touched = checker.newly_touched(robot, positions)
                 if touched:
                     choice.reject(AS_ASKED, Touching(touched))
                     arms = [name.removesuffix("-arm") for name in moved]
                     raise PostureInCollision(arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
                 choice.take(AS_ASKED)
-            robot.set_joint_positions(positions)
+                move = self.execution.move(robot, positions)
+            move()
 
 
 class MoveTCP(SimulatedModule):
@@ -61,10 +62,13 @@ class MoveTCP(SimulatedModule):
         arm = self.description(robot).arm(solution["arm"])
         target = solution["target"]
         turn = solution.get("orientation")
-        with robot.world.lock:
-            with choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice:
-                positions = _posture(robot, arm, target, turn, choice)
-            robot.set_joint_positions(positions)
+        with self.execution.whole(robot.world):
+            with (
+                robot.world.lock,
+                choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice,
+            ):
+                move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
+            move()
 
 
 def _posture(

@@ -32,8 +32,8 @@ class Navigation(SimulatedModule):
         target, orientation = solution["target"], solution["orientation"]
         if robot.description is not None and not robot.description.drives:
             raise NotDrivable(target, orientation, "its base is fixed")
-        with robot.world.lock:
-            with choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
                 try:
                     _check_ground(robot, target, orientation)
                 except NotDrivable as refusal:
@@ -45,7 +45,8 @@ class Navigation(SimulatedModule):
                     choice.reject(AS_ASKED, Touching(pairs))
                     raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
                 choice.take(AS_ASKED)
-            robot.set_position_and_orientation(target, orientation)
+                drive = self.execution.drive(robot, target, orientation)
+            drive()
 
 
 def _check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:

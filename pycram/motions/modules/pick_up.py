@@ -24,16 +24,19 @@ if TYPE_CHECKING:
     from pycram.reasoning.grasping.fingers import Closing
     from pycram.reasoning.grasping.grasps import Grasp
     from pycram.world.object import Object
+    from recorder.geometry import PoseLike
 
 _MAX_GRASPS: Final = 6  # that are tried, one after the other
 _MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
 _LEANING: Final = math.radians(5)  # that the message tells
+_STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
+_BEHIND: Final = (-1.0, 0.0, 0.0)  # where the gripper comes from, in the tool frame
 
 
 class PickUp(SimulatedModule):
     """Reaches for an object, closes the gripper around it and takes it: with a finger on both sides, touching no more.
 
-    No time passes, the object stays where it is. Everything is planned before anything moves.
+    Everything is planned before anything moves, and looked at again when the hand is there and when it has closed.
     """
 
     def _execute(self, designator: Designator) -> Object:
@@ -41,16 +44,25 @@ class PickUp(SimulatedModule):
         robot = self.robot()
         arm = self.description(robot).arm(solution["arm"])
         body: Object = solution["object"]
-        gripper = arm.gripper
-        with robot.world.lock:
-            with choosing("grasp", robot.world, object=body, arm=arm.name, side=solution.get("grasp")) as choice:
+        world, side = robot.world, solution.get("grasp")
+        with self.execution.whole(world):
+            with world.lock, choosing("grasp", world, object=body, arm=arm.name, side=side) as choice:
                 self._check_free(robot, arm, body)
-                names = (solution["grasp"],) if "grasp" in solution else None
-                posture, closed = _plan(robot, arm, body, names, choice)
-            robot.set_joint_positions(gripper.positions("open"))
-            robot.set_joint_positions(posture)
-            robot.set_joint_positions(closed)
-            robot.attach(body, arm.tool_frame)
+                posture, closed = _plan(robot, arm, body, None if side is None else (side,), choice)
+                stood = body.get_position_and_orientation()
+                opened = arm.gripper.positions("open")
+                reach = self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
+            reach()
+            with world.lock:
+                self._check_still(robot, arm, body, stood)
+                close = self.execution.grip(robot, closed)
+            close()
+            with world.lock:
+                sides = fingers.sides_held(robot, arm, body)
+                if sides < 2:
+                    where = "on one side only" if sides else "nowhere"
+                    raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
+                robot.attach(body, arm.tool_frame)
         return body
 
     def _check_free(self, robot: Object, arm: Arm, body: Object) -> None:
@@ -72,6 +84,16 @@ class PickUp(SimulatedModule):
                 if depth > overlaps.DEEP:
                     inside = f"it is {depth * 1e3:.0f} mm inside of {other.name}"
                     raise GraspFailed(arm.name, body.name, inside)
+
+    def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike) -> None:
+        """Check that an object is where it was when the hand set out for it, and free."""
+        if body.carrier is not None:
+            raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
+        position, turn = body.get_position_and_orientation()
+        moved, turned = math.dist(position, stood[0]), geometry.angle(turn, stood[1])
+        if moved > _STILL[0] or turned > _STILL[1]:
+            by = f"{moved:.3f} m and {math.degrees(turned):.0f} degrees"
+            raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand came; pick it up again")
 
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
         """Return what holds an object already, and how to hand it over."""

@@ -179,20 +179,35 @@ def closed_around(robot: Object, arm: Arm, posture: Mapping[str, float], body: O
             end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
             positions |= {joint: end[joint] for joint in joints}
         engine.pose_joints(hand, coupled(robot, positions))
-        position, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
-        across = geometry.rotate(turn, (0.0, 1.0, 0.0))
-        least = _AROUND if len(parts) >= _MANY else _ACROSS
-        sides = set()
-        for finger in gripper.fingers:
-            for touch in engine.link_closest_points(hand, finger, target, _REACH):
-                along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
-                sides |= {math.copysign(1.0, along)} if abs(along) > least else set()
+        sides = _sides(engine, hand, target, arm, len(parts))
+        position = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))[0]
         others = [other for other in robot.world.objects if other not in (robot, body) and _is_near(other, position)]
         depths = _depths(engine, hand, gripper, {other: clone.body(other.name) for other in others})
     finally:
         clone.invalidate(robot.name)
     deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}
-    return Closing(positions, len(sides), _pairs(robot, deep))
+    return Closing(positions, sides, _pairs(robot, deep))
+
+
+def sides_held(robot: Object, arm: Arm, body: Object) -> int:
+    """Return on how many sides of an object the fingers of an arm are now: 0, 1 or 2; see :class:`Closing`."""
+    engine, gripper = robot.world.engine, arm.gripper
+    if gripper.suction:
+        return 2 if engine.link_closest_points(robot.handle, gripper.palm, body.handle, _AT_CUP) else 0
+    return _sides(engine, robot.handle, body.handle, arm, len(_parts(robot, gripper)))
+
+
+def _sides(engine: Engine, hand: Body, target: Body, arm: Arm, parts: int) -> int:
+    """Return on how many sides of a body fingers are, of which so many could move alone."""
+    _, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
+    across = geometry.rotate(turn, (0.0, 1.0, 0.0))
+    least = _AROUND if parts >= _MANY else _ACROSS
+    sides = set()
+    for finger in arm.gripper.fingers:
+        for touch in engine.link_closest_points(hand, finger, target, _REACH):
+            along = sum(a * b for a, b in zip(touch.normal, across, strict=True))
+            sides |= {math.copysign(1.0, along)} if abs(along) > least else set()
+    return len(sides)
 
 
 def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]:
