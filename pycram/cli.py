@@ -97,6 +97,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
         options.rerun,
         seed=seed,
         order=options.order,
+        motion=options.motion,
         local_variables=not options.no_locals,
         overwrite=options.overwrite,
         durable=options.durable,
@@ -122,7 +123,8 @@ def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequ
     from pycram.exploration import command  # noqa: PLC0415  as above
 
     def run_once(order: str, file: Path) -> None:
-        run(plan, file, arguments, seed=seed, order=order, local_variables=not options.no_locals, overwrite=True)
+        kept = not options.no_locals
+        run(plan, file, arguments, seed=seed, order=order, motion=options.motion, local_variables=kept, overwrite=True)
 
     return command.run(
         run_once,
@@ -130,6 +132,7 @@ def _explore(options: argparse.Namespace, plan: Path, log: Path, arguments: Sequ
         arguments,
         options.explore,
         seed=seed,
+        motion=options.motion,
         depth=options.depth or exploration.DEPTH,
         limit=options.limit or exploration.LIMIT,
         file=log,
@@ -189,6 +192,13 @@ def _parser() -> argparse.ArgumentParser:
             type=_order,
             default="",
             help="another order of branches than the seed draws, as --explore tells it",
+        )
+        recorded.add_argument(
+            "--motion",
+            choices=("simulated", "continuous"),
+            default="",
+            help="how motions are carried out where the plan doesn't say: at once (simulated, the default), or in "
+            "simulated time, on paths without collision (continuous)",
         )
         recorded.add_argument(
             "--explore",
@@ -286,6 +296,7 @@ def run(
     *,
     seed: int | None = None,
     order: str = "",
+    motion: str = "",
     local_variables: bool = True,
     overwrite: bool = False,
     durable: bool = False,
@@ -300,6 +311,7 @@ def run(
         live: The live viewer; see :func:`recorder.record`.
         seed: Of random numbers; None to leave them as they are.
         order: Of branches; "" for the one that the seed draws.
+        motion: The execution environment where the plan names none; "" for "simulated".
         local_variables: Whether failures hold the plan's local variables.
         overwrite: Whether a recording that is there is replaced.
         durable: Whether records survive the loss of power.
@@ -315,8 +327,10 @@ def run(
     seed_random_numbers(seed)
     try:
         with needed():
-            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  --version and --help need no executor
+            from pycram.motions.environments import set_default  # noqa: PLC0415  --version and --help need no executor
+            from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(seed, order)
+        set_default(motion)
         recorded = record(
             file,
             live,
@@ -325,6 +339,7 @@ def run(
             source=plan,
             seed=seed,
             order=order,
+            environment=motion,
             output=True,
             locals=local_variables,
             overwrite=overwrite,

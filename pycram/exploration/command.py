@@ -34,6 +34,7 @@ def run(
     count: int,
     *,
     seed: int,
+    motion: str = "",
     depth: int,
     limit: float,
     file: Path,
@@ -48,6 +49,7 @@ def run(
         arguments: The plan's.
         count: How many orders.
         seed: The runs'.
+        motion: Their execution environment, where one was asked for.
         depth: Of the races.
         limit: Seconds that a run may take.
         file: What recordings are named after.
@@ -67,7 +69,7 @@ def run(
     except (NotExplorable, RecordingError) as error:
         print(f"pycram: {error}", file=sys.stderr)
         return _WRONG_USAGE
-    command = ["pycram", "run", "--seed", str(seed)]
+    command = ["pycram", "run", *(["--motion", motion] if motion else []), "--seed", str(seed)]
     rest = [plan, *(["--", *arguments] if arguments else [])]
     if as_json:
         print(json.dumps(_data(result, command, rest), indent=2))

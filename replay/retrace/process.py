@@ -287,7 +287,8 @@ def run_plan(
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
                 runpy.run_path(plan, run_name="__main__")
         else:
-            cli.run(Path(plan), file, arguments, seed=seed, order=getattr(began, "order", ""))
+            order, motion = getattr(began, "order", ""), getattr(began, "environment", "")
+            cli.run(Path(plan), file, arguments, seed=seed, order=order, motion=motion)
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:
