@@ -98,8 +98,14 @@ class Execution(ABC):
         """Get an arm that holds a handle through postures, and the handle's joint through their values (rad or m)."""
 
     @abstractmethod
-    def retreat(self, robot: Object, arm: Arm) -> Step | None:
-        """Draw a hand straight back out of what it has let go of; None if it stays where it is."""
+    def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
+        """Draw a hand straight back out of what it has let go of; None if it stays where it is.
+
+        Args:
+            robot: The robot.
+            arm: The arm.
+            ignored_links: What the hand may touch on its way, by objects and links of theirs.
+        """
 
     @abstractmethod
     def settle(self, world: BulletWorld) -> Sequence[Object]:
@@ -177,7 +183,12 @@ class InstantExecution(Execution):
 
         return step
 
-    def retreat(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002  nothing is on a hand's way that has none
+    def retreat(
+        self,
+        robot: Object,  # noqa: ARG002  as above
+        arm: Arm,  # noqa: ARG002
+        ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
+    ) -> Step | None:
         """Leave the hand where it is."""
         return None
 

@@ -86,7 +86,7 @@ class Accessing(SimulatedModule):
                 release = self.execution.open(robot, arm)
             release()
             with robot.world.lock:
-                retreat = self.execution.retreat(robot, arm)
+                retreat = self.execution.retreat(robot, arm, [(container, link)])
             if retreat is not None:
                 retreat()
 

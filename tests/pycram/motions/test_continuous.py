@@ -1,0 +1,146 @@
+"""Motions that take simulated time: the same designators, the same promises; what moves can be stopped."""
+
+from __future__ import annotations
+
+import math
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import pytest
+
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.failures import AccessFailed, GraspFailed, InCollision, PlanFailure, Unreachable
+from pycram.fluent import network, whenever
+from pycram.fluents.world import joint, pose, position
+from pycram.language import State, par, pursue, timeout
+from pycram.language.timeouts import TimedOut
+from pycram.process_module import ProcessModule, execution_environment
+from recorder import geometry
+from recorder.records import STEPS_PER_SECOND, Mutation, Task
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tests.conftest import MemorySink
+
+DRAWER = "sink_area_left_upper_drawer_main_joint"
+HANDLE = "sink_area_left_upper_drawer_handle"
+
+
+@pytest.fixture(autouse=True)
+def continuous() -> Iterator[None]:
+    with execution_environment("continuous"):
+        yield
+
+
+def perform(**slots: object) -> object:
+    return ProcessModule.perform(MotionDesignator([(key.replace("_", "-"), value) for key, value in slots.items()]))
+
+
+def seconds(world: BulletWorld, before: int) -> float:
+    return (world.sim_step - before) / STEPS_PER_SECOND
+
+
+def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
+    return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
+
+
+def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot, begun = shared_scene.robot, shared_scene.sim_step
+    robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
+    perform(type="moving", target=[-0.1, 1.3, 0], orientation=[0, 0, 1, 0])
+    assert robot.get_position() == pytest.approx([-0.1, 1.3, 0], abs=1e-6)
+    assert seconds(shared_scene, begun) > math.pi / 2  # to turn by half a turn, at 1 rad/s at most
+    (simulated,) = [record for record in sink.of(Mutation) if record.HasField("simulate")]  # alone: one record
+    assert simulated.effect.samples
+    with pytest.raises(InCollision):
+        perform(type="moving", target=[1.2, 0.7, 0])
+
+
+@pytest.mark.slow
+def test_what_is_picked_up_is_carried_in_the_hand_and_placed(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    perform(type="pick-up", object=milk, arm="left")
+    held = geometry.multiply(geometry.invert(tool(robot, "left")), milk.get_position_and_orientation())
+    assert robot.attachments[milk].carrier is robot
+    perform(type="move-arm-joints", left_arm="park")
+    now = geometry.multiply(geometry.invert(tool(robot, "left")), milk.get_position_and_orientation())
+    assert math.dist(now[0], held[0]) < 1e-3
+    perform(type="place", object=milk, target=[1.3, 1.05, 0.95], arm="left")
+    assert not robot.carried
+    assert milk.get_position()[:2] == pytest.approx([1.3, 1.05], abs=0.02)
+    hand, body = tool(robot, "left")[0], milk.get_position()
+    assert math.dist(hand, body) > 0.05  # it was drawn back
+    assert not [record for record in sink.of(Mutation) if record.HasField("move_joints") or record.HasField("move_body")]
+
+
+@pytest.mark.slow
+def test_a_drawer_opens_with_the_hand_and_takes_along_what_lies_in_it(shared_scene: BulletWorld) -> None:
+    kitchen, spoon = shared_scene.get_object("kitchen"), shared_scene.get_object("spoon")
+    lay = spoon.get_position()
+    perform(type="accessing", drawer_joint=DRAWER, drawer_handle=HANDLE, part_of=kitchen, arm="left", distance=0.2)
+    assert kitchen.get_joint_position(DRAWER) == pytest.approx(0.2, abs=2e-3)
+    assert lay[0] - spoon.get_position()[0] == pytest.approx(0.2, abs=0.01)
+    with pytest.raises(AccessFailed, match="opens up to"):
+        perform(type="accessing", drawer_joint=DRAWER, drawer_handle=HANDLE, part_of=kitchen, arm="left", distance=2)
+
+
+@pytest.mark.slow
+def test_branches_move_at_the_same_time(shared_scene: BulletWorld) -> None:
+    robot = shared_scene.robot
+    raised = {arm: [*robot.description.arm(arm).poses["park"]] for arm in ("left", "right")}
+    for posture in raised.values():
+        posture[5] -= 0.8
+    begun = shared_scene.sim_step
+    perform(type="move-arm-joints", left_arm=raised["left"])
+    alone = seconds(shared_scene, begun)
+    perform(type="move-arm-joints", left_arm="park")
+    begun = shared_scene.sim_step
+    with par:
+        perform(type="move-arm-joints", left_arm=raised["left"])
+        perform(type="move-arm-joints", right_arm=raised["right"])
+    assert seconds(shared_scene, begun) == pytest.approx(alone, abs=0.1)
+    for arm, posture in raised.items():
+        joints = robot.description.arm(arm).joints
+        assert [robot.get_joint_position(name) for name in joints] == pytest.approx(posture, abs=0.01)
+
+
+def test_time_stands_still_while_nobody_moves(shared_scene: BulletWorld) -> None:
+    begun = shared_scene.sim_step
+    assert perform(type="world-state-detecting", object_type="milk").name == "milk"
+    assert shared_scene.sim_step == begun
+    perform(type="looking", object=shared_scene.get_object("milk"))
+    assert shared_scene.sim_step > begun
+
+
+@pytest.mark.slow
+def test_fingers_close_as_far_as_they_get_and_what_is_let_go_falls(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    assert perform(type="closing-gripper", gripper="left").share == pytest.approx(0, abs=0.01)
+    opened = perform(type="opening-gripper", gripper="left")
+    assert opened.share == pytest.approx(1, abs=0.01)
+    finger = robot.description.arm("left").gripper.at(1.0)
+    assert {name: robot.get_joint_position(name) for name in finger} == pytest.approx(finger, abs=5e-3)
+    perform(type="pick-up", object=milk, arm="left")
+    perform(type="move-arm-joints", left_arm="park")
+    high = milk.get_position()[2]
+    let_go = perform(type="opening-gripper", gripper="left")
+    assert let_go.released is milk
+    assert milk.get_position()[2] < high - 0.2
+
+
+@pytest.mark.slow
+def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    begun = shared_scene.sim_step
+
+    def push() -> None:
+        (network(lambda at: at[0] > 0.9, position(robot, robot.description.arm("left").tool_frame))).wait_for()
+        milk.set_position([1.3, 1.2, milk.get_position()[2]])
+
+    with pytest.raises(GraspFailed, match=r"it was moved by 0\.200 m .* pick it up again"), par as both:
+        both(push)
+        both(perform, type="pick-up", object=milk, arm="left")
+    assert not robot.carried
+    assert shared_scene.sim_step > begun
