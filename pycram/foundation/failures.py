@@ -17,6 +17,7 @@ from pycram.foundation.usage_errors import (
     BadArgument,
     ChangeRefused,
     DisplayError,
+    FollowsTrajectory,
     JointLimitError,
     NoWorld,
     ObjectsChanged,
@@ -40,6 +41,7 @@ __all__ = [
     "CollisionPair",
     "DisplayError",
     "DoesNotFit",
+    "FollowsTrajectory",
     "GraspFailed",
     "GripperBlocked",
     "HandleBlocked",
@@ -58,6 +60,8 @@ __all__ = [
     "PycramError",
     "ReadOnly",
     "ReasoningError",
+    "TrackingLost",
+    "TrajectoryEnded",
     "UnknownName",
     "Unreachable",
     "UsageError",
@@ -297,6 +301,49 @@ class PlaceFailed(PlanFailure):
         self.wanted = wanted
         self.rest = rest
         self.touching = list(touching)
+
+
+class TrackingLost(PlanFailure):
+    """A body couldn't follow its trajectory; it was stopped, and stands where it has got.
+
+    Attributes:
+        body: name of the object.
+        number: the trajectory's number in its world.
+        joint: the joint that was off first.
+        error: how far it was from where it was to be, rad or m.
+        time: how far the trajectory had got, s.
+        pairs: what of the body, or of what it holds, touched something then, hardest first.
+    """
+
+    def __init__(
+        self, body: str, number: int, joint: str, error: float, time: float, pairs: Sequence[CollisionPair]
+    ) -> None:
+        why = f": {phrases(pairs)}" if pairs else "; it touches nothing"
+        super().__init__(f"{joint} of {body} is {error:.3f} off trajectory {number} after {time:.3f} s{why}")
+        self.body = body
+        self.number = number
+        self.joint = joint
+        self.error = error
+        self.time = time
+        self.pairs = list(pairs)
+
+
+class TrajectoryEnded(PlanFailure):
+    """A trajectory that was followed ended before its time: it was stopped, or its world was reset or restored.
+
+    Attributes:
+        body: name of the object.
+        number: the trajectory's number in its world.
+        time: how far it had got, s.
+        duration: how long it takes, s.
+    """
+
+    def __init__(self, body: str, number: int, time: float, duration: float) -> None:
+        super().__init__(f"trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped")
+        self.body = body
+        self.number = number
+        self.time = time
+        self.duration = duration
 
 
 class AccessFailed(PlanFailure):

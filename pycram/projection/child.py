@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone
+from pycram.world.current import open_worlds
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
@@ -98,6 +99,8 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         sys.stdin, sys.stdout, sys.stderr = nothing, nothing, errors
         os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
         begin_alone()
+        for world in open_worlds():
+            world.waits.forget()
         nothing_open()
         forget_claims()
         text = answer()

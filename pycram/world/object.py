@@ -305,6 +305,7 @@ class Object(ReadOnlyAttributes):
         pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
         command = records.MoveBody(body=self.name, position=pose[0], orientation=pose[1])
         with self.world.transactions.begin(records.Mutation(move_body=command)) as transaction:
+            self.world.trajectories.refuse("set its pose", self)
             self.world.engine.set_pose(self.handle, pose)
             transaction.mark_modified(self)
             carried.move_attached(self, transaction)

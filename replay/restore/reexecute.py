@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.world import saved_state
+from pycram.world import driving, saved_state
+from pycram.world.trajectory import Trajectory
 from recorder.records import Keyframe, Mutation
 from recorder.tracing.journal import Journal, unrecorded
 from replay.errors import Damaged, NotRestored
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.world.world import BulletWorld
-    from recorder.records import AttachBody, DetachBody, MoveBody, MoveJoints, Record
+    from recorder.records import AttachBody, BeginTrajectory, DetachBody, MoveBody, MoveJoints, Record
     from recorder.records.asset import AssetFile
     from replay.file.record_reader import RecordReader
 
@@ -191,6 +192,12 @@ def _detach(world: BulletWorld, command: DetachBody) -> None:
     world.get_object(command.carrier).detach(world.get_object(command.body))
 
 
+def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
+    search = command.search if command.HasField("search") else None
+    trajectory = Trajectory.of_record(command.trajectory)
+    driving.begin(world, world.get_object(command.body), trajectory, search, command.number)
+
+
 _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "remove_body": lambda world, command: world.get_object(command.body).remove(),
     "move_body": _move_body,
@@ -201,6 +208,8 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),
     "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),
     "simulate": lambda world, command: world.simulate_steps(command.steps),
+    "begin_trajectory": _begin_trajectory,
+    "stop_trajectory": lambda world, command: driving.stop(world, command.number),
     "reset": lambda world, _: world.reset(),
     "restore": saved_state.put_back,
     "close_world": lambda world, _: world.exit(),
