@@ -50,6 +50,7 @@ __all__ = [
     "JointLimitError",
     "LookingFailed",
     "MissingPart",
+    "NoPath",
     "NoWorld",
     "NotDrivable",
     "ObjectsChanged",
@@ -180,6 +181,38 @@ class PostureInCollision(PlanFailure):
         super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
         self.arms = list(arms)
         self.bodies = list(bodies)
+        self.pairs = list(pairs)
+
+
+class NoPath(PlanFailure):
+    """No path was found, within a budget of checks, on which nothing is touched; that proves of none that there is none.
+
+    Attributes:
+        mover: what was to move: "left arm", "base", ...
+        goal: where to: joint values in rad or m by name; of a base x, y and yaw in the world.
+        checks: configurations that were checked for collisions.
+        nearest: to the goal of those to which a path was found.
+        distance: of that to the goal: Euclidean, of joint values; of a base in m, with half a metre for a radian.
+        pairs: the links that were in the way most often.
+    """
+
+    def __init__(
+        self,
+        mover: str,
+        goal: Mapping[str, float],
+        checks: int,
+        nearest: Mapping[str, float],
+        distance: float,
+        pairs: Sequence[CollisionPair],
+    ) -> None:
+        often = f"; most often {phrases(pairs)}" if pairs else ""
+        looked = f"in {checks} configurations that were checked, it came within {distance:.2f} of the goal"
+        super().__init__(f"the {mover} finds no path there: {looked}{often}; it stays where it is")
+        self.mover = mover
+        self.goal = dict(goal)
+        self.checks = checks
+        self.nearest = dict(nearest)
+        self.distance = distance
         self.pairs = list(pairs)
 
 

@@ -15,7 +15,7 @@ from pycram.reasoning.kinematics.articulation import Articulation
 from pycram.world import carried
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -95,19 +95,21 @@ class MovingLinks:
             apart &= ~(pair | pair.T)
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
 
-    def self_overlaps(self, transforms: NDArray[np.float64]) -> Iterable[tuple[Owner, Owner]]:
-        """Return pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
+    def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
+        """Return for each posture pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
 
         What a link holds is as far from others as the link is. Where one of the two is held, it comes first.
 
         Args:
-            transforms: (joints + 1, 4, 4) of the joints, as the articulation has them.
+            transforms: (n, joints + 1, 4, 4) of the joints in each posture, as the articulation has them.
         """
         a, b = self._pairs
-        centers, axes = self._all_boxes.moved(transforms[None, self._all_drivers])
-        found = overlapping_pairs(centers[0], axes[0], self._all_boxes.half_extents, a, b)
-        pairs = [(self._all_owners[a[pair]], self._all_owners[b[pair]]) for pair in found]
-        return dict.fromkeys((a, b) if b[0] == self._robot else (b, a) for a, b in pairs)
+        centers, axes = self._all_boxes.moved(transforms[:, self._all_drivers])
+        found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
+        for posture, pair in zip(*overlapping_pairs(centers, axes, self._all_boxes.half_extents, a, b), strict=True):
+            one, other = self._all_owners[a[pair]], self._all_owners[b[pair]]
+            found[posture][(one, other) if other[0] == self._robot else (other, one)] = None
+        return found
 
     def hangs_on(self, link: str, other: str) -> bool:
         """Return whether one link hangs on all joints of another, as on a trunk; each is solid or holds something."""
