@@ -39,6 +39,8 @@ _SAME: Final = 1e-4  # rad or m between positions of a joint that is to stay
 class ContinuousExecution(Execution):
     """Motors follow trajectories while simulated time passes, together with all others that move."""
 
+    takes_time = True
+
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002  locks none: others go on
         """Return a context of no effect: others go on meanwhile."""
         return nullcontext()

@@ -36,7 +36,12 @@ class Execution(ABC):
     """How joints and bases get from where they are to where they shall be.
 
     All but :meth:`whole` and :meth:`settle` return what does it, and raise PlanFailure if there is no way there.
+
+    Attributes:
+        takes_time: Whether simulated time passes meanwhile, in which others move too.
     """
+
+    takes_time: bool
 
     @abstractmethod
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
@@ -121,6 +126,8 @@ class InstantExecution(Execution):
 
     The world's lock is held over a motion, so nobody sees half of it.
     """
+
+    takes_time = False
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
         """Return the world's lock."""

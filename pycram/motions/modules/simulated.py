@@ -41,6 +41,7 @@ class SimulatedModule(ProcessModule):
 
     def __init__(self, execution: Execution = INSTANT) -> None:
         self.execution = execution
+        self.one_at_a_time = not execution.takes_time
 
     @staticmethod
     def robot() -> Object:
