@@ -17,7 +17,7 @@ from pycram.language import State, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
 from pycram.process_module import ProcessModule, execution_environment
 from recorder import geometry
-from recorder.records import STEPS_PER_SECOND, Mutation, Task
+from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -139,7 +139,7 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
 
     def push() -> None:
         hand = position(robot, robot.description.arm("left").tool_frame)
-        network(lambda at: math.dist(at, stood) < 0.3, hand).wait_for()
+        (network(lambda at: math.dist(at, stood), hand) < 0.3).wait_for()
         milk.set_position([1.3, 1.2, milk.get_position()[2]])
 
     with pytest.raises(GraspFailed, match=r"it was moved by 0\.200 m .* pick it up again"), par as both:
@@ -147,3 +147,45 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
         both(perform, type="pick-up", object=milk, arm="left")
     assert not robot.carried
     assert shared_scene.sim_step > begun
+
+
+def driven(sink: MemorySink) -> list[Driven]:
+    """How far each trajectory got, in the end."""
+    records = [each for record in sink.of(Mutation) for each in record.simulate.driven]
+    return list({each.number: each for each in records}.values())
+
+
+@pytest.mark.slow
+def test_a_plan_stops_the_arm_when_it_knocks_something_over(shared_scene: BulletWorld, sink: MemorySink) -> None:
+    robot = shared_scene.robot
+    shared_scene.get_object("milk").set_position([1.3, 0.4, 0.95])
+    bottle = Object("bottle", "bottle", "bottle.stl", [1.3, 0.2, 1.0])
+    shared_scene.settle()
+    perform(type="move-tcp", arm="left", target=[1.3, 0.95, 1.0], orientation=[0, 0, 0, 1])
+    stands, begun = bottle.get_position_and_orientation(), shared_scene.sim_step
+    tipped: list[int] = []
+
+    def stand_in_the_way() -> None:
+        (network(itemgetter(1), position(robot, robot.description.arm("left").tool_frame)) > 0.97).wait_for()
+        bottle.set_position([1.32, 1.15, stands[0][2]])
+
+    def watch() -> None:
+        (network(lambda now: geometry.lean(now[1], stands[1]), pose(bottle)) > math.radians(15)).wait_for()
+        tipped.append(shared_scene.sim_step)
+
+    with par as everything:
+        everything(stand_in_the_way)
+        with pursue as first:
+            first(watch)
+            moving = first(perform, type="move-tcp", arm="left", target=[1.3, 1.3, 1.0], orientation=[0, 0, 0, 1])
+    assert moving.status is State.CANCELLED
+    assert begun < tipped[0]
+    assert tool(robot, "left")[0][1] < 1.35
+    (stopped,) = [record for record in sink.of(Mutation) if record.HasField("stop_trajectory")]
+    assert stopped.sim_step == tipped[0]  # where it is seen, it is stopped
+    assert shared_scene.sim_step - tipped[0] <= 0.2 * STEPS_PER_SECOND
+    *_, last = driven(sink)
+    assert last.ended
+    before = robot.get_joint_positions()
+    shared_scene.simulate(0.5)
+    assert robot.get_joint_positions() == pytest.approx(before, abs=5e-3)  # it stands
