@@ -101,7 +101,8 @@ class Outcome:
         failure: What it would raise; a ProjectionDied if it crashed, took too long or needed too much memory; a
             ProjectedError if it can't leave its process.
         duration: Simulated time that it would take in the current world, in s.
-        state: The current world's state at its end, for ``world.restore(outcome.state)``; None if there is none.
+        state: The current world's state at its end, for ``world.restore(outcome.state)``; None if there is none, or
+            if something followed a trajectory then.
         recording: The file with all that it did; None if nothing is recorded.
         unsent: Text of a result that can't leave its process, as it can't be pickled; else "".
     """
@@ -374,7 +375,9 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
         failure = error.with_traceback(None)
     world = current()
     steps = world.sim_step if world is not None else 0
-    state = saved_state.save(world).command.SerializeToString() if world is not None else b""
+    state = b""
+    if world is not None and not world.trajectories.active:
+        state = saved_state.save(world).command.SerializeToString()
     try:
         return _pickled((failure is None, result, failure, steps, state, ""))
     except Exception:  # noqa: BLE001  of a user's own types: then as text

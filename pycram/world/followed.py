@@ -148,16 +148,17 @@ class Trajectories:
         self.last = followed.number
 
     def step(self, steps: int, transaction: Transaction) -> None:
-        """Simulate steps of 1/240 s in which bodies follow their trajectories."""
+        """Simulate steps of 1/240 s in which bodies follow their trajectories; how near is seen at their end."""
         engine, start = self._world.engine, self._world.sim_step
         for sim_step in range(start + 1, start + steps + 1):
             for followed in self.active.values():
                 followed.drive(sim_step, transaction)
             engine.step(1)
-            for followed in list(self.active.values()):
+            for followed in [each for each in self.active.values() if has_ended(each.following, sim_step)]:
                 followed.measure()
-                if has_ended(followed.following, sim_step):
-                    self.end(followed)
+                self.end(followed)
+        for followed in self.active.values():
+            followed.measure()
 
     def end(self, followed: Followed) -> None:
         """Have a body follow a trajectory no more; its motors keep where it has got."""

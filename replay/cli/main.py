@@ -45,6 +45,7 @@ VERBS: Final = {
     "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
     "debug": "a prompt at a step, in the plan's frame: its variables, forwards and back",
     "resume": "a plan whose process was killed goes on where it was",
+    "export": "where joints and bases were to be and were, as a table (CSV, Parquet)",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
