@@ -185,7 +185,7 @@ class PostureInCollision(PlanFailure):
 
 
 class NoPath(PlanFailure):
-    """No path was found, within a budget of checks, on which nothing is touched; that proves of none that there is none.
+    """No path was found, within a budget of checks, on which nothing is touched; which doesn't prove that none exists.
 
     Attributes:
         mover: what was to move: "left arm", "base", ...

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from pycram.foundation.collision_pair import CollisionPair
@@ -83,7 +82,7 @@ class Clearance:
         """Yield configurations (n, d) in which something is touched, the first pair that was found, and how deep."""
         for number, (candidate, own) in enumerate(zip(*self._candidates(rows), strict=True)):
             pairs: Sequence[Pair] = (*self._checker.pairs(candidate), *own)
-            if self._last in pairs:  # what was in the way mostly is so again
+            if self._last is not None and self._last in pairs:  # what was in the way mostly is so again
                 pairs = (self._last, *pairs)
             for pair in pairs:
                 depth = self._checker.depth(candidate, pair)

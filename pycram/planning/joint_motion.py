@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.planning.path import Path
+    from pycram.planning.timing import Rates
     from pycram.reasoning.collision.checker import Candidate
     from pycram.world.object import Object
 
@@ -193,7 +194,9 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
         BadArgument: There are no way points, not as many for each body, or not of the same joints.
         JointLimitError: One is outside a joint's limits.
     """
-    tables, names, rates = [], [], []
+    tables: list[Array] = []
+    names: list[tuple[str, ...]] = []
+    rates: list[Rates] = []
     for body, way_points in paths:
         postures = [coupled(body, checked_positions(body, way_point)) for way_point in way_points]
         if not postures or not postures[0] or any(posture.keys() != postures[0].keys() for posture in postures):

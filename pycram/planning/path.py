@@ -14,8 +14,6 @@ from pycram.reasoning.rejections import Touching, Unreached
 from pycram.scheduling.schedule import run_seed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import NDArray
 
     from pycram.planning.clearance import Clearance

@@ -41,7 +41,8 @@ def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
         accelerations.append(limits.sliding_acceleration if slides else limits.turning_acceleration)
     if unlimited and body.is_robot:
         _warn(body.name, body.urdf.name, tuple(unlimited), limits)
-    return Rates(np.eye(len(joints)), np.array(velocities), np.array(accelerations))
+    lower, upper = np.array([body.joint_limits(name) for name in joints]).reshape(-1, 2).T
+    return Rates(lower, upper, np.eye(len(joints)), np.array(velocities), np.array(accelerations))
 
 
 @cache
@@ -56,13 +57,14 @@ def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) 
 
 
 def base_rates(robot: Object) -> Rates:
-    """Return the limits of a base's x, y and heading: of its speed in eight directions, so as not to exceed it in any."""
+    """Return the limits of a base's x, y and heading: its speed is limited in eight directions, and so in all."""
     limits = robot.description.limits if robot.description else _DEFAULTS
     half = math.sqrt(0.5)
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [half, half, 0.0], [half, -half, 0.0], [0.0, 0.0, 1.0]])
     velocities = np.array([_OCTAGON * limits.base_velocity] * 4 + [limits.base_turning_velocity])
     accelerations = np.array([_OCTAGON * limits.base_acceleration] * 4 + [limits.base_turning_acceleration])
-    return Rates(directions, velocities, accelerations)
+    endless = np.full(3, math.inf)
+    return Rates(-endless, endless, directions, velocities, accelerations)
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
@@ -75,6 +77,8 @@ def stacked(parts: Sequence[Rates]) -> Rates:
         directions[row : row + height, column : column + width] = part.directions
         row, column = row + height, column + width
     return Rates(
+        np.concatenate([part.lower for part in parts]),
+        np.concatenate([part.upper for part in parts]),
         directions,
         np.concatenate([part.velocities for part in parts]),
         np.concatenate([part.accelerations for part in parts]),

@@ -35,7 +35,7 @@ _START_TREE: Final = 1  # tag of its vertices
 _one_query = threading.Lock()  # the sequence of seeds is the process's
 
 
-class _Edges(base.MotionValidator):  # type: ignore[misc, unused-ignore]  untyped where OMPL isn't installed
+class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
     """Checks edges as a whole.
 
     An error, as Ctrl-C, isn't raised through OMPL: it is kept, and ends the search.
@@ -60,7 +60,7 @@ class _Edges(base.MotionValidator):  # type: ignore[misc, unused-ignore]  untype
             return False
 
 
-class _States(base.StateValidityChecker):  # type: ignore[misc, unused-ignore]
+class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
     """Checks single configurations, among the edges' checks."""
 
     def __init__(self, information: Any, edges: _Edges, check: Callable[[Array], bool], dimensions: int) -> None:

@@ -41,11 +41,15 @@ class Rates:
     """Largest velocities and accelerations, of the coordinates or of sums of them.
 
     Attributes:
+        lower: (d,) lower limits of the coordinates.
+        upper: (d,) upper limits of the coordinates.
         directions: (k, d) what is limited: each row times the coordinates.
         velocities: (k,) rad/s or m/s.
         accelerations: (k,) rad/s^2 or m/s^2.
     """
 
+    lower: Array
+    upper: Array
     directions: Array
     velocities: Array
     accelerations: Array
@@ -108,8 +112,6 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
         if found is not None:
             break
     else:
-        if len(path) == 2:  # noqa: PLR2004
-            raise AssertionError("a straight line can be timed")
         return stopping(path, rates)
     times = np.linspace(0.0, found.duration, max(2, math.ceil(found.duration * _RATE) + 1))
     back = np.linalg.pinv(rates.directions).T
@@ -119,7 +121,9 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots between which the limits hold, too: where toppra's or the cubic exceeds them, all is slower."""
+    """Return knots that keep to the limits, also in between: where toppra or the cubic exceeds them, all is slower."""
+    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may go beyond, where it turns at a limit
+    knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]
     rows, speeds = (values @ rates.directions.T for values in (knots.positions, knots.velocities))
     a, b, v, w = rows[:-1], rows[1:], speeds[:-1], speeds[1:]

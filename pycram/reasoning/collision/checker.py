@@ -258,12 +258,12 @@ class CollisionChecker:
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
     def self_pairs(self, candidates: Sequence[Candidate]) -> list[list[Pair]]:
-        """Return the robot's own links, and what they hold, more than a shoulder apart, whose boxes overlap: of each."""
+        """Return for each its own links, and what they hold, more than a shoulder apart, whose boxes overlap."""
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
     def depth(self, candidate: Candidate, pair: Pair) -> float:
-        """Return how deep two links overlap in a candidate, m; a floor that the robot stands on and its wheels don't."""
+        """Return how deep two links overlap in a candidate, m; wheels don't overlap the floor that they stand on."""
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:
             touches = [touch for touch in touches if not _carries_wheels(touch)]

@@ -96,7 +96,7 @@ class MovingLinks:
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
 
     def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
-        """Return for each posture pairs of links, the first of which moves, more than a shoulder apart, whose boxes overlap.
+        """Return for each posture links, more than a shoulder apart, whose boxes overlap; the first of a pair moves.
 
         What a link holds is as far from others as the link is. Where one of the two is held, it comes first.
 
