@@ -6,6 +6,7 @@ what it is for, and there alone.
 
 from __future__ import annotations
 
+import itertools
 import math
 from contextlib import nullcontext
 from functools import partial
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # m of straight line that are tried
 _BACK: Final = (-1.0, 0.0, 0.0)  # out of what the tool is in, in its frame
+_UP: Final = (0.0, 0.0, 1.0)
 _SAME: Final = 1e-4  # rad or m between positions of a joint that is to stay
 
 
@@ -75,9 +77,9 @@ class ContinuousExecution(Execution):
             steps.append(_following(robot, planning.joint_motion(robot, lifted, start=before)))
         start = before | lifted
         line = _line(robot, arm, start | dict(posture), direction, ignored, ignored_links)
-        if line is None:
+        if line is None:  # between the open fingers, what they are for isn't in the way
             goal = {joint: posture[joint] for joint in arm.joints}
-            way = planning.joint_motion(robot, goal, start=start, ignored=ignored, ignored_links=ignored_links)
+            way = planning.joint_motion(robot, goal, start=start, ignored_links=ignored_links)
             return _all((*steps, _following(robot, way)))
         steps.append(_following(robot, planning.joint_motion(robot, line[-1], start=start)))
         return _all((*steps, partial(_along, (robot, line[::-1]))))
@@ -181,7 +183,7 @@ def _line(
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> list[Mapping[str, float]] | None:
-    """Return the longest straight line of those tried on which nothing is touched, from a posture on.
+    """Return the first straight line of those tried on which nothing is touched, from a posture on: out, or up.
 
     Args:
         robot: The robot; its world's lock is held.
@@ -195,8 +197,9 @@ def _line(
         Postures of the arm from the first on; None if there is no such line.
     """
     tool = _tool_pose(robot, arm, start)
-    for length in _STRAIGHT:
-        goal = geometry.transform(tool, (length * direction[0], length * direction[1], length * direction[2])), tool[1]
+    out = geometry.rotate(tool[1], direction)
+    for (x, y, z), length in itertools.product((out, _UP), _STRAIGHT):
+        goal = geometry.transform((tool[0], geometry.IDENTITY[1]), (length * x, length * y, length * z)), tool[1]
         try:
             postures = planning.line(robot, arm, start, goal)
         except PlanFailure:

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, NoPath, PlanFailure, Unreachable
 from pycram.motions.modules.simulated import SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice as grasp_choice, fingers
 from pycram.reasoning.grasping.grasps import FREE, candidates, leaning
-from pycram.reasoning.rejections import Misfit, Slips, Touching, short
+from pycram.reasoning.rejections import Misfit, Slips, Touching, Unreached, short
 from pycram.world import overlaps
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from pycram.models.robots.description import Arm
     from pycram.motions.designator import Designator
+    from pycram.motions.execution import Step
     from pycram.reasoning.grasping.choice import GraspPlan
     from pycram.reasoning.grasping.fingers import Closing
     from pycram.reasoning.grasping.grasps import Grasp
@@ -48,10 +49,12 @@ class PickUp(SimulatedModule):
         with self.execution.whole(world):
             with world.lock, choosing("grasp", world, object=body, arm=arm.name, side=side) as choice:
                 self._check_free(robot, arm, body)
-                posture, closed = _plan(robot, arm, body, None if side is None else (side,), choice)
-                stood = body.get_position_and_orientation()
-                opened = arm.gripper.positions("open")
-                reach = self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
+                stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
+
+                def approach(posture: Mapping[str, float]) -> Step:
+                    return self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
+
+                reach, closed = _plan(robot, arm, body, None if side is None else (side,), approach, choice)
             reach()
             with world.lock:
                 self._check_still(robot, arm, body, stood)
@@ -115,13 +118,19 @@ class PickUp(SimulatedModule):
 
 
 def _plan(
-    robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, choice: Choice
-) -> tuple[Mapping[str, float], Mapping[str, float]]:
-    """Return postures of the arm and of its closed gripper that hold an object, for the grasp that touches least.
+    robot: Object,
+    arm: Arm,
+    body: Object,
+    names: Sequence[str] | None,
+    approach: Callable[[Mapping[str, float]], Step],
+    choice: Choice,
+) -> tuple[Step, Mapping[str, float]]:
+    """Return what brings the arm to an object, and the posture of its closed gripper, for the grasp that touches least.
 
     Raises:
         GraspFailed: No side fits, or the fingers wouldn't hold it from any.
         Unreachable: No posture brings the gripper there; Blocked if something is in the way.
+        NoPath: No path was found to where it would be taken.
     """
     refused: list[Grasp] = []
     failures: list[PlanFailure] = []
@@ -133,9 +142,15 @@ def _plan(
         closing = fingers.closed_around(robot, arm, plan.posture.positions, body)
         failure = _problem(arm, body, plan, closing)
         if closing is not None and failure is None:
-            position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
-            choice.take(str(plan.grasp), position=position, orientation=orientation)
-            return plan.posture.positions, closing.positions
+            try:
+                reach = approach(plan.posture.positions)
+            except NoPath as no_path:
+                failures.append(no_path)
+                choice.reject(str(plan.grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
+            else:
+                position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
+                choice.take(str(plan.grasp), position=position, orientation=orientation)
+                return reach, closing.positions
         if failure is not None:
             failures.append(failure)
             slips = Slips(closing.sides if closing else 0)
