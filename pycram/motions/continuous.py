@@ -76,7 +76,9 @@ class ContinuousExecution(Execution):
         if lifted:
             steps.append(_following(robot, planning.joint_motion(robot, lifted, start=before)))
         start = before | lifted
-        line = _line(robot, arm, start | dict(posture), direction, ignored, ignored_links)
+        end = start | dict(posture)
+        ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
+        line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # between the open fingers, what they are for isn't in the way
             goal = {joint: posture[joint] for joint in arm.joints}
             way = planning.joint_motion(robot, goal, start=start, ignored_links=ignored_links)
@@ -112,7 +114,14 @@ class ContinuousExecution(Execution):
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
         """Draw the hand straight back as far as nothing is in the way; None if there is something at once."""
         now = robot.get_joint_positions()
-        line = _line(robot, arm, {joint: now[joint] for joint in arm.joints}, _BACK, (), ignored_links)
+        ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
+        line = _line(robot, arm, {joint: now[joint] for joint in arm.joints}, ways, (), ignored_links)
+        return None if line is None else partial(_along, (robot, line))
+
+    def lift(self, robot: Object, arm: Arm) -> Step | None:
+        """Raise it straight as far as nothing is in the way; None if there is something at once."""
+        now = robot.get_joint_positions()
+        line = _line(robot, arm, {joint: now[joint] for joint in arm.joints}, (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:
@@ -179,17 +188,17 @@ def _line(
     robot: Object,
     arm: Arm,
     start: Mapping[str, float],
-    direction: Vector,
+    ways: Sequence[Vector],
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> list[Mapping[str, float]] | None:
-    """Return the first straight line of those tried on which nothing is touched, from a posture on: out, or up.
+    """Return the first straight line of those tried on which nothing is touched, from a posture on.
 
     Args:
         robot: The robot; its world's lock is held.
         arm: The arm whose tool moves.
         start: The posture: positions in rad or m by joint; what isn't named is as it is now.
-        direction: A unit vector in the tool frame of that posture.
+        ways: Unit vectors in the world, the directions that are tried.
         ignored: Objects that may be touched, but where the line ends. Where it begins, everything may.
         ignored_links: The same, by objects and links of theirs.
 
@@ -197,9 +206,8 @@ def _line(
         Postures of the arm from the first on; None if there is no such line.
     """
     tool = _tool_pose(robot, arm, start)
-    out = geometry.rotate(tool[1], direction)
-    for (x, y, z), length in itertools.product((out, _UP), _STRAIGHT):
-        goal = geometry.transform((tool[0], geometry.IDENTITY[1]), (length * x, length * y, length * z)), tool[1]
+    for way, length in itertools.product(ways, _STRAIGHT):
+        goal = geometry.transform((tool[0], geometry.IDENTITY[1]), [length * part for part in way]), tool[1]
         try:
             postures = planning.line(robot, arm, start, goal)
         except PlanFailure:

@@ -113,6 +113,10 @@ class Execution(ABC):
         """
 
     @abstractmethod
+    def lift(self, robot: Object, arm: Arm) -> Step | None:
+        """Raise what an arm has taken off what it stands on; None if it stays where it is."""
+
+    @abstractmethod
     def settle(self, world: BulletWorld) -> Sequence[Object]:
         """Let simulated time pass until everything is at rest, at most :data:`TIMEOUT`; return what isn't.
 
@@ -197,6 +201,10 @@ class InstantExecution(Execution):
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
         """Leave the hand where it is."""
+        return None
+
+    def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002  as above
+        """Leave it where it is."""
         return None
 
     def settle(self, world: BulletWorld) -> Sequence[Object]:

@@ -66,6 +66,9 @@ class PickUp(SimulatedModule):
                     where = "on one side only" if sides else "nowhere"
                     raise GraspFailed(arm.name, body.name, f"its fingers have closed, and touch it {where}")
                 robot.attach(body, arm.tool_frame)
+                lift = self.execution.lift(robot, arm)
+            if lift is not None:
+                lift()
         return body
 
     def _check_free(self, robot: Object, arm: Arm, body: Object) -> None:
