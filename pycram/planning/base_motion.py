@@ -9,7 +9,7 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.failures import InCollision
 from pycram.planning import path
-from pycram.planning.clearance import Clearance
+from pycram.planning.clearance import MARGIN, Clearance
 from pycram.planning.planned import Planned, trajectory_of
 from pycram.planning.rates import base_rates
 from pycram.planning.space import Space, nearest_turns
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _COORDINATES: Final = ("x", "y", "yaw")
 _ROOM: Final = 3.0  # m around start and goal that a path may go
 _TURN: Final = 0.5  # m for a radian of turn, as the outline of a robot moves
-_STEP: Final = 0.04  # m between poses that are checked while a path is searched
+_STEP: Final = 0.06  # m between poses that are checked while a path is searched
 
 
 def base_motion(
@@ -70,14 +70,13 @@ def base_motion(
         here = (checks.vector("start", position), checks.quaternion("start", orientation))
         begin, end = np.array(_row(here)), np.array(_row((target, turn)))
         end = nearest_turns(begin, end, np.array([False, False, True]))
-        with CollisionChecker(robot, (), all_links=True) as checker:
+        with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
 
             def predict(rows: Array) -> list[Candidate]:
                 return checker.predict_at([pose_at(here, row) for row in rows.tolist()])
 
-            clearance = Clearance(checker, predict, begin)
-            touched = clearance.touches(end)
-            if touched:
+            clearance = Clearance(checker, predict, begin, end)
+            if touched := clearance.touched:
                 choice.reject(path.STRAIGHT, Touching(touched))
                 raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
             room = np.array([_ROOM, _ROOM, np.pi])

@@ -9,7 +9,7 @@ import numpy as np
 
 from pycram.foundation.failures import BadArgument, PostureInCollision
 from pycram.planning import path, timing
-from pycram.planning.clearance import Clearance
+from pycram.planning.clearance import MARGIN, Clearance
 from pycram.planning.planned import Planned, given, trajectory_of
 from pycram.planning.rates import joint_rates, stacked
 from pycram.planning.space import Space, nearest_turns
@@ -71,15 +71,14 @@ def joint_motion(
         moved = _Moved(robot, now, wanted)
         others = {name: value for name, value in changed.items() if name not in wanted}
         names = dict.fromkeys((*wanted, *others))
-        with CollisionChecker(robot, names, ignored, ignored_links=ignored_links) as checker:
+        with CollisionChecker(robot, names, ignored, ignored_links=ignored_links, margin=MARGIN) as checker:
 
             def predict(rows: Array) -> list[Candidate]:
                 return checker.predict([moved.posture(row) for row in rows])
 
             moved.kept |= others
-            clearance = Clearance(checker, predict, moved.start)
-            touched = clearance.touches(moved.goal)
-            if touched:
+            clearance = Clearance(checker, predict, moved.start, moved.goal)
+            if touched := clearance.touched:
                 choice.reject(path.STRAIGHT, Touching(touched))
                 raise PostureInCollision(moved.arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
             rates = joint_rates(robot, moved.searched)
@@ -145,6 +144,8 @@ class _Moved:
         self._endless = np.array([not math.isfinite(joint.lower) for joint in self._joints], dtype=bool)
         self.start = np.array([now[name] for name in self.searched])
         self.goal = nearest_turns(self.start, np.array([wanted[name] for name in self.searched]), self._endless)
+        if not moving:
+            self.goal = self.start
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property

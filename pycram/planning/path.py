@@ -27,7 +27,7 @@ STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
 MAX_CHECKS: Final = 20_000  # configurations, in all searches for a path
 
-_ATTEMPTS: Final = (1.0, 0.5, 0.25)  # of the space's step: what a search overlooks, the next one sees
+_STEPS: Final = (1.0, 0.5, 0.25)  # of the space's step: what a search overlooks, the next one sees
 _FINE: Final = 0.25  # of the space's step between configurations that are checked in the end
 _RATE: Final = 240.0  # times a second at which a timed path is looked at
 _MAX_PAIRS: Final = 3  # in the way most often, that a failure names
@@ -86,29 +86,34 @@ class Path:
 
 
 def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
-    """Return a path on which nothing is touched that isn't touched at its start.
+    """Return a path on which nothing is touched that isn't touched at its ends.
+
+    It keeps away from things where it can; half of the budget is for that.
 
     Raises:
         NoPath: None was found within the budget.
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    touch = clearance.first_touch(query.space.along(line, fine))
-    if touch is None:
-        choice.take(STRAIGHT, checks=clearance.checks)
-        return Path(STRAIGHT, 0, 0, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
-    choice.reject(STRAIGHT, Touching([touch[1]]))
-    clearance.blocking.clear()
     reached = [query.start]
-    for attempt, share in enumerate(_ATTEMPTS, 1):
-        found, nearest = _searched(query, clearance, attempt, share)
-        reached.append(nearest)
-        if found is None:
-            break
-        if clearance.free(query.space.along(found, fine)):
-            knots = _timed(query, clearance, found, fine)
-            choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempt)
-            return Path(RRT_CONNECT, query.drawn_seed(attempt), attempt, found, knots)
+    attempts = 0
+    for clearance.strict, budget in ((True, MAX_CHECKS // 2), (False, MAX_CHECKS)):
+        touch = clearance.first_touch(query.space.along(line, fine))
+        if touch is None:
+            choice.take(STRAIGHT, checks=clearance.checks)
+            return Path(STRAIGHT, 0, attempts, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
+        choice.reject(STRAIGHT, Touching([touch[1]]))
+        for share in _STEPS:
+            attempts += 1
+            seed = query.drawn_seed(attempts)
+            found, nearest = _searched(query, clearance, share, seed, budget)
+            reached.append(nearest)
+            if found is None:
+                break
+            if clearance.free(query.space.along(found, fine)):
+                knots = _timed(query, clearance, found, fine)
+                choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
+                return Path(RRT_CONNECT, seed, attempts, found, knots)
     distances = query.space.distance(np.array(reached), query.goal)
     nearest = reached[int(np.argmin(distances))]
     pairs = clearance.worst(_MAX_PAIRS)
@@ -117,7 +122,7 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
     raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
 
 
-def _searched(query: Query, clearance: Clearance, attempt: int, share: float) -> tuple[Array | None, Array]:
+def _searched(query: Query, clearance: Clearance, share: float, seed: int, budget: int) -> tuple[Array | None, Array]:
     from pycram.planning import rrt_connect  # noqa: PLC0415  OMPL takes as long to load as a plan without motion runs
 
     return rrt_connect.search(
@@ -126,8 +131,9 @@ def _searched(query: Query, clearance: Clearance, attempt: int, share: float) ->
         query.goal,
         clearance,
         step=query.space.step * share,
-        seed=query.drawn_seed(attempt),
-        max_checks=MAX_CHECKS,
+        fine=query.space.step * _FINE,
+        seed=seed,
+        max_checks=budget,
     )
 
 

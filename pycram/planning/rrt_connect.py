@@ -48,27 +48,20 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         self.error: BaseException | None = None
 
     def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802  OMPL's name
-        return self.checked(lambda: self._check(_row(a, self._range), _row(b, self._range)))
-
-    def checked(self, check: Callable[[], bool]) -> bool:
         if self.error is not None:
             return False
         try:
-            return check()
+            return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
             self.error = error
             return False
 
 
 class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
-    """Checks single configurations, among the edges' checks."""
+    """Lets single configurations pass: OMPL asks for an edge from each as well, which is checked with both ends."""
 
-    def __init__(self, information: Any, edges: _Edges, check: Callable[[Array], bool], dimensions: int) -> None:
-        super().__init__(information)
-        self._edges, self._check, self._range = edges, check, range(dimensions)
-
-    def isValid(self, state: Any) -> bool:  # noqa: N802  OMPL's name
-        return self._edges.checked(lambda: self._check(_row(state, self._range)))
+    def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
+        return True
 
 
 def _row(state: Any, dimensions: range) -> Array:
@@ -82,6 +75,7 @@ def search(
     clearance: Clearance,
     *,
     step: float,
+    fine: float,
     seed: int,
     max_checks: int,
 ) -> tuple[Array | None, Array]:
@@ -92,7 +86,8 @@ def search(
         start: (d,) where it begins.
         goal: (d,) where it is to end.
         clearance: says what is touched.
-        step: distance of any coordinate between configurations that are checked.
+        step: weighted distance of any coordinate between configurations that are checked in the search.
+        fine: likewise, when the path is shortened.
         seed: of random numbers, 1 to 2**31.
         max_checks: of the clearance, after which the search ends.
 
@@ -104,13 +99,13 @@ def search(
         util.setLogLevel(util.LogLevel.LOG_NONE)  # it would print, also that seeds were set before
         try:
             util.RNG.setSeed(seed)
-            return _search(space, start, goal, clearance, step, max_checks)
+            return _search(space, start, goal, clearance, step, fine, max_checks)
         finally:
             util.setLogLevel(level)
 
 
 def _search(
-    space: Space, start: Array, goal: Array, clearance: Clearance, step: float, max_checks: int
+    space: Space, start: Array, goal: Array, clearance: Clearance, step: float, fine: float, max_checks: int
 ) -> tuple[Array | None, Array]:
     dimensions, weights = len(start), space.weights
     real = base.RealVectorStateSpace(dimensions)
@@ -122,15 +117,13 @@ def _search(
     information = base.SpaceInformation(real)
     budget = max_checks
 
-    def free(rows: Array) -> bool:
-        return clearance.checks < budget and clearance.free(rows)
+    def free(a: Array, b: Array) -> bool:
+        rows = between(a / weights, b / weights, step / weights)
+        return clearance.checks < budget and clearance.free(np.vstack([rows, a / weights]))
 
-    def free_edge(a: Array, b: Array) -> bool:
-        return free(between(a / weights, b / weights, step / weights))
-
-    edges = _Edges(information, free_edge, dimensions)
+    edges = _Edges(information, free, dimensions)
     information.setMotionValidator(edges)
-    information.setStateValidityChecker(_States(information, edges, lambda row: free(row[None] / weights), dimensions))
+    information.setStateValidityChecker(_States(information))
     information.setup()
     ends = []
     for row in (start, goal):
@@ -148,10 +141,12 @@ def _search(
     found = None
     if edges.error is None and problem.hasExactSolution():
         path = problem.getSolutionPath()
-        budget = clearance.checks + max_checks // 4
+        budget = clearance.checks + max_checks // 8
+        step = fine  # what shortcuts pass closely, the search's step would overlook
         simplifier = geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # those that shortcuts begin and end at
         found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
         found[0], found[-1] = start, goal
     if edges.error is not None:

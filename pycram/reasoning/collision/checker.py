@@ -85,6 +85,7 @@ class CollisionChecker:
         ignored: objects that don't count.
         all_links: check all links of the robot, not just those that the joints move.
         ignored_links: objects with links of theirs that don't count, as those that move along.
+        margin: m by which other objects are looked at before they are touched.
 
     Attributes:
         robot: the robot.
@@ -99,8 +100,10 @@ class CollisionChecker:
         *,
         all_links: bool = False,
         ignored_links: Collection[tuple[Object, str]] = (),
+        margin: float = 0.0,
     ) -> None:
         self.robot = robot
+        self._margin = margin
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
         names = tuple(joints)
@@ -128,7 +131,8 @@ class CollisionChecker:
         every = concatenate([boxes for _, boxes in others])
         owners = [(body, link) for body, boxes in others for link in boxes.links]
         counted = [owner not in ignored_links for owner in owners]
-        self._other_boxes = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
+        every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
+        self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], Body] = {}  # of what was checked, by object and link
         self._base = links.base_pose  # of the clone's robot, as the candidate below
@@ -161,8 +165,11 @@ class CollisionChecker:
 
     def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
         """Return (n, 4, 4) how the robot moves from where it stands to poses of its base."""
-        here = geometry.invert(self._links.base_pose)
-        return np.array([geometry.pose_matrix(geometry.multiply(base, here)) for base in bases])
+        placed = np.zeros((len(bases), 4, 4))
+        placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
+        placed[:, :3, 3] = [position for position, _ in bases]
+        placed[:, 3, 3] = 1.0
+        return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
     def _overlapping(
         self,
@@ -263,11 +270,14 @@ class CollisionChecker:
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
     def depth(self, candidate: Candidate, pair: Pair) -> float:
-        """Return how deep two links overlap in a candidate, m; wheels don't overlap the floor that they stand on."""
+        """Return how deep two links overlap in a candidate, m; wheels don't overlap the floor that they stand on.
+
+        It is negative where they are apart, down to the margin.
+        """
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:
             touches = [touch for touch in touches if not _carries_wheels(touch)]
-        return max((-touch.distance for touch in touches), default=0.0)
+        return max((-touch.distance for touch in touches), default=-self._margin)
 
     def least(self, pair: Pair) -> float:
         """Return the overlap in m from which on two links collide: more for the robot's own, and for what one carries.
@@ -296,7 +306,8 @@ class CollisionChecker:
             self._place(candidate)
             mover, link, body, other = pair
             a, b = self._copy(mover, link), self._copy(body, other)
-            touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, link_b=other)
+            apart = 0.0 if body.name in self._own else self._margin
+            touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, apart, link_b=other)
         return touches
 
     def _copy(self, body: Object, link: str) -> Body:

@@ -94,6 +94,8 @@ class MovingLinks:
             pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
             apart &= ~(pair | pair.T)
         self._pairs = np.nonzero(apart & ~(moving & (names[:, None] >= names)))  # each pair once
+        self._swung = self._all_drivers >= 0
+        self._swung_boxes = self._all_boxes.subset(self._swung)
 
     def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
         """Return for each posture links, more than a shoulder apart, whose boxes overlap; the first of a pair moves.
@@ -104,11 +106,19 @@ class MovingLinks:
             transforms: (n, joints + 1, 4, 4) of the joints in each posture, as the articulation has them.
         """
         a, b = self._pairs
-        centers, axes = self._all_boxes.moved(transforms[:, self._all_drivers])
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
-        for posture, pair in zip(*overlapping_pairs(centers, axes, self._all_boxes.half_extents, a, b), strict=True):
-            one, other = self._all_owners[a[pair]], self._all_owners[b[pair]]
-            found[posture][(one, other) if other[0] == self._robot else (other, one)] = None
+        if not len(a):
+            return found
+        centers, axes = (
+            np.repeat(each[None], len(transforms), axis=0) for each in (self._all_boxes.centers, self._all_boxes.axes)
+        )
+        centers[:, self._swung], axes[:, self._swung] = self._swung_boxes.moved(
+            transforms[:, self._all_drivers[self._swung]]
+        )
+        posture, pair = overlapping_pairs(centers, axes, self._all_boxes.half_extents, a, b)
+        for number, i, j in zip(posture.tolist(), a[pair].tolist(), b[pair].tolist(), strict=True):
+            one, other = self._all_owners[i], self._all_owners[j]
+            found[number][(one, other) if other[0] == self._robot else (other, one)] = None
         return found
 
     def hangs_on(self, link: str, other: str) -> bool:
