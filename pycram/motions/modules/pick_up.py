@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike
 
 _MAX_GRASPS: Final = 6  # that are tried, one after the other
+_MAX_SEARCHED: Final = 3  # to which a path is searched in vain
 _MOVING: Final = (0.3, 3.0)  # m/s, rad/s from which on it falls or rolls; what rocks after it was set down can be taken
 _LEANING: Final = math.radians(5)  # that the message tells
 _STILL: Final = (0.005, math.radians(5))  # m and rad by which it may move while the hand comes
@@ -137,7 +138,8 @@ def _plan(
     """
     refused: list[Grasp] = []
     failures: list[PlanFailure] = []
-    while len(failures) < _MAX_GRASPS:
+    searched = 0
+    while len(failures) < _MAX_GRASPS and searched < _MAX_SEARCHED:
         plan = grasp_choice.best(body, robot, arm.tool_frame, names, refused, choice)
         if plan.grasp is None or plan.posture is None:
             failures.append(_nothing(robot, arm, body, names, plan))
@@ -149,6 +151,7 @@ def _plan(
                 reach = approach(plan.posture.positions)
             except NoPath as no_path:
                 failures.append(no_path)
+                searched += 1
                 choice.reject(str(plan.grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
             else:
                 position, orientation = short(plan.grasp.position), short(plan.grasp.orientation)
