@@ -157,7 +157,7 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
     "a motion is stopped": (
         lambda t: t.world.stop_trajectory(t.begin_motion()),
         "mutation",
-        "stop trajectory 1",
+        "stop trajectory 1 of cabinet",
     ),
     "a motion goes on": (
         lambda t: [t.begin_motion(), t.world.simulate(0.1)],

@@ -117,10 +117,12 @@ def begin(
 
 def stop(world: BulletWorld, number: int) -> None:
     """Stop a trajectory; see :meth:`pycram.world.world.BulletWorld.stop_trajectory`."""
-    with world.transactions.begin(records.Mutation(stop_trajectory=records.StopTrajectory(number=number))):
+    mutation = records.Mutation(stop_trajectory=records.StopTrajectory(number=number))
+    with world.transactions.begin(mutation):
         followed = world.trajectories.active.get(number)
         if followed is None:
             raise UnknownName("trajectory", number, world.name, map(str, world.trajectories.active))
+        mutation.stop_trajectory.body = followed.body.name
         if followed.following.began == world.sim_step:  # it hasn't moved yet
             world.trajectories.end(followed)
         elif not followed.following.stopped:

@@ -322,10 +322,12 @@ class BeginTrajectory(_message.Message):
     def __init__(self, body: _Optional[str] = ..., number: _Optional[int] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., search: _Optional[_Union[PathSearch, _Mapping]] = ...) -> None: ...
 
 class StopTrajectory(_message.Message):
-    __slots__ = ("number",)
+    __slots__ = ("number", "body")
     NUMBER_FIELD_NUMBER: _ClassVar[int]
+    BODY_FIELD_NUMBER: _ClassVar[int]
     number: int
-    def __init__(self, number: _Optional[int] = ...) -> None: ...
+    body: str
+    def __init__(self, number: _Optional[int] = ..., body: _Optional[str] = ...) -> None: ...
 
 class Driven(_message.Message):
     __slots__ = ("number", "body", "time", "error", "joint", "ended")

@@ -253,7 +253,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
     "set_robot": lambda command: command.body,
     "simulate": _simulated,
     "begin_trajectory": _began,
-    "stop_trajectory": lambda command: command.number,
+    "stop_trajectory": lambda command: f"{command.number} of {command.body}",
     "restore": lambda command: f"what was saved at {command.sim_step / STEPS_PER_SECOND:.3f} s",
 }
 

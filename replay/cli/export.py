@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, get_type_hints
 
 from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
@@ -68,6 +68,6 @@ def _write_parquet(table: list[Row], file: str) -> None:
     import pyarrow as pa  # noqa: PLC0415  comes with the viewer, and is slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
-    kinds = {"str": pa.string(), "int": pa.int64()}
-    schema = pa.schema([(name, kinds.get(kind, pa.float64())) for name, kind in Row.__annotations__.items()])
+    kinds = {str: pa.string(), int: pa.int64()}
+    schema = pa.schema([(name, kinds.get(kind, pa.float64())) for name, kind in get_type_hints(Row).items()])
     parquet.write_table(pa.Table.from_pylist([row._asdict() for row in table], schema), file)

@@ -6,6 +6,7 @@ about seconds.
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import sys
 import threading
@@ -20,9 +21,11 @@ import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
 from pycram.world import settling
+from recorder import geometry
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
 from recorder.tracing import journal
 from tests.benchmarks.timing import goal, ratio, seconds
+from tests.smooth_motions import move, smooth, to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -187,3 +190,44 @@ def test_attaching_and_leaving(tmp_path: Path) -> None:
     print(f"exit of the full scene: {ending * 1e3:.1f} ms ({ending / step:.1f} steps)")
     goal("attach + detach, in steps", holding / step, 1)
     goal("exit, in steps", ending / step, 10)
+
+
+def test_following_trajectories_costs_little_beside_the_physics(scene: BulletWorld) -> None:
+    """A second of an arm with seven joints and of a base that move, beside one in which nothing does."""
+    robot = scene.robot
+    assert robot is not None
+    assert robot.description is not None
+    joints = robot.description.arm("left").joints
+    home = [robot.get_joint_position(name) for name in joints]
+    away = [at + 0.05 * (-1 if at > 0 else 1) for at in home]
+    goals = itertools.cycle([away, home])
+
+    def still() -> float:
+        return seconds(lambda: scene.simulate(1))
+
+    def arm() -> float:
+        scene.begin_trajectory(robot, to(robot, dict(zip(joints, next(goals), strict=True)), 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    def base() -> float:
+        x, y, _ = robot.get_position()
+        heading = geometry.to_rpy(robot.get_orientation())[2]
+        scene.begin_trajectory(robot, smooth((), [x, y, heading], [x, y, heading + 0.01], 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    goal("simulation with an arm that follows, plain simulation", ratio(arm, still, most=1.5), 1.5)
+    goal("simulation with a base that follows, plain simulation", ratio(base, still, most=1.5), 1.5)
+
+
+def test_waiting_for_a_motion_costs_no_more_than_simulating_it(scene: BulletWorld) -> None:
+    robot = scene.robot
+    assert robot is not None
+    joint = "head_pan_joint"
+    sides = itertools.cycle([0.3, -0.3])
+    following = lambda: seconds(lambda: move(robot, {joint: next(sides)}, 1.0))  # noqa: E731
+
+    def driven() -> float:
+        scene.begin_trajectory(robot, to(robot, {joint: next(sides)}, 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    goal("waiting for a motion, simulating it", ratio(following, driven, most=1.1), 1.1)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import recorder
+import replay
 from pycram.bullet_world import BulletWorld, Object
 from pycram.fluents import world as world_fluents
 from pycram.language import par, pursue
@@ -135,6 +136,13 @@ def test_within_a_stretch(tmp_path: Path) -> None:
                 world.simulate(0.5)
                 assert world.get_object("ur5").get_joint_position(PAN) == pytest.approx(0.5, abs=1e-3)
                 assert not world.trajectories.active
+
+
+def test_blame_tells_that_a_joint_followed_a_trajectory(log: Recording) -> None:
+    end = step_of(log, is_simulation, -1)
+    with replay.open(log.path) as opened:
+        assert opened.blame(f"ur5.{ELBOW}", end).how == "driven"
+        assert opened.blame("ball", end).how == "physics"
 
 
 DAMAGES: dict[str, Callable[[Mutation], object]] = {
