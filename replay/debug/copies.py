@@ -147,19 +147,19 @@ class Copies:
             PlanEnded: it has ended.
             KeyboardInterrupt: somebody has pressed Ctrl-C; nothing has changed.
         """
-        now, told = self.now, False
+        now, passed_on = self.now, False
         if now is None:
             raise PlanEnded(self._printed())
         with self._noting_interrupts():
             now.channel.send(question)
             while not (now.channel.has_read or select.select([now.channel], (), (), _POLL)[0]):
-                if self._interrupts and not told:
-                    told = True
+                if self._interrupts and not passed_on:
+                    passed_on = True
                     now.channel.send({"do": "interrupt"})
             answer = _received(now.channel)
         if answer is None:
             self._lost(now)
-        if told or "interrupted" in answer:
+        if passed_on or "interrupted" in answer:
             raise KeyboardInterrupt
         return answer
 
@@ -182,7 +182,7 @@ class Copies:
 
     def _stopped(self, running: Copy | None) -> Message:
         """Wait until the process that runs, or the one that comes next, has stopped."""
-        told = False
+        passed_on = False  # Ctrl-C, to the process that runs
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
             read = running is not None and running.channel.has_read
@@ -205,8 +205,8 @@ class Copies:
             if self._interrupts > 1:
                 self.end(running)
                 raise EndedByInterrupt
-            if self._interrupts and running is not None and not told:
-                told = True
+            if self._interrupts and running is not None and not passed_on:
+                passed_on = True
                 running.channel.send({"do": "interrupt"})
 
     def _next(self, running: Copy | None) -> Copy:

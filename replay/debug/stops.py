@@ -21,6 +21,7 @@ from pycram.projection import obstacle
 from pycram.projection.child import Child, die_with
 from recorder.records import Task
 from recorder.tracing import forking, journal
+from recorder.tracing.journal import NullSink
 from replay.debug import frames
 from replay.debug.channel import Channel
 from replay.retrace.answers import Answers
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from typing import NoReturn
 
     from recorder.records import Change, Record
-    from recorder.records.asset import AssetFile
     from replay.debug.channel import Message
     from replay.debug.standing_clock import StandingClock
     from replay.file.record_reader import RecordReader
@@ -101,7 +101,7 @@ class Course:
         return cls(message["until"], frozenset(message["checkpoints"]), watched, message["through"])
 
 
-class StoppingSink:
+class StoppingSink(NullSink):
     """Guides a plan by its recording, and stops it.
 
     Args:
@@ -164,12 +164,6 @@ class StoppingSink:
             self._pass()
             self._frame = None
             self._steering.passed(record.seq, lambda: None)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file, as the guide does."""
-
-    def flush(self) -> None:
-        """Do nothing: each record is compared at once."""
 
     def close(self) -> None:
         """Stop for good: the plan has ended where its recording goes on."""
@@ -241,8 +235,6 @@ class StoppingSink:
         die_with(parent)
         self._channel.close()
         self._recorded.after_fork()
-        self.answers.after_fork()
-        self._steering.after_fork()
         self._channel = self._connected(parent)
         self._last_checkpoint = time.process_time()
         return True

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.world import saved_state
 from recorder.records import Keyframe, Mutation
-from recorder.tracing.journal import Journal, unrecorded
+from recorder.tracing.journal import Journal, NullSink, unrecorded
 from replay.errors import Damaged, NotRestored
 from replay.restore.world import load_body, open_world, rebuild
 from replay.state.fold import fold
@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 
     from pycram.world.world import BulletWorld
     from recorder.records import AttachBody, DetachBody, MoveBody, MoveJoints, Record
-    from recorder.records.asset import AssetFile
     from replay.file.record_reader import RecordReader
 
 
-class _LastMutation:
+class _LastMutation(NullSink):
     """A sink that keeps the last mutation."""
 
     def __init__(self) -> None:
@@ -37,15 +36,6 @@ class _LastMutation:
         """Keep a record."""
         if isinstance(record, Mutation):
             self.record = Mutation.FromString(payload)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file: the recording has it."""
-
-    def flush(self) -> None:
-        """Nothing waits."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class Reexecution:

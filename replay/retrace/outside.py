@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from replay.retrace.guide import Difference
 
-_MAX_LINES: Final = 3  # that are told
+_MAX_LINES: Final = 3  # that are named
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _PERSON = "another program", "random numbers without a seed", "the keyboard"
 
@@ -39,12 +39,12 @@ _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # of whatev
 
 def reads_before(difference: Difference) -> Iterator[str]:
     """Yield in words the lines that may be why a record came out differently, nearest first: those that led to it."""
-    told = set()
+    files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
-        if not file or file in told:
+        if not file or file in files:
             continue
-        told.add(file)
+        files.add(file)
         reads = [read for read in _reads(Path(file)) if read[0] <= int(number)]
         for line, call, what in sorted(reads, reverse=True)[:_MAX_LINES]:
             yield f"{Path(file).name}:{line} reads {what}: {call}()"

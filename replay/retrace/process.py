@@ -26,6 +26,7 @@ from recorder.mcap.sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Run, escaped, format_error
+from recorder.tracing.journal import NullSink
 from recorder.tracing.process_identity import process
 from replay.file.record_reader import RecordReader
 from replay.retrace.answers import Answers
@@ -44,22 +45,6 @@ if TYPE_CHECKING:
     from replay.retrace.guide import Difference
 
 _STDOUT, _STDERR = 1, 2
-
-
-class _Nowhere:
-    """A sink for what a program records beside the recording in question."""
-
-    def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Drop a record."""
-
-    def attach(self, asset: AssetFile) -> None:
-        """Drop a file."""
-
-    def flush(self) -> None:
-        """Do nothing."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class _Guided:
@@ -276,7 +261,7 @@ def run_plan(
         if run.by_program != by_program or process() != owner:  # a projection makes a recording of its own
             return None
         if guided or not _is_meant(run, began, plan):
-            return _Nowhere()
+            return NullSink()  # what a program records beside the recording in question
         guided = True
         return sink_of(run)
 
