@@ -37,9 +37,12 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.cli.debug_commands import Prompt  # noqa: PLC0415  needs the executor
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415
     from replay.debug.session import Session  # noqa: PLC0415
+    from replay.retrace.plan_process import last_own_step  # noqa: PLC0415
 
     failed = uncaught_failure(log) is not None
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
+    if options.step is None:
+        step = min(step, last_own_step(log))
     with GuidedPlan(log, options.plan, options.arguments, checkpoints=not options.no_checkpoints) as plan:
         session = Session(log, plan)
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")

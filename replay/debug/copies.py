@@ -12,12 +12,12 @@ import signal
 import socket
 import tempfile
 import threading
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from replay.debug.channel import Channel
+from replay.debug.channel import PAUSE, Channel
 from replay.errors import ReplayError
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ class Copy:
         step: the last recorded step that it is known to have made.
         parted: whether it did something else after that than the recording has.
         can_wait: whether it could be copied there.
+        between: whether it has stopped after that step's record, on its way to the next one.
     """
 
     channel: Channel
@@ -67,6 +68,7 @@ class Copy:
     step: int = -1
     parted: bool = False
     can_wait: bool = False
+    between: bool = False
 
 
 class Copies:
@@ -196,6 +198,7 @@ class Copies:
                 running.step = message["step"]
                 if message["reason"] != "waits":
                     running.parted, running.can_wait = message["reason"] == "parted", message["can_wait"]
+                    running.between = message["between"]
                     self.now = running
                     return message
                 self.waiting.append(running)
@@ -208,6 +211,8 @@ class Copies:
             if self._interrupts and running is not None and not passed_on:
                 passed_on = True
                 running.channel.send({"do": "interrupt"})
+                with suppress(ProcessLookupError):  # where it makes no record, it hears only this
+                    os.kill(running.pid, PAUSE)
 
     def _next(self, running: Copy | None) -> Copy:
         """Take the process that a copy has forked, which goes on."""

@@ -19,11 +19,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from pycram.projection import obstacle
 from pycram.projection.child import Child, die_with
+from pycram.scheduling.locks import is_held
 from recorder.records import Task
-from recorder.tracing import forking, journal
+from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.journal import NullSink
 from replay.debug import frames
-from replay.debug.channel import Channel
+from replay.debug.channel import PAUSE, Channel
 from replay.retrace.answers import Answers
 from replay.retrace.guide import Guide
 from replay.retrace.process import make_change
@@ -145,6 +146,8 @@ class StoppingSink(NullSink):
         self._failing = False
         self._step = -1
         self._frame: FrameType | None = None  # that the record comes from, while the plan is stopped
+        self._serving = False
+        signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -191,6 +194,13 @@ class StoppingSink(NullSink):
             self._stop("step" if stopping else "watch" if changed else "interrupted")
         elif self._due():
             self._check_point()
+
+    def _pause(self, _: int, frame: FrameType | None) -> None:
+        """Stop between two records, where the plan makes none: it may hang. In the midst of one, that is to come."""
+        if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
+            self._frame = frame
+            self._stop("interrupted", between=True)
+            self._frame = None
 
     def _noted_changes(self) -> bool:
         values = self._watched_values()
@@ -248,10 +258,10 @@ class StoppingSink(NullSink):
 
     # --- stopped ----------------------------------------------------------------------------------------------------
 
-    def _stop(self, reason: str) -> None:
+    def _stop(self, reason: str, *, between: bool = False) -> None:
         difference = self._difference
         found = None if difference is None else {"step": difference.step, "text": difference.text}
-        can_wait = reason != "parted" and self._spacing is not None and not obstacle()
+        can_wait = reason != "parted" and not between and self._spacing is not None and not obstacle()
         self._channel.send(
             {
                 "step": self._step,
@@ -259,12 +269,14 @@ class StoppingSink(NullSink):
                 "difference": found,
                 "changes": self._course.changes,
                 "can_wait": can_wait,
+                "between": between,
             }
         )
         self._serve()
 
     def _serve(self) -> None:
         """Answer messages; return where the plan goes on."""
+        self._serving = True
         with self._clock.standing():
             while True:
                 message = self._channel.receive()
@@ -275,6 +287,7 @@ class StoppingSink(NullSink):
                         break
                 else:
                     self._channel.send(self._answer(message))
+        self._serving = False
         self._course = Course.of(message)
         self._values = self._watched_values()
 
