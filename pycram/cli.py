@@ -195,7 +195,7 @@ def _parser() -> argparse.ArgumentParser:
             metavar="N",
             type=_count,
             help="run it in N orders of its branches, and tell those that end differently, and what decides. "
-            "Exit code 0: all end alike. 1: they don't",
+            "Exit code 0: all succeed, and end alike. 1: else",
         )
         recorded.add_argument(
             "--depth", metavar="D", type=_count, help="of the races that --explore finds (default: 3)"

@@ -8,6 +8,7 @@ from replay.cli.console import print_message
 from replay.cli.fork import AGAIN
 from replay.cli.main import FINE
 from replay.cli.retracing import add_arguments
+from replay.errors import ReplayError
 from replay.explain.root_cause import uncaught_failure
 from replay.explain.step_names import HINT
 
@@ -39,6 +40,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.debug.session import Session  # noqa: PLC0415
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415
 
+    if options.json:
+        raise ReplayError("debug is a prompt, whose answers are text; the other verbs have --json")
     failed = uncaught_failure(log) is not None
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
     if options.step is None:

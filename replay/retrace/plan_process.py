@@ -161,7 +161,7 @@ class PlanProcess:
             tempfile.TemporaryFile() as errors,
             os.fdopen(reading, "rb") as results,
         ):
-            request |= {"result": writing, "output": output, "folder": folder}
+            request |= {"result": writing, "output": output, "folder": folder, "parent": os.getpid()}
             if self._source is not None:
                 program = self._source.write(Path(folder).resolve())
                 request |= {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}

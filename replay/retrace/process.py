@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pycram import cli
+from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.scheduling.schedule import seed_order
@@ -142,6 +143,7 @@ class Request:
         take_answers: whether queries have the recorded answers, and aren't asked.
         changes: the fields of what is to be changed after its steps.
         moved: the folder that the plan's recorded source was written to, and the one that it came from.
+        parent: the process that asks, with which this one ends.
     """
 
     log: str
@@ -157,11 +159,14 @@ class Request:
     take_answers: bool
     changes: Sequence[Mapping[str, Any]]
     moved: tuple[str, str] | None
+    parent: int
 
 
 def main(text: str) -> None:
     """Run a plan again as a request says, given as JSON."""
-    _GuidedRun(Request(**json.loads(text))).run()
+    request = Request(**json.loads(text))
+    die_with(request.parent)
+    _GuidedRun(request).run()
 
 
 class _GuidedRun:

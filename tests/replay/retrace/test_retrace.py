@@ -203,6 +203,9 @@ def test_what_a_plan_reads_of_the_world_outside_is_told_where_it_matters(
         ("import numpy as np; x = np.random.default_rng()", "2 reads random numbers without a seed"),
         ("import numpy as np; x = np.random.default_rng(1)", ""),
         ("import random, time; x = random.random(); time.sleep(1)", ""),
+        ("x = float(input())", "2 reads its input: input()"),
+        ("x = sys.stdin.readline()", "2 reads its input: sys.stdin"),
+        ("from sys import stdin as lines; x = [each for each in lines]", "2 reads its input: sys.stdin"),
     ],
 )
 def test_a_line_that_reads_the_world_outside_is_told_with_the_difference(tmp_path: Path, line: str, said: str) -> None:
