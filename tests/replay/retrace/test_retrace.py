@@ -95,7 +95,7 @@ def record(file: Path, *arguments: str, seed: int = 5) -> Path:
     """Records a plan, by the command."""
     log = file.with_suffix(".mcap")
     command = [sys.executable, "-m", "pycram", "run", file, "--log", log, "--overwrite", "--seed", str(seed)]
-    subprocess.run([*command, "--", *arguments], cwd=file.parent, capture_output=True, check=False, timeout=120)
+    subprocess.run([*command, "--", *arguments], cwd=file.parent, capture_output=True, check=False, timeout=600)
     return log
 
 
