@@ -108,6 +108,8 @@ def record(
     began = Run(phase=Run.STARTED, name=title, thread=current_name())
     provenance.describe(began, given, program, seed, order)
     began.by_program = program is not None and _is_program(program)
+    if began.by_program:
+        began.called_as = escaped(sys.argv[0])
     began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None

@@ -9,11 +9,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import runpy
 import sys
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from pycram import cli
@@ -272,12 +272,20 @@ def run_plan(
 
     with redirected(redirect):
         if by_program:
-            sys.argv = [plan, *arguments]
+            sys.argv = [getattr(began, "called_as", "") or plan, *arguments]
             sys.path.insert(0, str(Path(plan).parent.resolve()))
             with contextlib.suppress(BaseException):  # whatever it raises: the recording has it
-                runpy.run_path(plan, run_name="__main__")
+                _run_program(plan)
         else:
             cli.run(Path(plan), file, arguments, seed=seed, order=getattr(began, "order", ""))
+
+
+def _run_program(plan: str) -> None:
+    """Run a file as Python does it, under whatever name it was called: runpy would name it by its path."""
+    module = ModuleType("__main__")
+    module.__file__ = plan
+    sys.modules["__main__"] = module
+    exec(compile(Path(plan).read_bytes(), plan, "exec"), module.__dict__)  # noqa: S102  the plan
 
 
 def _is_meant(run: Run, began: Record, plan: str) -> bool:

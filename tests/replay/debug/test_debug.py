@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import recorder
 import replay
+from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation, Task
 from replay.cli.main import main
 from replay.debug.guided_plan import GuidedPlan
+from replay.debug.quantities import NoQuantity, changes
 from replay.debug.session import Session
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record
@@ -203,6 +206,21 @@ def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug:
     assert neither.startswith("*** nothing.like_it")
     assert never == "*** world didn't change before this step\n"
     assert last > up[2]
+
+
+def test_a_watch_is_about_the_world_opened_last_that_has_the_object(tmp_path: Path) -> None:
+    file = tmp_path / "worlds.mcap"
+    with recorder.record(file), BulletWorld(name="big lab") as lab, BulletWorld(name="kitchen") as kitchen:
+        cup = Object("cup", "cup", "cup.stl", [0, 0, 1], world=lab)  # step 3
+        milks = [Object("milk", "milk", "milk.stl", [0, 0, 1], world=world) for world in (lab, kitchen)]  # 4 and 5
+        for body in (cup, *milks):
+            body.set_position([0, 0, 2])
+    with replay.open(file) as log:
+        steps = {text: [each.step for each in changes(log, text)] for text in ("cup.z", "milk.z", "big_lab.milk.z")}
+        with pytest.raises(NoQuantity, match="kitchen"):
+            changes(log, "kitchen")
+    assert [each[:2] for each in (steps["cup.z"], steps["big_lab.milk.z"])] == [[3, 6], [4, 7]]
+    assert steps["milk.z"][:2] == [4, 8], "from step 5 on the kitchen's, which is where the lab's is"
 
 
 def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:

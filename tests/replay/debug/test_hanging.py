@@ -82,7 +82,9 @@ def test_a_plan_that_hung_in_a_branch_and_was_killed_is_retraced_to_its_last_rec
 def test_a_plan_that_hangs_ends_with_whoever_has_it_retraced(tmp_path: Path) -> None:
     file = hung(tmp_path, ended_by=signal.SIGINT)
     other = tmp_path / "other.py"
-    other.write_text('import os\nfrom pathlib import Path\nPath("hangs").write_text(str(os.getpid()))\nwhile True:\n    pass\n')
+    other.write_text(
+        'import os\nfrom pathlib import Path\nPath("hangs").write_text(str(os.getpid()))\nwhile True:\n    pass\n'
+    )
     command = [sys.executable, "-m", "replay", "retrace", file, "--plan", other]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as retracing:
         plan = os.pidfd_open(int((tmp_path / "hangs").read_text()))

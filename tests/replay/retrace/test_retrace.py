@@ -237,6 +237,20 @@ def test_a_program_that_records_itself_is_run_as_a_program(tmp_path: Path) -> No
     assert other.difference.line == f"{file}:5"
 
 
+def test_a_program_is_called_again_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    file, log = tmp_path / "below" / "program.py", tmp_path / "program.mcap"
+    file.write_text(
+        f'import sys, recorder\nwith recorder.record("{log}", output=True):\n    print(sys.argv, __name__, __file__)\n'
+    )
+    command = [sys.executable, "below/program.py", "1"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=600)
+    with replay.open(log) as recording:
+        result = retrace(recording)
+        assert result.difference is None
+        assert result.equal == len(recording) == 3
+
+
 def test_of_recordings_of_one_name_each_is_retraced(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text(
