@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import linecache
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message
 from replay.cli.fork import AGAIN
 from replay.cli.main import FINE
-from replay.cli.retracing import add_arguments
+from replay.cli.retracing import add_source_and_arguments
 from replay.errors import ReplayError
 from replay.explain.root_cause import uncaught_failure
 from replay.explain.step_names import HINT
@@ -30,7 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-checkpoints", action="store_true", help="keep no copies of the plan: going back runs it again"
     )
-    add_arguments(parser)
+    add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -46,7 +47,16 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.step if options.step is not None else "failure" if failed else 0)
     if options.step is None:
         step = min(step, last_own_step(log))
-    with GuidedPlan(log, options.plan, options.arguments, checkpoints=not options.no_checkpoints) as plan:
+    with GuidedPlan(
+        log,
+        options.plan,
+        options.arguments,
+        checkpoints=not options.no_checkpoints,
+        recorded_source=options.recorded_source,
+    ) as plan:
+        for file, source in plan.recorded_files.items():  # the prompt lists it, whatever there is on the disk
+            lines = source.decode("utf-8", "replace").splitlines(keepends=True)
+            linecache.cache[str(file)] = len(source), None, lines, str(file)
         session = Session(log, plan)
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")
         for note in plan.notes:

@@ -123,6 +123,7 @@ class Copies:
             "changes": list(self._process.recorded_changes()),
         }
         self.runs += 1
+        request |= self._process.placed(str(Path(self._folder) / f"run-{self.runs}"))
         with self._noting_interrupts():
             self._root = self._process.start("replay.debug", request, self._errors)
             return self._stopped(None)

@@ -63,9 +63,11 @@ class GuidedPlan:
         plan: another file than the recorded one.
         arguments: other arguments than the recorded ones.
         checkpoints: whether copies of it wait at some steps; else going back is to run it again from its start.
+        recorded_source: whether the source that is attached to the recording runs, instead of that on the disk.
 
     Attributes:
         step: the last recorded step that it has made; -1 before the first.
+        recorded_files: the recorded source by its files' paths, if that runs.
         notes: what is different from when it was recorded.
         last: the last step that it can come to.
         parted: how it differs from the recording after that step; "" if it isn't known to.
@@ -82,8 +84,10 @@ class GuidedPlan:
         arguments: Sequence[str] | None = None,
         *,
         checkpoints: bool = True,
+        recorded_source: bool = False,
     ) -> None:
-        process = PlanProcess(log, plan, arguments)
+        process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
+        self.recorded_files = process.recorded_files
         self.notes = tuple(process.notes())
         self.step = -1
         self.last = len(log) - 1

@@ -27,7 +27,7 @@ from replay.debug import frames
 from replay.debug.channel import PAUSE, Channel
 from replay.retrace.answers import Answers
 from replay.retrace.guide import Guide
-from replay.retrace.process import make_change
+from replay.retrace.process import make_change, rename
 from replay.retrace.steering import Steering
 
 if TYPE_CHECKING:
@@ -96,9 +96,12 @@ class Course:
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, message: Message) -> Course:
-        """Return the course that a message asks for."""
-        watched = tuple(Watched(*each) for each in message["watched"])
+    def of(cls, message: Message, moved: tuple[str, str] | None) -> Course:
+        """Return the course that a message asks for; files are named by where the plan was, and have moved."""
+        new, old = moved or ("", "")
+        watched = tuple(
+            Watched(expression, file.replace(old, new), first) for expression, file, first in message["watched"]
+        )
         return cls(message["until"], frozenset(message["checkpoints"]), watched, message["through"])
 
 
@@ -113,6 +116,7 @@ class StoppingSink(NullSink):
         course: how far it goes at first.
         spacing: seconds of processor time between checkpoints; None for no checkpoints.
         changes: what was changed after its steps, where the recorded run is a fork.
+        moved: the folder that the plan's recorded source was written to, and the one that it came from.
 
     Attributes:
         path: as given.
@@ -128,6 +132,7 @@ class StoppingSink(NullSink):
         course: Course,
         spacing: float | None,
         changes: Sequence[Change] = (),
+        moved: tuple[str, str] | None = None,
     ) -> None:
         self.path = path
         self._recorded = recorded
@@ -135,6 +140,7 @@ class StoppingSink(NullSink):
         self._clock = clock
         self._course = course
         self._spacing = spacing
+        self._moved = moved
         self._guide = Guide(recorded, self._report, None, path)
         self.answers = Answers(self._guide, taken=False, refuse=_refuse)
         self._steering = Steering(changes, self.answers, make_change, _refuse)
@@ -155,6 +161,8 @@ class StoppingSink(NullSink):
         if self._over:
             return
         self._steering.complete(record)
+        if self._moved is not None:
+            rename(record, *self._moved)
         self._guide.write(topic, record, payload)
         if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
             self._parents[record.task] = record.parent
@@ -288,7 +296,7 @@ class StoppingSink(NullSink):
                 else:
                     self._channel.send(self._answer(message))
         self._serving = False
-        self._course = Course.of(message)
+        self._course = Course.of(message, self._moved)
         self._values = self._watched_values()
 
     def _answer(self, message: Message) -> Message:
@@ -300,7 +308,7 @@ class StoppingSink(NullSink):
             case {"do": "interrupt"}:  # of what was done already
                 return {"interrupt": "late"}
             case {"do": "where"}:
-                return {"answer": [each.facts() for each in self._stack()]}
+                return {"answer": [each.facts(self._moved) for each in self._stack()]}
         frame = self._stack()[message["frame"]].frame
         doing: dict[str, Callable[[], Any]] = {
             "variables": lambda: frames.variables(frame, arguments=message["arguments"]),

@@ -154,7 +154,6 @@ class PlanProcess:
             "file": None if file is None else str(file.absolute()),
             "take_answers": take_answers,
             "changes": [*self.recorded_changes(changed=bool(changes)), *map(_fields, changes)],
-            "moved": None,
         }
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
@@ -162,9 +161,7 @@ class PlanProcess:
             os.fdopen(reading, "rb") as results,
         ):
             request |= {"result": writing, "output": output, "folder": folder, "parent": os.getpid()}
-            if self._source is not None:
-                program = self._source.write(Path(folder).resolve())
-                request |= {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
+            request |= self.placed(folder)
             try:
                 process = self.start("replay.retrace", request, errors, (writing, output))
             finally:
@@ -189,6 +186,18 @@ class PlanProcess:
             raise ReplayError(answer["error"])
         found = answer["difference"]
         return Outcome(answer["equal"], None if found is None else Difference(**found), answer["taken"])
+
+    def placed(self, folder: str) -> dict[str, object]:
+        """Write the recorded source into a folder, if it is to run; return what is to be requested because of it."""
+        if self._source is None:
+            return {"moved": None}
+        program = self._source.write(Path(folder).resolve())
+        return {"plan": str(program), "moved": (str(program.parent), str(self.program.parent))}
+
+    @property
+    def recorded_files(self) -> Mapping[Path, bytes]:
+        """The recorded source by its files' paths, if it is to run."""
+        return {} if self._source is None else self._source.texts
 
     def start(
         self, module: str, request: Mapping[str, object], errors: IO[bytes], descriptors: Collection[int] = ()

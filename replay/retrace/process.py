@@ -78,7 +78,7 @@ class _Guided:
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self._steering.complete(record)
         if self._moved is not None:
-            _rename(record, *self._moved)
+            rename(record, *self._moved)
         if self._file is not None:
             self._file.write(topic, record, record.SerializeToString())
         self._guide.write(topic, record, payload)
@@ -98,12 +98,12 @@ class _Guided:
             self._file.close()
 
 
-def _rename(message: Message, old: str, new: str) -> None:
+def rename(message: Message, old: str, new: str) -> None:
     """Put another folder's name in place of one in all texts of a message."""
     for field, value in message.ListFields():
         if field.cpp_type == field.CPPTYPE_MESSAGE:
             for part in value if _is_repeated(value) else [value]:
-                _rename(part, old, new)
+                rename(part, old, new)
         elif field.type == field.TYPE_STRING and _is_repeated(value):
             value[:] = [text.replace(old, new) for text in value]
         elif field.type == field.TYPE_STRING and old in value:
