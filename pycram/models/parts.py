@@ -150,7 +150,7 @@ def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
         if key in known:
             known[key] += 1
             if key == b"v":
-                vertices.append(words)
+                vertices.append(words[:3])
         elif key == b"f":
             corners = []
             for word in words:
@@ -171,7 +171,9 @@ def _dae_uv(mesh: collada.triangleset.BoundTriangleSet) -> Array | None:
 def _obj(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[Part]:
     vertices, faces = _read_faces(content)
     if cover is None and b"mtl" not in content and all(len(corners) == 3 for corners in faces):
-        table = np.array([numbers[:3] for numbers in vertices]).astype(np.float64)
+        if any(len(numbers) < 3 for numbers in vertices):
+            raise ValueError("a vertex has less than three numbers")
+        table = np.array(vertices).astype(np.float64).reshape(-1, 3)
         yield Part(table[np.array(faces, dtype=np.intp).reshape(-1, 3)], None)
         return
     has_materials = b"mtllib" in content
