@@ -25,6 +25,7 @@ import replay.cli.repair
 import replay.restore.ask
 import replay.restore.render
 import replay.restore.verify
+from pycram.models import store
 from recorder.mcap.writer import McapWriter
 from recorder.packages import versions
 from recorder.records import TOPICS, BodyState, Keyframe, Mutation, Picture, Query, Run, Task
@@ -89,6 +90,7 @@ LATE: Final = (
 def warm() -> None:
     """What a process does once, it does before it forks: above all, it imports what verbs import when they run."""
     versions()
+    store.folder()
     for module in (*(f"replay.cli.{verb}" for verb, *_ in (*READING, *USING)), *LATE):
         importlib.import_module(module)
 
@@ -594,7 +596,7 @@ def test_a_question_about_what_is_far_away_ends(far: float, tmp_path: Path) -> N
 
 
 def test_a_picture_is_no_larger_than_it_says(tmp_path: Path) -> None:
-    pixels = zlib.compress(bytes(GIGABYTE // 4))
+    pixels = zlib.compress(bytes(GIGABYTE // 4), level=1)
     for width, height in ((4, 4), (2**31 - 1, 2**31 - 1), (-1, -1), (0, 0)):
 
         def change(records: list[Record], _: dict[str, bytes], size: tuple[int, int] = (width, height)) -> None:
