@@ -1,4 +1,7 @@
-"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots."""
+"""The command line: ``pycram demo`` and ``pycram run`` record any plan, ``pycram describe`` describes robots.
+
+The command starts itself again (:mod:`pycram.seeding`), so whatever takes long to load is imported where it is used.
+"""
 
 from __future__ import annotations
 
@@ -16,21 +19,18 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pycram.foundation.failures import BadArgument, PlanFailure, PycramError
-from pycram.models import robot_urdfs
-from pycram.scheduling.order import order_of
+import recorder
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
-from recorder import RecordingError, record
+from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed, versions
-from recorder.records import format_error
 from recorder.tracing.interrupts import Terminated
-from recorder.viewer.address import Kind, Target
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from recorder import Recording
 
+_PAGE = "serve"  # of --rerun
 _WITH_ROBOTS = "set_the_table"  # the demo that any of the robots in the box runs
 _SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 
@@ -160,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
     names = sorted(file.stem for file in demos().glob("*.py"))
     demo = commands.add_parser("demo", help="run a demo", description="Runs a demo.")
     demo.add_argument("name", nargs="?", default="set_the_table", choices=names, help="which (default: set_the_table)")
-    robots = sorted(Path(name).stem for name in robot_urdfs.NAMES)
+    robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
     demo.add_argument("--robot", choices=robots, help=f"which robot does it, in {_WITH_ROBOTS} (default: pr2)")
     plan = commands.add_parser(
         "run", help="run a plan", description="Runs a plan: any Python file. Arguments after -- go to the plan."
@@ -263,6 +263,9 @@ def _seconds(text: str) -> float:
 
 
 def _order(text: str) -> str:
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  heavy
+    from pycram.scheduling.order import order_of  # noqa: PLC0415  heavy
+
     try:
         order_of(text, None)
     except BadArgument as error:
@@ -271,6 +274,8 @@ def _order(text: str) -> str:
 
 
 def _viewer(text: str) -> str:
+    from recorder.viewer.address import Target  # noqa: PLC0415  heavy
+
     try:
         Target.parse(text)
     except RecordingError as error:
@@ -317,7 +322,7 @@ def run(
         with needed():
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  --version and --help need no executor
         seed_order(seed, order)
-        recorded = record(
+        recorded = recorder.record(
             file,
             live,
             name=plan.stem,
@@ -342,7 +347,7 @@ def run(
         sys.argv, sys.path[:] = before
     if recording is not None and recording.path.is_file() and not (_was_lost(error) or isinstance(error, NotInstalled)):
         _print_next_steps(_shown(recording.path, folder, log), recording.path.stat().st_size / 1e6, code)
-        if live == Kind.SERVE.value and not isinstance(error, KeyboardInterrupt | Terminated):
+        if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == _FAILED:
             _debug(recording.path)
@@ -351,6 +356,9 @@ def run(
 
 def _report(error: BaseException) -> int:
     """Print how a plan ended, and return the exit code."""
+    from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
+    from recorder.records import format_error  # noqa: PLC0415  heavy
+
     match error:
         case RecordingError() | NotInstalled():
             print(f"pycram: {error}", file=sys.stderr)

@@ -12,7 +12,7 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from recorder.records import Mutation, Task
+from recorder.records import Mutation, Run, Task
 from replay.cli.main import main
 from replay.debug.guided_plan import GuidedPlan
 from replay.debug.quantities import NoQuantity, changes
@@ -108,7 +108,7 @@ def test_back_is_the_same_picture_as_on_the_way_there(plan_log: Path, *, checkpo
 
     with replay.open(plan_log) as log, GuidedPlan(log, checkpoints=checkpoints) as plan:
         session = Session(log, plan)
-        steps = range(len(log)) if checkpoints else range(2, len(log), len(log) // 4)
+        steps = range(len(log)) if checkpoints else range(2, len(log), len(log) // 2)
         forwards = [picture(session, step) for step in steps]
         back = [picture(session, step) for step in reversed(steps)]
         assert back[::-1] == forwards
@@ -282,17 +282,23 @@ def test_the_recording_answers_at_the_step_and_a_fork_goes_on(plan_log: Path, tm
         assert fork[0].origin.step == step
 
 
-@pytest.mark.parametrize("checkpoints", [True, False])
-def test_a_fork_is_debugged_with_its_changes(
-    plan_log: Path, tmp_path: Path, debug: Debug, *, checkpoints: bool
-) -> None:
+@pytest.fixture(scope="module")
+def forked(plan_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fork after the milk has moved twice."""
     with replay.open(plan_log) as log:
         step = moves(log, "milk")[1]
-    forked = tmp_path / "forked.mcap"
+    file = tmp_path_factory.mktemp("forked") / "forked.mcap"
     given = ["--set", "milk.position=2,2,2", "--set", "level=9", "--answer", "contact(...)=true", "--seed", "7"]
-    assert main(["fork", str(plan_log), "--at", str(step), *given, "-o", str(forked)]) == 1  # as the plan
+    assert main(["fork", str(plan_log), "--at", str(step), *given, "-o", str(file)]) == 1  # as the plan
+    return file
+
+
+@pytest.mark.parametrize("checkpoints", [True, False])
+def test_a_fork_is_debugged_with_its_changes(forked: Path, debug: Debug, *, checkpoints: bool) -> None:
     with replay.open(forked) as log:
-        last = len(log) - 1
+        start, last = log[0], len(log) - 1
+        assert isinstance(start, Run)
+        step = start.origin.step
         assert log[step + 1].by_fork
     _, end, back, on, again = debug(
         forked, f"g {last}", f"g {step}", "s", f"g {last}", options=() if checkpoints else ("--no-checkpoints",)
