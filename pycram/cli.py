@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import recorder
 from pycram.seeding import MAX_SEED, chosen_seed, restart, seed_random_numbers
+from recorder.closed_output import discard, until_closed
 from recorder.errors import RecordingError
 from recorder.packages import NotInstalled, needed, versions
 from recorder.tracing.interrupts import Terminated
@@ -51,10 +52,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is not None:
         return _run_command(argv)
+    code = _SUCCEEDED
     try:
-        code = _run_command(argv)
+        with until_closed():
+            code = _run_command(argv)
         if code == _INTERRUPTED:  # another one ends the process at once, and leaves no traceback of tidying up
             signal.signal(signal.SIGINT, signal.SIG_DFL)
+    except OSError as error:
+        discard(sys.stdout)
+        _tell(f"pycram: {error}")  # such as a full disk
+        return _WRONG_USAGE
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -361,24 +368,30 @@ def _report(error: BaseException) -> int:
 
     match error:
         case RecordingError() | NotInstalled():
-            print(f"pycram: {error}", file=sys.stderr)
+            _tell(f"pycram: {error}")
             return _WRONG_USAGE
         case Terminated():
-            print(f"\npycram: interrupted by {error.signal}", file=sys.stderr)
+            _tell(f"\npycram: interrupted by {error.signal}")
             return int(error.code or 0)
         case SystemExit():
             if isinstance(error.code, int | None):
                 return error.code or _SUCCEEDED
-            print(error.code, file=sys.stderr)
+            _tell(str(error.code))
             return _FAILED
         case KeyboardInterrupt():
-            print("\npycram: interrupted", file=sys.stderr)
+            _tell("\npycram: interrupted")
             return _INTERRUPTED
-    traceback.print_exception(error)
+    _tell("".join(traceback.format_exception(error)).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
-    print(f"\npycram: the plan {how}: {format_error(error)}", file=sys.stderr)
+    _tell(f"\npycram: the plan {how}: {format_error(error)}")
     return _FAILED
+
+
+def _tell(text: str) -> None:
+    """Print a message, if anybody reads it: how a plan ended doesn't depend on that."""
+    with until_closed():
+        print(text, file=sys.stderr)
 
 
 def _was_lost(error: BaseException | None) -> bool:
@@ -395,7 +408,7 @@ def _keep_page(recording: Recording) -> None:
     """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
     if recording.viewer is None or not sys.stdin.isatty():
         return
-    print("pycram: the page stays until Ctrl-C", file=sys.stderr)
+    _tell("pycram: the page stays until Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         recording.viewer.wait()
 
@@ -413,9 +426,9 @@ def _wait_for_threads() -> None:
 
 
 def _print_next_steps(log: Path, size: float, code: int) -> None:
-    print(f"pycram: recorded to {log} ({size:.1f} MB). Next:", file=sys.stderr)
+    _tell(f"pycram: recorded to {log} ({size:.1f} MB). Next:")
     for verb in ("info", "tree", "view") if code == _SUCCEEDED else ("why", "tree", "view"):
-        print(f"  pycram-replay {verb} {shlex.quote(str(log))}", file=sys.stderr)
+        _tell(f"  pycram-replay {verb} {shlex.quote(str(log))}")
 
 
 if __name__ == "__main__":

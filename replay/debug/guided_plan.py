@@ -92,6 +92,7 @@ class GuidedPlan:
         self.step = -1
         self.last = len(log) - 1
         self.parted = ""
+        log.check()  # what is lost is known only then
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"

@@ -144,12 +144,14 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
         NotRestored: the world began before the recording.
         Damaged: records before that step are lost.
     """
+    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
+    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # of what wasn't read, nothing is known to be lost
+        pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         cause = f"step {gap.start} is lost; without exact, the state may do"
         raise Damaged(log.path, f"what led to step {step}", cause)
-    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
-    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
             if record.seq > step:
