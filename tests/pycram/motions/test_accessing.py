@@ -28,9 +28,11 @@ from pycram.world.snapshot import restore_snapshot, take_snapshot
 from recorder import geometry
 from recorder.geometry.urdf import Urdf
 from tests import measures
+from tests.pycram.motions.placing_scenes import box
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 KITCHEN = Urdf.parse((resources() / "kitchen.urdf").read_text())
 HANDLES = sorted((link for link in KITCHEN.links if link.endswith("_handle")), key=lambda link: "door" not in link)
@@ -204,6 +206,24 @@ def test_a_drawer_near_the_floor_is_opened_and_closed_with_the_torso_down(scene:
     assert math.hypot(x - bar_x, z - bar_z) < 0.02, "the hand is at the bar"
     access(scene, joint, handle, arm, 0.0)
     assert kitchen.get_joint_position(joint) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_what_lies_in_a_drawer_goes_in_with_it(scene: BulletWorld, tmp_path: Path) -> None:
+    """The hand that closes it ends where the tray is as long as it is open."""
+    drawer = "sink_area_left_upper_drawer_main_joint", "sink_area_left_upper_drawer_handle", "left"
+    go(0.65, 0.7, 0.0)
+    tray = Object("tray", "tray", box(tmp_path, "tray", (0.16, 0.6, 0.07)), [1.36, 0.93, 0.75], world=scene)
+    try:
+        scene.simulate(0.5)
+        lay = tray.get_position()
+        access(scene, *drawer, 0.35)
+        assert tray.get_position() == pytest.approx([lay[0] - 0.35, *lay[1:]], abs=1e-3)
+        perform(type="move-arm-joints", left_arm="park")
+        access(scene, *drawer, 0.0)
+        assert tray.get_position() == pytest.approx(lay, abs=1e-3)
+    finally:
+        tray.remove()
 
 
 @pytest.mark.slow
