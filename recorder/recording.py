@@ -111,6 +111,8 @@ def record(
     provenance.describe(began, given, program, seed, order)
     began.environment = environment
     began.by_program = program is not None and _is_program(program)
+    if began.by_program:
+        began.called_as = escaped(sys.argv[0])
     began.number = _numbers[title] = _numbers[title] + 1
     start = time.perf_counter_ns()
     sink = _redirect(began) if _redirect is not None else None

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pycram.exploration.runs import Runner
     from pycram.scheduling.order import Standing
 
-_ALIKE, _DIFFERENT, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
+_SUCCEEDED, _FAILED, _WRONG_USAGE, _INTERRUPTED = 0, 1, 2, 130  # exit codes
 _MAX_TOLD: Final = 6  # differences of states, and precedences
 _WIDTH: Final = 200  # characters of a failure
 
@@ -77,7 +77,8 @@ def run(
         print(*_lines(result, plan, command, rest, depth), sep="\n")
     if result.interrupted:
         return _INTERRUPTED
-    return _ALIKE if result.alike else _DIFFERENT
+    succeeded = all(found.ending.kind == SUCCEEDED for found in result.found)
+    return _SUCCEEDED if succeeded and result.alike else _FAILED
 
 
 def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str, object]:

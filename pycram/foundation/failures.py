@@ -174,14 +174,24 @@ class PostureInCollision(PlanFailure):
         arms: names of the arms.
         bodies: names of what they would touch, the robot's own for itself.
         pairs: the links that would overlap most, one pair an object; of the robot itself all.
+        torso: joint of the torso, and the height in m at which they would touch nothing; None if there is none.
     """
 
-    def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:
+    def __init__(
+        self,
+        arms: Sequence[str],
+        bodies: Sequence[str],
+        pairs: Sequence[CollisionPair] = (),
+        *,
+        torso: tuple[str, float] | None = None,
+    ) -> None:
         touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
-        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
+        hint = f"; with {torso[0]} at {torso[1]:g} m it could" if torso else ""
+        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is{hint}")
         self.arms = list(arms)
         self.bodies = list(bodies)
         self.pairs = list(pairs)
+        self.torso = torso
 
 
 class NoPath(PlanFailure):

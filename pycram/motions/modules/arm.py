@@ -47,10 +47,20 @@ class MoveJoints(SimulatedModule):
                 if touched:
                     choice.reject(AS_ASKED, Touching(touched))
                     arms = [name.removesuffix("-arm") for name in moved]
-                    raise PostureInCollision(arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
+                    bodies = list(dict.fromkeys(pair.body for pair in touched))
+                    raise PostureInCollision(arms, bodies, touched, torso=_with_torso(robot, positions))
                 choice.take(AS_ASKED)
                 move = self.execution.move(robot, positions)
             move()
+
+
+def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
+    """Return the torso's joint, and the height that it is loaded with, if the arms could take a posture there."""
+    torso = robot.description.torso if robot.description else None
+    if torso is None:  # what it is for may have left it lower: a drawer near the floor
+        return None
+    touched = checker.newly_touched(robot, {**positions, torso.joint: torso.default})
+    return None if touched else (torso.joint, torso.default)
 
 
 class MoveTCP(SimulatedModule):

@@ -149,11 +149,10 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
     """
     container = handle.container
     moved = carried.moved_links(container.urdf, [handle.joint])
-    supported = carried.supported_bodies(container, moved)
     clone = clone_of(container.world, "reach")
     clone.sync()
     solid = shapes_of(container.model.path, "collision").links
-    along = {container, *supported}
+    along = {container, *handle.contents}
     others = [body for body in container.world.objects if not body.fixed and carried.root_of(body) not in along]
     known: set[str] = set()
     try:
