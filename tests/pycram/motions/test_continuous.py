@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from operator import itemgetter
@@ -25,6 +28,7 @@ from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from tests.conftest import MemorySink
 
@@ -280,3 +284,32 @@ def test_the_environment_of_a_run_holds_in_all_threads_and_where_the_plan_names_
         set_default("")
     with ThreadPoolExecutor(1) as fresh:
         assert fresh.submit(current_environment).result() == "simulated"
+
+
+PLAN = """
+from pycram.bullet_world import BulletWorld, Object
+from pycram.designator import MotionDesignator
+from pycram.process_module import ProcessModule
+
+with BulletWorld() as world:
+    world.robot = Object("pr2", "robot", "pr2.urdf")
+    ProcessModule.perform(MotionDesignator([("type", "looking"), ("target", [2, 1, 1])]))
+    print(world.sim_step > 0)
+"""
+
+
+@pytest.mark.slow
+def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> None:
+    plan, log = tmp_path / "look.py", tmp_path / "look.mcap"
+    plan.write_text(PLAN, encoding="utf-8")
+
+    def run(*command: str) -> str:
+        ended = subprocess.run([sys.executable, "-m", *command], capture_output=True, text=True, check=False)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    assert run("pycram", "run", str(plan), "--motion", "continuous", "--log", str(log)).split() == ["True"]
+    assert re.search(r"^motion +continuous$", run("replay", "info", str(log)), re.MULTILINE)
+    assert run("replay", "retrace", str(log)).startswith("identical")
+    assert run("pycram", "run", str(plan), "--log", str(log), "--overwrite").split() == ["False"]
+    assert "\nmotion " not in run("replay", "info", str(log))
