@@ -22,7 +22,9 @@ from pycram.fluents.world import joint, pose, position
 from pycram.language import State, par, pursue, timeout
 from pycram.language.timeouts import TimedOut
 from pycram.motions.environments import current_environment, set_default
+from pycram.planning import through
 from pycram.process_module import ProcessModule, execution_environment
+from pycram.world.driving import follow
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
 
@@ -284,6 +286,32 @@ def test_the_environment_of_a_run_holds_in_all_threads_and_where_the_plan_names_
         set_default("")
     with ThreadPoolExecutor(1) as fresh:
         assert fresh.submit(current_environment).result() == "simulated"
+
+
+@pytest.mark.slow
+def test_an_arm_waits_for_the_other_one_to_pass(shared_scene: BulletWorld) -> None:
+    robot, center = shared_scene.robot, [1.1, 0.7, 1.2]
+    right = robot.description.arm("right")
+    with execution_environment("simulated"):
+        for name in ("milk", "bowl", "cereal"):
+            shared_scene.get_object(name).set_position([0.65, -2.0, 0.2])
+        perform(type="move-tcp", arm="right", target=center, orientation=[0, 0, 0, 1])
+        there = {joint: robot.get_joint_position(joint) for joint in right.joints}
+        perform(type="move-arm-joints", right_arm="park")
+    passing = through(robot, [right.posture("park"), there, right.posture("park")])
+    lift = robot.get_joint_position(right.joints[1])
+    set_out = network(lambda now: abs(now - lift), joint(robot, right.joints[1])) > 0.01
+
+    def come_after() -> None:
+        set_out.wait_for()
+        perform(type="move-tcp", arm="left", target=center, orientation=[0, 0, 0, 1])
+
+    begun = shared_scene.sim_step
+    with par as both:
+        both(follow, shared_scene, [(robot, passing)])
+        both(come_after)
+    assert tool(robot, "left")[0] == pytest.approx(center, abs=5e-3)
+    assert seconds(shared_scene, begun) > passing.trajectory.duration + 0.5  # it began when the other one had passed
 
 
 PLAN = """
