@@ -382,7 +382,10 @@ class TrajectoryEnded(PlanFailure):
     """
 
     def __init__(self, body: str, number: int, time: float, duration: float) -> None:
-        super().__init__(f"trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped")
+        super().__init__(
+            f"trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped, "
+            "or the world was reset or restored"
+        )
         self.body = body
         self.number = number
         self.time = time

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 _MAX_SECONDS: Final = 3600.0
 _MAX_NUMBERS: Final = 200_000  # a minute of 100 rows a second for 30 joints
-_FARTHEST: Final = 1e6  # m from the origin, as of any pose
+_FARTHEST: Final = 1e6  # m or rad, as of any pose
+_FASTEST: Final = 1e3  # m/s or rad/s
 _START: Final = 0.2  # of what loses the track: how far from its begin a body may be
 _BASE_START: Final = (0.01, 0.01, 0.02)  # the same of x and y in m, and of yaw in rad
 
@@ -78,9 +79,10 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, Planned]]) -> Non
 def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
     """Stop trajectories together, and let time pass until they stand, whatever is cancelled."""
     with shielded(), uninterruptible():
-        for each in begun:
-            if not (each.ended or each.following.stopped or world.closed):
-                stop(world, each.number)
+        with world.lock:
+            for each in begun:
+                if not (each.ended or each.following.stopped or world.closed):
+                    stop(world, each.number)
         if not world.closed:
             passing_time.wait(world, lambda: all(each.ended for each in begun))
 
@@ -148,7 +150,7 @@ def _check(body: Object, trajectory: Trajectory) -> None:
     """Refuse a trajectory that no such body could follow; one that was recorded may say anything.
 
     Raises:
-        BadArgument: It is too long, or for a base that physics moves, or leads too far away.
+        BadArgument: It is too long, or for a base that physics moves, or leads too far away, or too fast.
     """
     if trajectory.duration > _MAX_SECONDS:
         raise BadArgument("times", trajectory.duration, f"an end after at most {_MAX_SECONDS:g} s")
@@ -157,8 +159,13 @@ def _check(body: Object, trajectory: Trajectory) -> None:
         raise BadArgument("positions", size, f"at most {_MAX_NUMBERS} numbers")
     if not trajectory.joints and not body.fixed:
         raise BadArgument("body", body, "a robot, or an object of the environment: physics moves the base of others")
-    if not trajectory.joints and max(abs(at) for row in trajectory.positions for at in row) > _FARTHEST:
-        raise BadArgument("positions", trajectory.positions[-1], f"numbers up to {_FARTHEST:g}")
+    for name, table, most in (
+        ("position", trajectory.positions, _FARTHEST),
+        ("velocity", trajectory.velocities, _FASTEST),
+    ):
+        farthest = max((at for row in table for at in row), key=abs)
+        if abs(farthest) > most:
+            raise BadArgument(name, farthest, f"a number up to {most:g}")
 
 
 def _check_start(body: Object, trajectory: Trajectory) -> None:

@@ -151,6 +151,7 @@ DAMAGES: dict[str, Callable[[Mutation], object]] = {
     "too few numbers": lambda r: r.begin_trajectory.trajectory.positions.pop(),
     "no times": lambda r: r.begin_trajectory.trajectory.ClearField("times"),
     "an unknown joint": lambda r: r.begin_trajectory.trajectory.joints.__setitem__(0, "knee"),
+    "a speed that is none": lambda r: r.begin_trajectory.trajectory.velocities.__setitem__(-1, 1e300),
     "an unknown body": lambda r: setattr(r.begin_trajectory, "body", "nobody"),
     "years": lambda r: r.begin_trajectory.trajectory.times.__setitem__(-1, 1e9),
     "a number that was": lambda r: setattr(r.begin_trajectory, "number", 0),

@@ -254,7 +254,16 @@ BAD = {
     ),
     "another place": (lambda _: smooth((), [1, 0, 0], [2, 0, 0], 1), BadArgument, "start of x"),
     "hours": (lambda u: to(u, SWING, 4000), BadArgument, "3600 s"),
-    "the end of the world": (lambda _: smooth((), [0, 0, 0], [1e7, 0, 0], 1), BadArgument, "numbers up to"),
+    "the end of the world": (
+        lambda _: smooth((), [0, 0, 0], [1e7, 0, 0], 1),
+        BadArgument,
+        r"position = 10000000.0: .* up to 1e\+06",
+    ),
+    "a speed that is none": (
+        lambda _: Trajectory(("elbow_joint",), (0.0, 1.0), ((0.0,), (1.0,)), ((0.0,), (1e300,))),
+        BadArgument,
+        r"velocity = 1e\+300",
+    ),
     "no trajectory": (lambda _: [0.3], BadArgument, "a Trajectory"),
 }
 
