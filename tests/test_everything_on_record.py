@@ -24,9 +24,10 @@ from pycram.language import failure_handling, finally_, in_thread, par, timeout
 from pycram.process_module import ProcessModule
 from pycram.projection import project
 from pycram.reasoning.queries.query import Verdict, query
-from recorder.records import TOPICS, Mutation
+from recorder.records import TOPICS, Mutation, PathSearch
 from recorder.records.text import text_of
 from replay.state.json_data import kind_of
+from tests.smooth_motions import to
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,6 +65,10 @@ class Things:
     def wait_with_lock(self) -> None:
         with self.world.lock:
             par(hear, hear)
+
+    def begin_motion(self) -> int:
+        trajectory = to(self.cabinet, {DRAWER: 0.2}, 1.0)
+        return self.world.begin_trajectory(self.cabinet, trajectory, PathSearch(planner="given"))
 
     def close_in_real_time(self) -> None:
         self.world.set_realtime(True)
@@ -148,6 +153,22 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
         "refusal",
         r"restore\(world=.*ObjectsChanged: .*cup was removed",
     ),
+    "a motion begins": (Things.begin_motion, "mutation", "begin trajectory 1: drawer_joint of cabinet, 1.000 s, given"),
+    "a motion is stopped": (
+        lambda t: t.world.stop_trajectory(t.begin_motion()),
+        "mutation",
+        "stop trajectory 1 of cabinet",
+    ),
+    "a motion goes on": (
+        lambda t: [t.begin_motion(), t.world.simulate(0.1)],
+        "mutation",
+        "simulate 24 steps, cabinet at 0.100 s of trajectory 1$",
+    ),
+    "a motion ends": (
+        lambda t: [t.begin_motion(), t.world.simulate(2)],
+        "mutation",
+        "simulate 480 steps, cabinet at 1.000 s of trajectory 1, which has ended",
+    ),
     "a hundred changes": (many_changes, "keyframe", "keyframe of world"),
     # --- tasks
     "a motion": (Things.perform, "task", "motion opening-gripper succeeded"),
@@ -202,6 +223,11 @@ TABLE: dict[str, tuple[Callable[[Things], object], str, str]] = {
         lambda t: t.cabinet.set_joint_position(DRAWER, 9),
         "refusal",
         rf'set_joint_position\(object=cabinet, name="{DRAWER}", position=9\): JointLimitError',
+    ),
+    "a joint that follows a trajectory": (
+        lambda t: [t.begin_motion(), t.cabinet.set_joint_position(DRAWER, 0.1)],
+        "refusal",
+        r"set_joint_position\(object=cabinet.*FollowsTrajectory: .*trajectory 1 moves drawer_joint of cabinet",
     ),
     "an unknown joint": (lambda t: t.cup.get_joint_position("x"), "refusal", r"get_joint_position\(.*UnknownName"),
     "an unknown link": (

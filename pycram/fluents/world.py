@@ -158,6 +158,11 @@ class WorldVariables:
         if values:
             self._passed.append((self._world.sim_step, values))
 
+    def has_news(self) -> bool:
+        """Whether a variable that somebody waits for has another value, within a simulation."""
+        followed = [each for each in self._variables.values() if (each.waiters or each.counters) and not each.gone()]
+        return any(each.read() != each.held for each in followed)
+
     def committed(self, transaction: Transaction) -> None:
         """Update the variables that a recorded transaction affects. The world's lock is held."""
         variables = list(self._variables.values())

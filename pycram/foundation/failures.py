@@ -17,6 +17,7 @@ from pycram.foundation.usage_errors import (
     BadArgument,
     ChangeRefused,
     DisplayError,
+    FollowsTrajectory,
     JointLimitError,
     NoWorld,
     ObjectsChanged,
@@ -40,6 +41,7 @@ __all__ = [
     "CollisionPair",
     "DisplayError",
     "DoesNotFit",
+    "FollowsTrajectory",
     "GraspFailed",
     "GripperBlocked",
     "HandleBlocked",
@@ -59,6 +61,8 @@ __all__ = [
     "PycramError",
     "ReadOnly",
     "ReasoningError",
+    "TrackingLost",
+    "TrajectoryEnded",
     "UnknownName",
     "Unreachable",
     "UsageError",
@@ -170,14 +174,24 @@ class PostureInCollision(PlanFailure):
         arms: names of the arms.
         bodies: names of what they would touch, the robot's own for itself.
         pairs: the links that would overlap most, one pair an object; of the robot itself all.
+        torso: joint of the torso, and the height in m at which they would touch nothing; None if there is none.
     """
 
-    def __init__(self, arms: Sequence[str], bodies: Sequence[str], pairs: Sequence[CollisionPair] = ()) -> None:
+    def __init__(
+        self,
+        arms: Sequence[str],
+        bodies: Sequence[str],
+        pairs: Sequence[CollisionPair] = (),
+        *,
+        torso: tuple[str, float] | None = None,
+    ) -> None:
         touched = phrases(pairs) if pairs else f"it would touch {', '.join(bodies)}"
-        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is")
+        hint = f"; with {torso[0]} at {torso[1]:g} m it could" if torso else ""
+        super().__init__(f"the {' and '.join(arms)} arm can't take that posture: {touched}; it stays where it is{hint}")
         self.arms = list(arms)
         self.bodies = list(bodies)
         self.pairs = list(pairs)
+        self.torso = torso
 
 
 class NoPath(PlanFailure):
@@ -330,6 +344,52 @@ class PlaceFailed(PlanFailure):
         self.wanted = wanted
         self.rest = rest
         self.touching = list(touching)
+
+
+class TrackingLost(PlanFailure):
+    """A body couldn't follow its trajectory; it was stopped, and stands where it has got.
+
+    Attributes:
+        body: name of the object.
+        number: the trajectory's number in its world.
+        joint: the joint that was off first.
+        error: how far it was from where it was to be, rad or m.
+        time: how far the trajectory had got, s.
+        pairs: what of the body, or of what it holds, touched something then, hardest first.
+    """
+
+    def __init__(
+        self, body: str, number: int, joint: str, error: float, time: float, pairs: Sequence[CollisionPair]
+    ) -> None:
+        why = f": {phrases(pairs)}" if pairs else "; it touches nothing"
+        super().__init__(f"{joint} of {body} is {error:.3f} off trajectory {number} after {time:.3f} s{why}")
+        self.body = body
+        self.number = number
+        self.joint = joint
+        self.error = error
+        self.time = time
+        self.pairs = list(pairs)
+
+
+class TrajectoryEnded(PlanFailure):
+    """A trajectory that was followed ended before its time: it was stopped, or its world was reset or restored.
+
+    Attributes:
+        body: name of the object.
+        number: the trajectory's number in its world.
+        time: how far it had got, s.
+        duration: how long it takes, s.
+    """
+
+    def __init__(self, body: str, number: int, time: float, duration: float) -> None:
+        super().__init__(
+            f"trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped, "
+            "or the world was reset or restored"
+        )
+        self.body = body
+        self.number = number
+        self.time = time
+        self.duration = duration
 
 
 class AccessFailed(PlanFailure):

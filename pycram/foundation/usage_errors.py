@@ -174,6 +174,27 @@ class ObjectsChanged(UsageError):
         self.removed = tuple(removed)
 
 
+class FollowsTrajectory(UsageError):
+    """Something was asked for that can't be done while a body follows a trajectory.
+
+    Attributes:
+        action: what was tried.
+        body: name of the object that follows it.
+        number: the trajectory's number in its world.
+        joints: names of the joints that it moves; none for the base.
+    """
+
+    def __init__(self, action: str, body: str, number: int, joints: Sequence[str] = ()) -> None:
+        listed = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
+        which = f"{listed or 'the base'} of {body}"
+        remedy = f"wait until it has ended, or stop it with stop_trajectory({number})"
+        super().__init__(f"can't {action}: trajectory {number} moves {which}; {remedy}")
+        self.action = action
+        self.body = body
+        self.number = number
+        self.joints = tuple(joints)
+
+
 class DisplayError(UsageError):
     """A window was asked for where none can open.
 

@@ -229,6 +229,28 @@ class Engine:
         for name, position in targets.items():
             self._hold(body, body.joints[name], position)
 
+    def drive(self, body: Body, joints: Sequence[Joint], start: Sequence[float], end: Sequence[float]) -> None:
+        """Have the motors of joints bring them from where they are to be now (rad or m) to another place in one step.
+
+        The place comes as velocity, which acts in full; of an error that is left, motors correct their gain's share.
+        """
+        bullet.setJointMotorControlArray(  # leaves the velocity limit as _hold has set it
+            body.id,
+            [joint.index for joint in joints],
+            bullet.POSITION_CONTROL,
+            targetPositions=start,
+            targetVelocities=[(b - a) * STEPS_PER_SECOND for a, b in zip(start, end, strict=True)],
+            forces=[_HOLD_FORCE[joint.kind] for joint in joints],
+            positionGains=[body.gain] * len(joints),
+            velocityGains=[1.0] * len(joints),
+            physicsClientId=self._client,
+        )
+
+    def positions(self, body: Body, joints: Sequence[Joint]) -> list[float]:
+        """Return the positions of some joints in rad or m."""
+        indices = [joint.index for joint in joints]
+        return [state[0] for state in bullet.getJointStates(body.id, indices, physicsClientId=self._client)]
+
     def _hold(self, body: Body, joint: Joint, position: float) -> None:
         body.targets[joint.name] = position
         bullet.setJointMotorControl2(

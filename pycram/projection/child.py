@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, NoReturn
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
 from pycram.scheduling.cancellation import begin_alone
+from pycram.world.current import open_worlds
 from recorder.tracing import forking
 
 if TYPE_CHECKING:
@@ -73,10 +74,20 @@ class Child:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
+    @property
+    def signal(self) -> str:
+        """The name of the signal that has ended it; "" if none has."""
+        return signal.Signals(os.WTERMSIG(self.status)).name if os.WIFSIGNALED(self.status) else ""
+
     def _reap(self) -> None:
         os.close(self._reading)
         _, self.status = os.waitpid(self.pid, 0)
         self.ended = True
+
+
+def usable_cores() -> int:
+    """Return how many children of this process can run at once."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:
@@ -98,6 +109,8 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         sys.stdin, sys.stdout, sys.stderr = nothing, nothing, errors
         os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
         begin_alone()
+        for world in open_worlds():
+            world.waits.forget()
         nothing_open()
         forget_claims()
         text = answer()

@@ -54,6 +54,12 @@ class Lock:
         self._lock.acquire()
         _held.count += 1
 
+    def _try(self) -> bool:
+        """Acquire it, unless another thread has it; return whether that was so."""
+        acquired = self._lock.acquire(blocking=False)
+        _held.count += acquired
+        return acquired
+
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:

@@ -6,8 +6,9 @@ Orders that somebody asks for by name are those of :mod:`pycram.scheduling.order
 What a clock or another thread decides comes at a checkpoint that no seed knows; its number is on record.
 
 A branch that yields switches to the scheduler's loop, a greenlet too, which starts or resumes the next one that is
-ready. If none is, the thread sleeps until another thread rings its bell or the first deadline has passed. The code
-outside of all branches takes turns with them; a thread without branches just sleeps.
+ready. If none is, the first of those goes on that wait patiently, as for simulated time, which passes only while nobody
+has anything to do. If there is none either, the thread sleeps until another thread rings its bell or the first deadline
+has passed. The code outside of all branches takes turns with them; a thread without branches just sleeps.
 
 The handler of any signal may raise an error between two instructions (a plan's own time limit by ``signal.alarm``), and
 a deep recursion may end in any call. Then the loop ends, the code outside of all branches gets the error, and the next
@@ -55,17 +56,26 @@ _OWN: Final = ("pycram.language", "pycram.scheduling")
 class Waiter:
     """One wait, in a branch or outside of all; the sources wake it until its ``with`` block ends.
 
+    Args:
+        sources: What wakes it.
+        patience: Of a patient wait, which goes on when nothing else of its thread is ready: whether it would now.
+
     Attributes:
         branch: That branch; None outside of all.
+        patience: As given.
+        parked: Whether it sleeps.
+        undisturbed: Whether it went on because nothing else was ready.
     """
 
-    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch")
+    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "parked", "patience", "undisturbed")
 
-    def __init__(self, sources: Collection[Condition] = ()) -> None:
+    def __init__(self, sources: Collection[Condition] = (), patience: Callable[[], bool] | None = None) -> None:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
         self.branch = self._scheduler.running
+        self.patience = patience
+        self.parked = self.undisturbed = False
 
     def wake(self) -> None:
         """Schedule it to check its predicate again; from any thread."""
@@ -79,19 +89,27 @@ class Waiter:
         """Where the plan waits."""
         return _standing(self.branch, self._greenlet)
 
-    def sleep(self, deadline: float | None = None) -> None:
-        """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic()."""
+    def sleep(self, deadline: float | None = None) -> bool:
+        """Yield until woken, perhaps spuriously, or until the deadline, a time of time.monotonic().
+
+        Returns:
+            Whether a patient wait goes on because nothing else of the thread is ready.
+        """
         self._scheduler.park(self, deadline)
+        return self.undisturbed
 
     def __enter__(self) -> Self:
         for source in self._sources:
             source.waiters[self] = None
+        if self.patience is not None:
+            self._scheduler.patient[self] = None
         return self
 
     def __exit__(self, *_: object) -> None:
         for source in self._sources:
             source.waiters.pop(self, None)
-        if self._scheduler.order is not None:
+        self._scheduler.patient.pop(self, None)
+        if self._scheduler.order is not None or self.patience is not None:
             self._scheduler.forget(self)
 
 
@@ -218,6 +236,7 @@ class Scheduler:
         checkpoints: How many there were in this thread, where branches stop that are cancelled.
         running: The branch that runs; None while the code outside of all does.
         order: The order that was asked for; None for the ordinary one.
+        patient: The patient waits, in order of arrival; the first that would goes on when nothing is ready.
     """
 
     order: Order | None
@@ -228,6 +247,7 @@ class Scheduler:
         self.checkpoints = 0
         self.running: _Branch | None = None
         self.draw_from(_seed, _order)
+        self.patient: dict[Waiter, None] = {}
         self._first: Waiter | None = None  # runs next, whatever else is ready
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self._deadlines: dict[Waiter, float] = {}
@@ -313,6 +333,7 @@ class Scheduler:
         if self.order is not None:
             self._ranked(self.order).stops += 1
         outside = self._is_outside()
+        waiter.parked, waiter.undisturbed = True, False
         try:
             if deadline is not None:
                 self._deadlines[waiter] = deadline
@@ -326,6 +347,7 @@ class Scheduler:
                     self._loop = greenlet(self._run)
                 self._loop.switch()
         finally:
+            waiter.parked = False
             self._deadlines.pop(waiter, None)
             if outside:
                 self._outside = None
@@ -369,6 +391,8 @@ class Scheduler:
                     chosen = first
                 elif self._ready:
                     chosen = schedule(self._ready, self._dice, self.order)
+                elif (patient := self._next_patient()) is not None:
+                    chosen = patient
                 else:
                     self._sleep()
                     continue
@@ -381,6 +405,19 @@ class Scheduler:
             self._loop = None
             self.running = None
 
+    def _next_patient(self) -> Waiter | None:
+        """Return the first patient wait that would go on, now that nothing is ready."""
+        for waiter in self.patient:
+            if waiter.parked and waiter.patience is not None and waiter.patience():
+                waiter.undisturbed = True
+                return waiter
+        return None
+
+    def is_awaited(self) -> bool:
+        """Whether something is ready while a patient wait goes on, or a Ctrl-C is deferred to its next checkpoint."""
+        self._wake_overdue()
+        return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
+
     def _resume_all(self) -> None:
         """Schedule all branches: the one that was to run next, or that was being woken, may have been lost."""
         for branch in list(self.branches):
@@ -390,7 +427,7 @@ class Scheduler:
                 self.add(branch)
 
     def _sleep_alone(self) -> None:
-        if not self._ready:
+        if not self._ready and self._next_patient() is None:
             self._sleep()
         for ready in list(self._ready):
             if isinstance(ready, Waiter):  # its wait checks the predicate anyway

@@ -8,12 +8,17 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, JointLimitError
 from pycram.world import carried
+from pycram.world.trajectory import Trajectory
 from recorder import records
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from pycram.world.object import Object
+    from recorder.geometry.urdf import Urdf
 
 _LIMIT_TOLERANCE: Final = 1e-6  # rad or m, against rounding errors of positions that were read before
+_PATH_TOLERANCE: Final = 1e-3  # rad or m that trajectories may leave limits, where motors and splines do so a little
 _MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which given positions may miss each other's: files and descriptions round
 
 
@@ -24,6 +29,7 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
     checked = coupled(body, checked)
     engine = body.world.engine
     with body.world.transactions.begin(records.Mutation(move_joints=command)) as transaction:
+        body.world.trajectories.refuse("set joints", body, checked)
         links = [] if body.is_robot else carried.moved_links(body.urdf, checked)
         supported = carried.supported_bodies(body, links) if links else {}
         before = {link: engine.link_pose(body.handle, link) for link in set(supported.values())}
@@ -78,9 +84,51 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
     return {name: position for name, position in moved.items() if urdf.joints[name].movable}
 
 
-def _checked(body: Object, name: str, position: float) -> float:
+def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
+    """Return a trajectory of all joints that move: with those that mimic its joints, or that these mimic.
+
+    Raises:
+        UnknownName: The object has no such joint.
+        BadArgument: A joint is named twice, or positions of a group of mimics contradict each other.
+        JointLimitError: A position is outside of its joint's limits.
+    """
+    names = trajectory.joints
+    if not names:  # the base's
+        return trajectory
+    if len(set(names)) < len(names):
+        raise BadArgument("joints", names, "each joint once")
+    rows = [
+        coupled(body, {name: _checked(body, name, at, _PATH_TOLERANCE) for name, at in zip(names, row, strict=True)})
+        for row in trajectory.positions
+    ]
+    if tuple(rows[0]) == names:
+        return trajectory
+    moved = tuple(rows[0])
+    return Trajectory(
+        moved,
+        trajectory.times,
+        tuple(tuple(row[name] for name in moved) for row in rows),
+        tuple(_speeds(body.urdf, dict(zip(names, row, strict=True)), moved) for row in trajectory.velocities),
+    )
+
+
+def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tuple[float, ...]:
+    """Return the speeds of joints (rad/s or m/s), which are given, or follow from those that they mimic."""
+    speeds = dict(given)
+    for name, speed in given.items():
+        mimic = urdf.mimics.get(name)
+        if mimic is not None and mimic.multiplier:
+            speeds.setdefault(mimic.leader, speed / mimic.multiplier)
+    for name in moved:
+        mimic = urdf.mimics.get(name)
+        if mimic is not None and name not in given:
+            speeds[name] = speeds.get(mimic.leader, 0.0) * mimic.multiplier
+    return tuple(speeds.get(name, 0.0) for name in moved)
+
+
+def _checked(body: Object, name: str, position: float, tolerance: float = _LIMIT_TOLERANCE) -> float:
     lower, upper = body.joint_limits(name)
     checked = checks.number(f"joint {name}", position)
-    if not lower - _LIMIT_TOLERANCE <= checked <= upper + _LIMIT_TOLERANCE:
+    if not lower - tolerance <= checked <= upper + tolerance:
         raise JointLimitError(body.name, name, checked, lower, upper)
     return checked

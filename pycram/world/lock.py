@@ -6,6 +6,7 @@ lock altogether: a handler is user code, which may wait for another thread that 
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING
 
 from pycram.foundation.error_chain import call_all, chained
@@ -22,14 +23,26 @@ class WorldLock(Lock):
     def __init__(self) -> None:
         super().__init__()
         self._depth = 0
+        self._contenders: dict[int, None] = {}
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Have the holder's thread make calls, in order, when it has released the lock."""
         self._deferred.extend(calls)
 
+    @property
+    def is_contended(self) -> bool:
+        """Whether another thread waits for it."""
+        return bool(self._contenders)
+
     def __enter__(self) -> None:
-        super().__enter__()
+        if not self._try():
+            thread = threading.get_ident()
+            self._contenders[thread] = None
+            try:
+                super().__enter__()
+            finally:
+                del self._contenders[thread]
         self._depth += 1
 
     def __exit__(

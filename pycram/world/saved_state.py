@@ -2,7 +2,8 @@
 
 A state has the pose and velocity of each object, the positions and velocities of its joints and what their motors keep,
 the attachments, gravity, and which object is the robot: all to the last bit, but for orientations of what has moved,
-which the engine normalises again (2e-16 at most). What the solver knows of contacts isn't in
+which the engine normalises again (2e-16 at most). While a body follows a trajectory no state is saved, and restoring
+one ends all trajectories. What the solver knows of contacts isn't in
 it, so the future after it is a likely one. Simulated time never goes back, and colours stay, as in a reset.
 """
 
@@ -53,6 +54,7 @@ def save(world: BulletWorld) -> SavedState:
     with world.lock:
         if world.closed:
             raise WorldClosed(world.name, "save its state")
+        world.trajectories.refuse_any("save the state of a world")
         command = records.Restore(
             sim_step=world.sim_step,
             bodies=[_state_of(body) for body in world.objects],
@@ -87,6 +89,7 @@ def put_back(world: BulletWorld, command: records.Restore, objects: Collection[O
         if added or removed:
             raise ObjectsChanged(world.name, added, removed)
         _check(command, bodies)
+        world.trajectories.end_all()
         saved = {(held.carrier, held.body): held for held in command.attachments}
         kept = {}
         for body in world.objects:

@@ -38,8 +38,12 @@ def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Ca
     """
     engine = world.engine
     joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
+    driven = list(world.trajectories.active.values())
+    for followed in driven:
+        followed.begin_stretch()
     done, ended = _step(world, steps, transaction, until)
     transaction.command.simulate.steps = done
+    transaction.command.simulate.driven.extend(followed.driven() for followed in driven)
     transaction.mark_modified(*world.objects)
     transaction.callbacks.append(world.prepare_time_listeners)
     for body, before in joints.items():
@@ -59,13 +63,18 @@ def _step(
     done, ended = 0, False
     while done < steps and not (transaction.interrupts.noted or world.exiting):
         chunk = min(_SAMPLE_STEPS - world.sim_step % _SAMPLE_STEPS, steps - done)
-        world.engine.step(chunk)
+        if world.trajectories.active:
+            world.trajectories.step(chunk, transaction)
+        else:
+            world.engine.step(chunk)
         _note_drags(world, transaction)
         for body in world.objects:
             if body.fixed:  # solvers let what is attached to it in chains give way a little
                 carried.move_attached(body, transaction)
         update(world, sim_step=world.sim_step + chunk)
         done += chunk
+        if world.sim_step % _SAMPLE_STEPS == 0:
+            world.waits.sample()
         ended = until is not None and until()
         if ended or done == steps:  # the effect itself has the last state
             break

@@ -89,6 +89,9 @@ class Observer(Protocol):
     def time_passed(self) -> None:
         """Notice that simulated time has passed, within a transaction."""
 
+    def has_news(self) -> bool:
+        """Whether simulated time has changed what somebody waits for."""
+
     def committed(self, transaction: Transaction) -> None:
         """Notice that a transaction was made and is recorded."""
 
@@ -190,5 +193,6 @@ class TransactionManager:
                 frame.bodies.append(state)
             self._recorded[body.name] = now
             frame.attachments.extend(attachment.record() for attachment in body.carried)
+        frame.following.extend(followed.following for followed in world.trajectories.active.values())
         self._since_keyframe = 0
         return frame

@@ -17,15 +17,17 @@ from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.physics.engine import Engine
 from pycram.physics.window import checked_display
 from pycram.scheduling.cancellation import uninterruptible
-from pycram.world import current, saved_state, settling, simulation
+from pycram.world import current, driving, saved_state, settling, simulation
 from pycram.world.attachment import end
 from pycram.world.current import CurrentWorld
 from pycram.world.event import Event
+from pycram.world.followed import Trajectories
 from pycram.world.object import Object
 from pycram.world.overlaps import overlaps
 from pycram.world.read_only import ReadOnlyAttributes, update
 from pycram.world.realtime import RealtimeClock
 from pycram.world.transaction import TransactionManager
+from pycram.world.waits import Waits
 from pycram.world.window import outlives_script
 from recorder import records
 from recorder.tracing import journal
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 
     from pycram.world.lock import WorldLock
     from pycram.world.saved_state import SavedState
+    from pycram.world.trajectory import Trajectory
     from recorder.tracing.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
@@ -86,6 +89,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.closed = False
         self.exiting = False
         self.transactions = TransactionManager(self)
+        self.trajectories = Trajectories(self)
+        self.waits = Waits()
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
@@ -241,6 +246,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
         with self.transactions.begin(command) as transaction:
             handle = body.handle
+            self.trajectories.end_all(body)
             for attachment in list(body.attachments.values()):
                 end(attachment, transaction)
             self.engine.remove(handle)
@@ -292,6 +298,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 self._clock.start()
             elif not enabled:
                 stopped, self._clock = self._clock, None
+        self.waits.wake()  # another one drives them on
         if stopped is not None:
             stopped.stop()  # without the lock, which its last simulation may be waiting for
 
@@ -333,6 +340,30 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise WorldClosed(self.name, "simulate on")
         return not restless
 
+    def begin_trajectory(self, body: Object, trajectory: Trajectory, search: records.PathSearch | None = None) -> int:
+        """Have a body follow a trajectory in every simulation from now on; return its number.
+
+        Plans wait for its end by :func:`pycram.world.driving.follow`, which begins it, too.
+
+        Args:
+            body: An object of this world; for its base, a robot or one of the environment.
+            trajectory: Where it is to be; it begins where the body is.
+            search: How its path was found, for the record.
+
+        Raises:
+            BadArgument: The body can't follow it, or isn't where it begins.
+            FollowsTrajectory: One of its joints, or its base, follows another one.
+        """
+        return driving.begin(self, body, trajectory, search).number
+
+    def stop_trajectory(self, number: int) -> None:
+        """Have a trajectory slow down along its path from now on; 0.15 s of simulated time later it has ended.
+
+        Raises:
+            UnknownName: No trajectory of that number is followed.
+        """
+        driving.stop(self, checks.count("number", number))
+
     def prepare_time_listeners(self) -> Callable[[], None]:
         """Return the call of all present time listeners."""
         listeners = tuple(self.time_listeners)
@@ -344,8 +375,12 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return notify
 
     def reset(self) -> None:
-        """Put every object back to its pose and joints after loading; attachments end, time and colours stay."""
+        """Put every object back to its pose and joints after loading; attachments and trajectories end.
+
+        Time and colours stay.
+        """
         with self.transactions.begin(records.Mutation(reset=records.Reset())) as transaction:
+            self.trajectories.end_all()
             for body in self.objects:
                 for attachment in list(body.attachments.values()):
                     end(attachment, transaction)
@@ -423,5 +458,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         for body in self.objects:
             update(body, _handle=None)
         self._robot = None
+        self.trajectories.end_all()
+        self.waits.wake()
         self.engine.close()
         current.remove(self)

@@ -30,7 +30,16 @@ from recorder.records.choices import decision_text, rejections
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from recorder.records import Argument, LoadBody, MoveJoints, Record, Simulate
+    from recorder.records import (
+        Argument,
+        BeginTrajectory,
+        Driven,
+        LoadBody,
+        MoveJoints,
+        PathSearch,
+        Record,
+        Simulate,
+    )
 
 _NS: Final = 1_000_000_000
 _MS: Final = 1e6
@@ -45,6 +54,7 @@ _LEVELS: Final = {
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
 }  # of logging
+_NOTABLE_ERROR: Final = 0.01  # rad or m: less is the lag of motors
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for most values, and faster than a format for any number of them
 
 
@@ -176,9 +186,34 @@ def _loaded(command: LoadBody) -> str:
 
 def _simulated(command: Simulate) -> str:
     steps = f"{command.steps} steps"
+    if command.driven:
+        return f"{steps}, {', '.join([_driven(each) for each in command.driven[:]])}"
     if not command.HasField("settled"):
         return steps
     return f"{steps} until all was at rest" if command.settled else f"{steps}; not all is at rest yet"
+
+
+def _driven(driven: Driven) -> str:
+    """How far a trajectory got in a simulation."""
+    off = f" ({driven.joint} {driven.error:.3f} off)" if driven.error > _NOTABLE_ERROR else ""
+    at = f"{driven.body} at {driven.time:.3f} s of trajectory {driven.number}"
+    return f"{at}, which has ended{off}" if driven.ended else f"{at}{off}"
+
+
+def _began(command: BeginTrajectory) -> str:
+    trajectory = command.trajectory
+    count = len(trajectory.joints)
+    moved = f"{count} joints" if count > 1 else trajectory.joints[0] if count else "base"
+    took = f"{trajectory.times[-1]:.3f} s" if trajectory.times else "no time"
+    return f"{command.number}: {moved} of {command.body}, {took}{_searched(command.search)}"
+
+
+def _searched(search: PathSearch) -> str:
+    """How the path of a trajectory was found."""
+    if not search.planner:
+        return ""
+    checks = f" after {search.checks} checks" if search.checks else ""
+    return f", {search.planner}{checks}"
 
 
 def _fluent(record: Fluent) -> tuple[str, Log.Level.ValueType]:
@@ -217,6 +252,8 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # by command; others ha
     "set_color": lambda command: command.body,
     "set_robot": lambda command: command.body,
     "simulate": _simulated,
+    "begin_trajectory": _began,
+    "stop_trajectory": lambda command: f"{command.number} of {command.body}",
     "restore": lambda command: f"what was saved at {command.sim_step / STEPS_PER_SECOND:.3f} s",
 }
 

@@ -123,6 +123,7 @@ def _headline(change: Blame) -> str:
         "carried": f"was carried by {change.carried[-1].held.carrier}" if change.carried else "was carried",
         "along": f"moved along with {commanded(change.record)}",
         "hand": "was dragged by hand in the window",
+        "driven": "followed a trajectory",
         "physics": "moved in simulation",
         "reset": "moved when the world was reset",
         "restored": "moved when a saved state was restored",

@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.closed_output import discard, until_closed
 from recorder.packages import NotInstalled, needed
 from recorder.suggestions import suggestion
 from replay.cli.console import print_message
@@ -45,6 +46,7 @@ VERBS: Final = {
     "fork": "the plan run again up to a step, and on from there with another plan, world, answer or seed",
     "debug": "a prompt at a step, in the plan's frame: its variables, forwards and back",
     "resume": "a plan whose process was killed goes on where it was",
+    "export": "where joints and bases were to be and were, as a table (CSV, Parquet)",
     "repair": "a sound copy of what can be read of a damaged recording, and what is lost",
     "restore": "a live world as it was: for a script, in a shell, in a window",
 }
@@ -64,6 +66,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names may have characters that a terminal lacks
     arguments = _joined(sys.argv[1:] if argv is None else argv)
+    code = FINE
+    try:
+        with until_closed():
+            code = _command(arguments)
+    except OSError as error:
+        discard(sys.stdout)
+        return _report(str(error), USAGE)  # such as a full disk
+    except KeyboardInterrupt:
+        return _INTERRUPTED
+    return code
+
+
+def _command(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         from importlib.metadata import version  # noqa: PLC0415  slow to import
 
@@ -74,17 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         options = _parser(arguments[:1], verb).parse_args(arguments)
     except SystemExit as end:  # after printing help, or an error
         return FINE if not end.code else USAGE
-    try:
-        code = _run(_module(options.verb), options)
-        sys.stdout.flush()
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is discarded
-        if isinstance(error, BrokenPipeError):  # as by `head`
-            return FINE
-        return _report(str(error), USAGE)  # such as a full disk
-    except KeyboardInterrupt:
-        return _INTERRUPTED
-    return code
+    return _run(_module(options.verb), options)
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from recorder.records.following import time_of
 from replay.cli import formatting
 from replay.cli.arguments import add_step
 from replay.cli.console import print_message, print_result
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from recorder.geometry import Pose
-    from recorder.records import Plain
+    from recorder.records import Following, Plain
     from replay.recording import Recording
     from replay.state.state import Body, State, World
 
@@ -88,8 +89,19 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
     width = max((len(name) for name in world.bodies), default=0)
     for body in bodies:
         yield from _body(world, body, width, details=details)
+        for following in world.following.values():
+            if following.begin.body == body.name:
+                yield f"    {_followed(world, following)}"
         if links:
             yield from (f"    {_pose(link, 48, pose)}" for link, pose in state.link_poses(body).items())
+
+
+def _followed(world: World, following: Following) -> str:
+    begin = following.begin
+    times = begin.trajectory.times
+    at = f"at {time_of(following, world.sim_step):.3f} of {times[-1] if times else 0:.3f} s"
+    moved = ", ".join(begin.trajectory.joints) or "base"
+    return f"follows trajectory {begin.number} {at}{', slowing down' if following.stopped else ''}: {moved}"
 
 
 def _pose(name: str, width: int, pose: Pose) -> str:

@@ -75,6 +75,7 @@ def change_text(change: Change) -> str:
         "carried": f"{name} was carried{f' by {change.mover}' if change.mover else ''}",
         "along": f"{name} moved along{f' with {change.mover}' if change.mover else ''}",
         "in-hand": f"{name} was moved itself while a hand held it, off that hand",
+        "driven": f"{name} followed a trajectory",
         "physics": f"{name} moved in simulation",
         "removed": f"{name} was removed",
         "joints": f"joints of {name} moved",

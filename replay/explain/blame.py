@@ -56,8 +56,8 @@ class Blame:
         joint: name of the joint; "" for the body's pose.
         record: the record that changed it; a keyframe if nothing did since the recording began.
         how: "command" (it was moved itself), "load", "carried" (with what holds it), "along" (with what it lies on or
-            in), "hand" (somebody dragged it in the window), "physics", "reset", "restored" (a saved state), "removed",
-            or "before" (the recording began later).
+            in), "hand" (somebody dragged it in the window), "driven" (it followed a trajectory), "physics", "reset",
+            "restored" (a saved state), "removed", or "before" (the recording began later).
         before: its pose or value before; None if it wasn't there.
         after: its pose or value after; None if it was removed.
         distance: how far it moved: m, or of a revolute joint rad.
@@ -269,7 +269,7 @@ class _Search:
         else:
             state = state_at(self._log, record.seq - 1)
             before = self._value(state)
-            how, chain = _how(record, state.world(self._world), self._body)
+            how, chain = _how(record, state.world(self._world), self._body, self._joint)
         carried = tuple(self._carried(held, record.seq) for held in chain)
         because = causes(self._log, record)
         return Blame(*self._subject, record, how, before, after, *_size(before, after), carried, because)
@@ -314,10 +314,17 @@ def _size(before: Pose | float | None, after: Pose | float) -> tuple[float, floa
     return math.inf, 0.0
 
 
-def _how(record: Mutation, world: World, body: str) -> tuple[str, list[Attachment]]:
-    """Return how a command made a body move, by the state before it."""
+def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str:
+    begun = [each.begin.trajectory for each in world.following.values() if each.begin.body == body]
+    if any(joint in (trajectory.joints or ("",)) for trajectory in begun):
+        return "driven"
+    return "hand" if any(drag.body == body for drag in record.drags) else "physics"
+
+
+def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
+    """Return how a command made a body or joint move, by the state before it."""
     if _is_physics(record):
-        return "hand" if any(drag.body == body for drag in record.drags) else "physics", []
+        return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):
         return "reset", []
     if record.HasField("restore"):

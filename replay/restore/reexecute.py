@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.world import saved_state
+from pycram.world import driving, saved_state
+from pycram.world.trajectory import Trajectory
 from recorder.records import Keyframe, Mutation
-from recorder.tracing.journal import Journal, unrecorded
+from recorder.tracing.journal import Journal, NullSink, unrecorded
 from replay.errors import Damaged, NotRestored
 from replay.restore.world import load_body, open_world, rebuild
 from replay.state.fold import fold
@@ -22,12 +23,11 @@ if TYPE_CHECKING:
     from typing import Self
 
     from pycram.world.world import BulletWorld
-    from recorder.records import AttachBody, DetachBody, MoveBody, MoveJoints, Record
-    from recorder.records.asset import AssetFile
+    from recorder.records import AttachBody, BeginTrajectory, DetachBody, MoveBody, MoveJoints, Record
     from replay.file.record_reader import RecordReader
 
 
-class _LastMutation:
+class _LastMutation(NullSink):
     """A sink that keeps the last mutation."""
 
     def __init__(self) -> None:
@@ -37,15 +37,6 @@ class _LastMutation:
         """Keep a record."""
         if isinstance(record, Mutation):
             self.record = Mutation.FromString(payload)
-
-    def attach(self, asset: AssetFile) -> None:
-        """Ignore a file: the recording has it."""
-
-    def flush(self) -> None:
-        """Nothing waits."""
-
-    def close(self) -> None:
-        """Do nothing."""
 
 
 class Reexecution:
@@ -154,12 +145,14 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
         NotRestored: the world began before the recording.
         Damaged: records before that step are lost.
     """
+    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
+    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # of what wasn't read, nothing is known to be lost
+        pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         cause = f"step {gap.start} is lost; without exact, the state may do"
         raise Damaged(log.path, f"what led to step {step}", cause)
-    lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
-    chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
             if record.seq > step:
@@ -191,6 +184,12 @@ def _detach(world: BulletWorld, command: DetachBody) -> None:
     world.get_object(command.carrier).detach(world.get_object(command.body))
 
 
+def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
+    search = command.search if command.HasField("search") else None
+    trajectory = Trajectory.of_record(command.trajectory)
+    driving.begin(world, world.get_object(command.body), trajectory, search, command.number)
+
+
 _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "remove_body": lambda world, command: world.get_object(command.body).remove(),
     "move_body": _move_body,
@@ -201,6 +200,8 @@ _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {
     "set_color": lambda world, command: world.get_object(command.body).set_color(command.color),
     "set_robot": lambda world, command: world.set_robot(world.get_object(command.body) if command.body else None),
     "simulate": lambda world, command: world.simulate_steps(command.steps),
+    "begin_trajectory": _begin_trajectory,
+    "stop_trajectory": lambda world, command: driving.stop(world, command.number),
     "reset": lambda world, _: world.reset(),
     "restore": saved_state.put_back,
     "close_world": lambda world, _: world.exit(),

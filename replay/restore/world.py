@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import DisplayError, PycramError
-from pycram.world import attachment
+from pycram.world import attachment, driving
 from pycram.world.current import open_worlds
 from pycram.world.read_only import update
 from pycram.world.snapshot import Snapshot, restore_snapshot
@@ -121,6 +121,8 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
             carrier, carried = world.get_object(held.carrier), world.get_object(held.body)
             pose = held.position, held.orientation
             attachment.attach(carrier, carried, held.carrier_link or None, held.body_link or None, pose)
+        for following in state.following.values():
+            driving.resume(world.get_object(following.begin.body), following)
         if state.robot:
             world.set_robot(world.get_object(state.robot))
     except BaseException:

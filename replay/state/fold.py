@@ -10,7 +10,8 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
+from recorder.records import STEPS_PER_SECOND, Following, Keyframe, Mutation
+from recorder.records.following import has_ended
 from replay.errors import Damaged
 from replay.file.lifetimes import closes_world
 from replay.file.repair import range_text
@@ -133,12 +134,14 @@ class WorldBuilder:
         facts: values of the fields of :class:`replay.state.state.World` but for these:
         bodies: by name.
         attachments: by names of carrier and body.
+        following: trajectories that bodies follow, by number.
     """
 
     def __init__(self, name: str, mode: str = "DIRECT") -> None:
         self.facts: dict[str, object] = {"name": name, "lifetime": 1, "mode": mode}
         self.bodies: dict[str, _BodyBuilder] = {}
         self.attachments: dict[tuple[str, str], Attachment] = {}
+        self.following: dict[int, Following] = {}
 
     @classmethod
     def of_keyframe(cls, frame: Keyframe) -> WorldBuilder:
@@ -153,12 +156,14 @@ class WorldBuilder:
         world.bodies = {loaded.body: _BodyBuilder(loaded) for loaded in frame.loaded}
         world._set_states(frame.bodies)
         world._attach(frame.attachments)
+        world.following = {each.begin.number: each for each in frame.following}
         return world
 
     def build(self) -> World:
         """Return its current state."""
         bodies = {name: body.build() for name, body in self.bodies.items()}
-        return World(**self.facts, bodies=bodies, attachments=dict(self.attachments))  # type: ignore[arg-type]
+        parts = {"bodies": bodies, "attachments": dict(self.attachments), "following": dict(self.following)}
+        return World(**self.facts, **parts)  # type: ignore[arg-type]
 
     def apply(self, record: Mutation) -> None:
         """Apply a mutation: its command where that alone changes the state, then its effect."""
@@ -182,7 +187,29 @@ class WorldBuilder:
             self.bodies.clear()
             self.attachments.clear()
             self.facts |= {"open": False, "realtime": False, "robot": ""}
+        self._follow(command, record)
         self._apply_effect(record.effect)
+
+    def _follow(self, command: str | None, record: Mutation) -> None:
+        """Take note of which trajectories begin, are stopped, and end."""
+        if command == "begin_trajectory":
+            begin = record.begin_trajectory
+            self.following[begin.number] = Following(begin=begin, began=record.sim_step)
+        elif command == "stop_trajectory":
+            self._stop(record.stop_trajectory.number)
+        elif command == "simulate":
+            for driven in record.simulate.driven:
+                if driven.ended:
+                    self.following.pop(driven.number, None)
+        elif command in ("reset", "restore", "close_world"):
+            self.following.clear()
+
+    def _stop(self, number: int) -> None:
+        """Stop a trajectory; one whose beginning is lost stays unknown, and one that hasn't moved yet ends."""
+        known = self.following.pop(number, None)
+        if known is not None and known.began < self.sim_step:
+            self.following[number] = stopped = Following(begin=known.begin, began=known.began)
+            stopped.stopped = known.stopped or self.sim_step
 
     @property
     def sim_step(self) -> int:
@@ -193,6 +220,9 @@ class WorldBuilder:
         """Apply a sample of a simulation."""
         self.facts["sim_step"] = sample.sim_step
         self._set_states(sample.bodies)
+        self.following = {
+            number: each for number, each in self.following.items() if not has_ended(each, sample.sim_step)
+        }
 
     def _apply_effect(self, effect: records.Effect) -> None:
         for ended in effect.detached:
@@ -203,6 +233,7 @@ class WorldBuilder:
                 del self.attachments[pair]
             if self.facts.get("robot") == name:
                 self.facts["robot"] = ""
+            self.following = {at: each for at, each in self.following.items() if each.begin.body != name}
         self._attach(effect.attached)
         self._set_states(effect.bodies)
 

@@ -123,6 +123,11 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
             for held in world.attachments.values()
             if only in (None, held.carrier, held.body)
         ],
+        "following": {
+            str(number): message_data(each)
+            for number, each in world.following.items()
+            if only in (None, each.begin.body)
+        },
     }
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.geometry.urdf import Urdf
-    from recorder.records import LoadBody
+    from recorder.records import Following, LoadBody
     from replay.file.assets import Assets
 
 
@@ -107,6 +107,7 @@ class World:
         lifetime: number of its lifetime, from 1: a name can be taken again.
         bodies: by name, in the order of loading.
         attachments: by names of carrier and body.
+        following: trajectories that bodies follow, by number.
     """
 
     name: str
@@ -119,6 +120,7 @@ class World:
     lifetime: int = 1
     bodies: Mapping[str, Body] = field(default_factory=dict)
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)
+    following: Mapping[int, Following] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -6,6 +6,7 @@ about seconds.
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import sys
 import threading
@@ -20,9 +21,11 @@ import recorder
 from pycram.bullet_world import BulletWorld
 from pycram.fluent import Fluent
 from pycram.world import settling
+from recorder import geometry
 from recorder.records import BodyState, Effect, MoveBody, Mutation, Query
 from recorder.tracing import journal
-from tests.benchmarks.timing import goal, ratio, seconds
+from tests.benchmarks.timing import amount, goal, ratio, seconds, warm_up
+from tests.smooth_motions import move, smooth, to
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,7 +51,7 @@ def demo_seconds(file: Path | None) -> tuple[float, float]:
 
 
 def test_demo_costs_less_than_1000_steps_and_recording_little(tmp_path: Path) -> None:
-    demo_seconds(None)  # what is made once: files laid out, code compiled
+    warm_up(lambda: demo_seconds(None))
     plans: list[float] = []
     steps: list[float] = []
 
@@ -77,7 +80,7 @@ def test_what_settling_costs_after_placing(monkeypatch: pytest.MonkeyPatch) -> N
         settled.append((took, world.sim_step - before))
         return found[0]
 
-    demo_seconds(None)
+    warm_up(lambda: demo_seconds(None))
     monkeypatch.setattr(settling, "settle", timed)
     plan, step = demo_seconds(None)
     assert len(settled) >= 4, "each of the four objects was placed"
@@ -87,7 +90,7 @@ def test_what_settling_costs_after_placing(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_recorder_throughput(tmp_path: Path) -> None:
-    count = 20_000
+    count = amount(20_000, 4_000)
 
     def write() -> None:
         for number in range(count):
@@ -148,16 +151,16 @@ def set_all_awaited(fluent: Fluent, count: int, dependants: Sequence[Fluent]) ->
 
 
 def test_fluent_updates(tmp_path: Path) -> None:
-    count, cell, lock = 10_000, [0], threading.RLock()
+    count, assigned, cell, lock = amount(10_000, 1_000), 10_000, [0], threading.RLock()
     fluent = Fluent(0, "counter")
     dependants = [*(fluent > limit for limit in range(8)), fluent.pulsed(), (fluent * 2 == 4).pulsed()]
 
     def assign() -> None:
-        for number in range(count):
+        for number in range(assigned):
             with lock:
                 cell[0] = number
 
-    assigning = seconds(assign)
+    assigning = seconds(assign) * count / assigned
     took = {
         "10 dependants": set_all(fluent, count),
         "10 dependants, each read every time": set_all(fluent, count, dependants),
@@ -187,3 +190,44 @@ def test_attaching_and_leaving(tmp_path: Path) -> None:
     print(f"exit of the full scene: {ending * 1e3:.1f} ms ({ending / step:.1f} steps)")
     goal("attach + detach, in steps", holding / step, 1)
     goal("exit, in steps", ending / step, 10)
+
+
+def test_following_trajectories_costs_little_beside_the_physics(scene: BulletWorld) -> None:
+    """A second of an arm with seven joints and of a base that move, beside one in which nothing does."""
+    robot = scene.robot
+    assert robot is not None
+    assert robot.description is not None
+    joints = robot.description.arm("left").joints
+    home = [robot.get_joint_position(name) for name in joints]
+    away = [at + 0.05 * (-1 if at > 0 else 1) for at in home]
+    goals = itertools.cycle([away, home])
+
+    def still() -> float:
+        return seconds(lambda: scene.simulate(1))
+
+    def arm() -> float:
+        scene.begin_trajectory(robot, to(robot, dict(zip(joints, next(goals), strict=True)), 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    def base() -> float:
+        x, y, _ = robot.get_position()
+        heading = geometry.to_rpy(robot.get_orientation())[2]
+        scene.begin_trajectory(robot, smooth((), [x, y, heading], [x, y, heading + 0.01], 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    goal("simulation with an arm that follows, plain simulation", ratio(arm, still, most=1.5), 1.5)
+    goal("simulation with a base that follows, plain simulation", ratio(base, still, most=1.5), 1.5)
+
+
+def test_waiting_for_a_motion_costs_no_more_than_simulating_it(scene: BulletWorld) -> None:
+    robot = scene.robot
+    assert robot is not None
+    joint = "head_pan_joint"
+    sides = itertools.cycle([0.3, -0.3])
+    following = lambda: seconds(lambda: move(robot, {joint: next(sides)}, 1.0))  # noqa: E731
+
+    def driven() -> float:
+        scene.begin_trajectory(robot, to(robot, {joint: next(sides)}, 1.0))
+        return seconds(lambda: scene.simulate(1))
+
+    goal("waiting for a motion, simulating it", ratio(following, driven, most=1.1), 1.1)

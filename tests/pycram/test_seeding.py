@@ -27,6 +27,12 @@ print(random.random(), np.random.rand(), list({"cup", "bowl", "milk", "spoon", "
 """
 
 
+def test_a_command_that_starts_itself_again_has_loaded_little_before() -> None:
+    program = "import sys, pycram.cli; print({'numpy', 'google.protobuf', 'mcap', 'pybullet'} & sys.modules.keys())"
+    ended = subprocess.run([sys.executable, "-c", program], cwd=REPO, capture_output=True, text=True, check=True)
+    assert ended.stdout == "set()\n"
+
+
 def run(folder: Path, *arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     inherited = {name: value for name, value in os.environ.items() if name not in ("PYTHONHASHSEED", "PYCRAM_SEEDED")}
     return subprocess.run(
@@ -66,6 +72,16 @@ def test_the_seed_of_a_run_repeats_its_random_numbers_and_the_order_of_its_sets(
     fixed = run(tmp_path, "--overwrite", environment={"PYTHONHASHSEED": "1"})
     assert fixed.stdout == other.stdout
     assert start_of(tmp_path / "plan.mcap").seed == "1"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--seed", "5"], ["--seed=5", "--", "--seed", "x"]])
+def test_what_takes_long_is_imported_once(tmp_path: Path, options: Sequence[str]) -> None:
+    """The command that starts itself again has imported little before."""
+    (tmp_path / "plan.py").write_text(PLAN)
+    ended = run(tmp_path, *options, environment={"PYTHONPROFILEIMPORTTIME": "1"})
+    started = [re.findall(rf"\| +{name}\n", ended.stderr) for name in ("pycram.seeding", "numpy")]
+    assert [len(each) for each in started] == [2, 1]
 
 
 def test_a_run_that_a_plan_starts_draws_a_seed_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,10 +20,11 @@ from pycram.event import Event
 from pycram.failures import PlanFailure
 from pycram.fluent import Fluent
 from pycram.world import transaction
-from recorder.records import TOPICS, Mutation
+from recorder.records import TOPICS, Mutation, PathSearch
 from recorder.tracing.span import span
 from replay.recording import Recording
 from replay.restore.verify import verify
+from tests.smooth_motions import smooth, to
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,6 +54,7 @@ NOT_DETERMINED: Final = {
     r"\w+\.failure\..*": _PLAN,
     r"Keyframe\.world": "a world that was opened unrecorded is announced by its keyframe",
     r"Mutation\.simulate\.settled": "a judgement by the rules of the release, with which nothing changes",
+    r"Mutation\.begin_trajectory\.search\..*": "how a path was found, with which nothing changes",
     r"Mutation\.by_fork": "whoever forked the run",
     r"Mutation\.drags\..*": "a person's hand",
     r"Mutation\.restore\.sim_step": "when the state was saved, which the world's clock doesn't go back to",
@@ -61,7 +63,7 @@ NOT_DETERMINED: Final = {
     r"(Event|Subscription|Refusal|Output)\.(?!seq|task|cause).*": _PLAN,
     r"Fluent\.(?!seq|task|cause).*": _PLAN,
     r"Query\.(?!seq|task|cause).*": _ASKED,
-    r"Run\.(arguments|directory|seed|order|hash_seed|plan\..*|pycram\..*|host|cpu|program|by_program|number|origin\..*|interrupted_by)": _DAEMON,
+    r"Run\.(arguments|directory|seed|order|environment|hash_seed|plan\..*|pycram\..*|host|cpu|program|by_program|called_as|number|origin\..*|interrupted_by)": _DAEMON,
 }
 
 
@@ -183,6 +185,15 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Altered]:
         world.reset()
         world.restore(saved)
         world.simulate(0.1)
+        opening = to(cabinet, {"drawer_joint": 0.05}, 1.0)
+        search = PathSearch(planner="given", seed=3, attempts=1, checks=5, max_checks=9, way_points=[0, 0.1])
+        number = world.begin_trajectory(cabinet, opening, search)
+        world.simulate(0.2)
+        world.stop_trajectory(number)
+        world.simulate(0.1)
+        world.begin_trajectory(Object("cart", "robot", str(CABINET), [8, 0, 0]), smooth((), [8, 0, 0], [9, 0, 0], 2))
+        for _ in range(3):  # keyframes in the middle
+            world.simulate(0.02)
         cabinet.detach(cup)
         cup.set_position([1, 1, 1])
     frequent.undo()

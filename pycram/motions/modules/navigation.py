@@ -23,8 +23,8 @@ class Navigation(SimulatedModule):
         robot = self.robot()
         target, orientation = solution["target"], solution["orientation"]
         check_drives(robot, target, orientation)
-        with robot.world.lock:
-            with choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
+        with self.execution.whole(robot.world):
+            with robot.world.lock, choosing("base_pose", robot.world, target=target, orientation=orientation) as choice:
                 try:
                     check_ground(robot, target, orientation)
                 except NotDrivable as refusal:
@@ -36,4 +36,5 @@ class Navigation(SimulatedModule):
                     choice.reject(AS_ASKED, Touching(pairs))
                     raise InCollision(target, orientation, [pair.body for pair in pairs], pairs)
                 choice.take(AS_ASKED)
-            robot.set_position_and_orientation(target, orientation)
+                drive = self.execution.drive(robot, target, orientation)
+            drive()

@@ -77,6 +77,12 @@ class Boxes:
         """Return them wider by a margin in m to each side."""
         return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
 
+    def within(self, point: Sequence[float], distance: float) -> list[str]:
+        """Return the links of boxes whose bounds along the world's axes come within a distance in m of a point."""
+        apart = np.abs(self.centers - point) - _world_extents(self.axes, self.half_extents)
+        near: NDArray[np.bool_] = np.all(apart <= distance, axis=1)
+        return list(dict.fromkeys(itertools.compress(self.links, near)))
+
     def moved(self, transforms: Array) -> tuple[Array, Array]:
         """Return centers (n, k, 3), m, and axes (n, k, 3, 3) of the boxes moved by transforms (n, k, 4, 4)."""
         turns = transforms[..., :3, :3]

@@ -220,6 +220,30 @@ except PlanFailure as failure:
     print(type(failure).__name__)
 perform(type="move-arm-joints", **{f"{arm}_arm": "park"})
 """,
+    "trajectories": """
+from types import SimpleNamespace
+from pycram.fluents.world import joint
+from pycram.world.driving import follow
+from pycram.world.trajectory import Trajectory
+robot = Object("ur5", "robot", "ur5.urdf", [3, 0, 0.5])
+def turn(name, angle, seconds):
+    start, rest = robot.get_joint_position(name), (0.0,)
+    way = Trajectory((name,), (0.0, seconds), ((start,), (start + angle,)), (rest, rest))
+    follow(world, [(robot, SimpleNamespace(trajectory=way, search=None))])
+with par as s:
+    s(turn, "shoulder_pan_joint", 0.5, 0.3)
+    with pursue as t:
+        t((joint(robot, "elbow_joint") > 0.2 + 0.1 * random.random()).wait_for)
+        t(turn, "elbow_joint", 1.0, 0.8)
+    s(turn, "wrist_1_joint", 0.4, 0.15)
+    s(world.simulate, 0.05)
+print(project(turn, "shoulder_pan_joint", -0.2, 0.2).duration)
+try:
+    with timeout(0.2, simulated=True):
+        turn("shoulder_pan_joint", -0.5, 1.0)
+except PlanFailure as failure:
+    print(failure)
+""",
     "what chance decides": """
 import numpy
 for name in {"milk", "cup", "bowl", "spoon"}:

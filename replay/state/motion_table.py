@@ -1,0 +1,130 @@
+"""The trajectories of a recording as a table: what was planned, and what was driven, a row for each moment of a joint.
+
+What was driven is known 30 times a simulated second, from the samples of simulations. Joints have the velocities that
+were read from the engine; a base, which is put from pose to pose, has none.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
+from recorder.records.following import has_ended, time_of
+from replay.errors import Damaged
+from replay.state.fold import apply
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.records import BeginTrajectory, BodyState
+    from replay.file.record_reader import RecordReader
+    from replay.state.fold import WorldBuilder
+    from replay.state.state import Body, World
+
+_BASE: Final = ("x", "y", "yaw")
+
+
+class Row(NamedTuple):
+    """Where one joint, or coordinate of a base, is to be or was.
+
+    Attributes:
+        world: name of the world.
+        trajectory: its number there.
+        body: name of the object.
+        joint: name of the joint; x, y or yaw of the base, in the world frame.
+        source: "planned" or "driven".
+        time: s since the trajectory began, of its own time: it passes more slowly when the trajectory is stopped.
+        seconds: s of the world's simulated time; of what is planned, if nothing stops it.
+        position: rad or m.
+        velocity: rad/s or m/s; None if it isn't known.
+    """
+
+    world: str
+    trajectory: int
+    body: str
+    joint: str
+    source: str
+    time: float
+    seconds: float
+    position: float
+    velocity: float | None
+
+
+def rows(log: RecordReader) -> Iterator[Row]:
+    """Yield all rows of a recording: of each trajectory what is planned when it begins, then what is driven.
+
+    Raises:
+        Damaged: a record makes no sense.
+    """
+    worlds: dict[str, WorldBuilder] = {}
+    for record in log.records((Mutation, Keyframe)):
+        try:
+            if isinstance(record, Mutation) and record.simulate.driven and record.world in worlds:
+                yield from _driven(worlds[record.world].build(), record)
+            apply(worlds, record)
+            if isinstance(record, Mutation) and record.HasField("begin_trajectory"):
+                yield from _planned(record)
+        except (ValueError, IndexError) as error:
+            raise Damaged(log.path, f"step {record.seq}", str(error)) from error
+
+
+def _planned(record: Mutation) -> Iterator[Row]:
+    begin, start = record.begin_trajectory, record.sim_step / STEPS_PER_SECOND
+    trajectory = begin.trajectory
+    moments = [(time, name) for time in trajectory.times for name in _names(begin)]
+    for (time, name), position, velocity in zip(moments, trajectory.positions, trajectory.velocities, strict=True):
+        where = record.world, begin.number, begin.body, name
+        yield Row(*where, "planned", time, start + time, position, velocity)
+
+
+def _driven(world: World, record: Mutation) -> Iterator[Row]:
+    """Yield the rows of a stretch of simulation; the world is as it was before."""
+    ends = {each.number: each.time for each in record.simulate.driven}
+    followed = {number: each for number, each in world.following.items() if number in ends}
+    values = {each.begin.body: _values(world.bodies.get(each.begin.body)) for each in followed.values()}
+    moments = [(sample.sim_step, sample.bodies) for sample in record.effect.samples]
+    for sim_step, states in [*moments, (record.sim_step, record.effect.bodies)]:
+        for state in states:
+            if state.body in values:
+                values[state.body].update(_read(state))
+        for number, following in list(followed.items()):
+            time = min(time_of(following, sim_step), ends[number])
+            body = following.begin.body
+            for name in _names(following.begin):
+                if name in values[body]:
+                    where = record.world, number, body, name
+                    yield Row(*where, "driven", time, sim_step / STEPS_PER_SECOND, *values[body][name])
+            if has_ended(following, sim_step):
+                del followed[number]
+
+
+def _names(begin: BeginTrajectory) -> Sequence[str]:
+    return begin.trajectory.joints or _BASE
+
+
+def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
+    """Return position and velocity of what a body can move, by name."""
+    if body is None:  # its loading is lost
+        return {}
+    joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
+    return joints | _place(body.position) | _heading(body.orientation)
+
+
+def _read(state: BodyState) -> dict[str, tuple[float, float | None]]:
+    """Return those that a record has."""
+    speeds = state.joint_velocities or [0.0] * len(state.joints)
+    joints = zip(state.joint_positions, speeds, strict=True)
+    found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))
+    return found | _place(state.position) | _heading(state.orientation)
+
+
+def _place(position: Sequence[float]) -> dict[str, tuple[float, float | None]]:
+    return {"x": (position[0], None), "y": (position[1], None)} if position else {}
+
+
+def _heading(orientation: Sequence[float]) -> dict[str, tuple[float, float | None]]:
+    if not orientation:
+        return {}
+    x, y, z, w = orientation
+    return {"yaw": (math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)), None)}
