@@ -53,10 +53,8 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
-            trace = error.__traceback__
-            self.error = error.with_traceback(
-                trace and trace.tb_next
-            )  # not this frame, which would keep OMPL's objects
+            # the trace of a Ctrl-C would keep OMPL's objects to the end of the process, which tells of them then
+            self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False
 
 

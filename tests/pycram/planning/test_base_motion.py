@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import InCollision, NotDrivable
-from pycram.planning import base_motion
+from pycram.failures import InCollision, NoPath, NotDrivable
+from pycram.planning import base_motion, path
 from pycram.world.snapshot import take_snapshot
 from recorder import geometry, records
 from recorder.records.choices import rejections
@@ -98,3 +98,30 @@ def test_a_base_that_is_bolted_down_does_not_move(world: BulletWorld) -> None:
     arm = Object("ur5", "robot", "ur5.urdf")
     with pytest.raises(NotDrivable, match="its base is fixed"):
         base_motion(arm, AHEAD, UPRIGHT)
+
+
+@pytest.mark.slow
+def test_among_five_hundred_things_the_budget_holds_and_a_drawer_in_the_way_is_named(
+    robot: Object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(path, "MAX_CHECKS", 1000)
+    for number in range(500):
+        x, y = 0.2 * (number % 25) - 1.0, 2.5 + 0.2 * (number // 25)
+        Object(f"thing{number}", "thing", box(tmp_path, "thing", (0.05, 0.05, 0.05)), [x, y, 0.025])
+    kitchen = Object("kitchen", "environment", "kitchen.urdf", [0.5, 0, 0])
+    robot.set_position([0.5, -0.3, 0])
+    goal = [1.0, 1.2, 0]
+    assert base_motion(robot, goal, UPRIGHT).search.checks <= 1000
+    kitchen.set_joint_position("sink_area_left_middle_drawer_main_joint", 0.5)
+    with pytest.raises((InCollision, NoPath), match="would touch sink_area_left_middle_drawer") as failure:
+        base_motion(robot, goal, UPRIGHT)
+    assert "sink_area_left_middle_drawer" in failure.value.pairs[0].body_link
+    monkeypatch.setattr(path, "MAX_CHECKS", 600)
+    for side, (x, y) in enumerate(((-1.2, 0), (1.2, 0), (0, -1.2), (0, 1.2))):
+        size = (0.05, 2.4, 1.0) if x else (2.4, 0.05, 1.0)
+        Object(f"fence{side}", "environment", box(tmp_path, "fence", size), [-3 + x, -3 + y, 0.5])
+    robot.set_position([-3, -3, 0])
+    with pytest.raises(NoPath, match="the base finds no path there") as trapped:
+        base_motion(robot, [1.0, -3.0, 0], UPRIGHT)
+    assert 600 <= trapped.value.checks < 800
+    assert "fence" in trapped.value.pairs[0].body

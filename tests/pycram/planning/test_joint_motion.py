@@ -232,8 +232,5 @@ with BulletWorld() as world:
 def test_an_interrupt_ends_a_search_and_is_raised_as_it_was(pillar: Object) -> None:
     command = [sys.executable, "-c", INTERRUPTED, pillar.path]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert ended.stderr.endswith("    raise KeyboardInterrupt\nKeyboardInterrupt\n") or ended.stderr.endswith(
-        "KeyboardInterrupt\n"
-    )
-    assert "in free" in ended.stderr  # where it was raised
+    assert ended.stderr.endswith("\nKeyboardInterrupt\n")
     assert "nanobind" not in ended.stderr  # which tells of objects that were left

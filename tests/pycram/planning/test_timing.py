@@ -6,6 +6,7 @@ import itertools
 import math
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +19,12 @@ from pycram.models.robots.description import RobotDescription
 from pycram.planning import base_motion, joint_motion, rates, through, timing, together
 from pycram.planning.rates import NoVelocityLimit
 from pycram.planning.timing import Knots, Rates
-from tests.conftest import DEMOS
 from tests.pycram.planning.conftest import RIGHT
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pycram.world.trajectory import Trajectory
 
+DEMO = Path(__file__).parents[3] / "demos" / "set_the_table.py"
 ENDLESS = np.full(3, math.inf)
 RATES = Rates(-ENDLESS, ENDLESS, np.eye(3), np.array([1.0, 2.0, 0.1]), np.array([4.0, 2.0, 0.5]))
 ROW = st.lists(st.floats(-2, 2), min_size=3, max_size=3)
@@ -149,7 +148,7 @@ def test_a_robot_without_velocity_limits_gets_defaults_and_says_so_once(world: B
 def test_a_plan_of_instant_motions_loads_neither_ompl_nor_toppra(tmp_path: Path) -> None:
     plan = (
         "import runpy, sys\n"
-        f"sys.argv = ['pycram', 'run', {str(DEMOS / 'set_the_table.py')!r}, '--log', {str(tmp_path / 'demo.mcap')!r}]\n"
+        f"sys.argv = ['pycram', 'run', {str(DEMO)!r}, '--log', {str(tmp_path / 'demo.mcap')!r}]\n"
         "try: runpy.run_module('pycram', run_name='__main__')\n"
         "except SystemExit: pass\n"
         "print({'ompl', 'toppra', 'matplotlib'} & set(sys.modules), 'pybullet' in sys.modules)\n"
