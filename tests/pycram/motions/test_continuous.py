@@ -161,6 +161,26 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
     assert shared_scene.sim_step > begun
 
 
+@pytest.mark.slow
+def test_what_is_taken_away_while_the_fingers_close_is_not_held(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    finger = joint(robot, "l_gripper_l_finger_joint")
+
+    def take_away() -> None:
+        (finger > 0.53).wait_for()
+        (finger < 0.52).wait_for()
+        milk.set_position([1.3, 1.2, milk.get_position()[2]])
+
+    def plan() -> None:
+        with par as both:
+            both(take_away)
+            both(perform, type="pick-up", object=milk, arm="left")
+
+    with pytest.raises(GraspFailed, match="its fingers have closed, and touch it nowhere"):
+        plan()
+    assert not robot.carried
+
+
 def driven(sink: MemorySink) -> list[Driven]:
     """How far each trajectory got, in the end."""
     records = [each for record in sink.of(Mutation) for each in record.simulate.driven]
