@@ -56,6 +56,7 @@ def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
     return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
 
 
+@pytest.mark.slow
 def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
     robot, begun = shared_scene.robot, shared_scene.sim_step
     robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
@@ -283,6 +284,7 @@ def test_what_the_other_hand_holds_is_refused_with_what_to_do(shared_scene: Bull
     assert shared_scene.sim_step == begun
 
 
+@pytest.mark.slow
 def test_an_open_drawer_in_the_way_is_named(shared_scene: BulletWorld) -> None:
     kitchen = shared_scene.get_object("kitchen")
     shared_scene.robot.set_position_and_orientation([0.2, 0.9, 0], [0, 0, 0, 1])
