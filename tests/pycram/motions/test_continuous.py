@@ -56,6 +56,7 @@ def tool(robot: Object, arm: str) -> tuple[list[float], list[float]]:
     return robot.get_link_position_and_orientation(robot.description.arm(arm).tool_frame)
 
 
+@pytest.mark.slow
 def test_the_base_drives_around_what_stands_there(shared_scene: BulletWorld, sink: MemorySink) -> None:
     robot, begun = shared_scene.robot, shared_scene.sim_step
     robot.set_position_and_orientation([0.3, 0.7, 0], [0, 0, 0, 1])
@@ -161,6 +162,26 @@ def test_what_is_moved_while_the_hand_comes_is_not_grasped_blindly(shared_scene:
     assert shared_scene.sim_step > begun
 
 
+@pytest.mark.slow
+def test_what_is_taken_away_while_the_fingers_close_is_not_held(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    finger = joint(robot, "l_gripper_l_finger_joint")
+
+    def take_away() -> None:
+        (finger > 0.53).wait_for()
+        (finger < 0.52).wait_for()
+        milk.set_position([1.3, 1.2, milk.get_position()[2]])
+
+    def plan() -> None:
+        with par as both:
+            both(take_away)
+            both(perform, type="pick-up", object=milk, arm="left")
+
+    with pytest.raises(GraspFailed, match="its fingers have closed, and touch it nowhere"):
+        plan()
+    assert not robot.carried
+
+
 def driven(sink: MemorySink) -> list[Driven]:
     """How far each trajectory got, in the end."""
     records = [each for record in sink.of(Mutation) for each in record.simulate.driven]
@@ -263,6 +284,7 @@ def test_what_the_other_hand_holds_is_refused_with_what_to_do(shared_scene: Bull
     assert shared_scene.sim_step == begun
 
 
+@pytest.mark.slow
 def test_an_open_drawer_in_the_way_is_named(shared_scene: BulletWorld) -> None:
     kitchen = shared_scene.get_object("kitchen")
     shared_scene.robot.set_position_and_orientation([0.2, 0.9, 0], [0, 0, 0, 1])
