@@ -80,20 +80,25 @@ class Clearance:
         starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
         return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
-    def first_touch(self, rows: Array) -> tuple[int, CollisionPair] | None:
-        """Return the number of the first configuration (n, d) in which something is touched, and what; None if none."""
+    def first_touch(self, rows: Array) -> CollisionPair | None:
+        """Return what is touched in the first of configurations (n, d) in which something is; None if nothing is."""
         for begin in range(0, len(rows), _BATCH):
-            for number, pair, depth in self._touched(rows[begin : begin + _BATCH]):
-                return begin + number, self._checker.named(pair, depth)
+            for pair, depth in self._touched(rows[begin : begin + _BATCH]):
+                return self._checker.named(pair, max(depth, 0.0))
         return None
 
     def worst(self, count: int) -> list[CollisionPair]:
         """Return what was in the way most often, and how deep at most."""
-        return [self._checker.named(pair, self._deepest[pair]) for pair, _ in self.blocking.most_common(count)]
+        return [
+            self._checker.named(pair, max(self._deepest[pair], 0.0)) for pair, _ in self.blocking.most_common(count)
+        ]
 
-    def _touched(self, rows: Array) -> Iterable[tuple[int, Pair, float]]:
-        """Yield configurations (n, d) in which something is touched, the first pair that was found, and how deep."""
-        for number, (candidate, pairs) in enumerate(self._candidates(rows)):
+    def _touched(self, rows: Array) -> Iterable[tuple[Pair, float]]:
+        """Yield for each configuration (n, d) in which something is touched the first pair found, and its depth.
+
+        The depth is in m, and negative where the pair is too near, but apart.
+        """
+        for candidate, pairs in self._candidates(rows):
             if self._last in pairs:  # what was in the way mostly is so again
                 pairs.insert(0, self._last)
             for pair in pairs:
@@ -102,7 +107,7 @@ class Clearance:
                     self._last = pair
                     self.blocking[pair] += 1
                     self._deepest[pair] = max(depth, self._deepest.get(pair, 0.0))
-                    yield number, pair, depth
+                    yield pair, depth
                     break
 
     def _candidates(self, rows: Array) -> list[tuple[Candidate, list[Pair]]]:

@@ -45,9 +45,8 @@ def joint_motion(
 ) -> Planned:
     """Return a motion of joints to a goal on which the robot touches nothing that it doesn't touch at the start.
 
-    What the robot holds moves along. Joints that can
-    go further than a turn go to the equivalent turn that is nearest. The choice between the straight line and a search
-    is on record.
+    What the robot holds moves along. Joints that can go further than a turn go to the equivalent turn that is nearest.
+    The choice between the straight line and a search is on record.
 
     Args:
         robot: the robot.

@@ -102,7 +102,7 @@ def find(query: Query, clearance: Clearance, choice: Choice) -> Path:
         if touch is None:
             choice.take(STRAIGHT, checks=clearance.checks)
             return Path(STRAIGHT, 0, attempts, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
-        choice.reject(STRAIGHT, Touching([touch[1]]))
+        choice.reject(STRAIGHT, Touching([touch]))
         for share in _STEPS:
             attempts += 1
             seed = query.drawn_seed(attempts)

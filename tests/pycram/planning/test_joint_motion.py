@@ -158,6 +158,12 @@ def test_endless_joints_go_to_the_nearest_turn(shared_scene: BulletWorld) -> Non
     assert planned.trajectory.duration < 1.0
 
 
+def test_joints_with_limits_go_to_the_nearest_turn_within_them(arm: Object) -> None:
+    assert joint_motion(arm, {"shoulder_pan_joint": 5.0}).end["shoulder_pan_joint"] == pytest.approx(5.0 - 2 * math.pi)
+    arm.set_joint_position("elbow_joint", 3.0)  # which can't go beyond pi
+    assert joint_motion(arm, {"elbow_joint": -0.5}).end["elbow_joint"] == -0.5
+
+
 def test_an_arm_that_is_there_stays(shared_scene: BulletWorld) -> None:
     robot = shared_scene.robot
     left, right = (robot.description.arm(name) for name in ("left", "right"))
